@@ -18,7 +18,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
@@ -265,7 +265,7 @@ class Engine(ABC):
 
     def _box(self) -> Any:
         """Periodic box vectors, nm."""
-        return self._context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer)
+        return box_of(self._context.getState())
 
     def _set_box(self, box: Any) -> None:
         self._context.setPeriodicBoxVectors(*box)

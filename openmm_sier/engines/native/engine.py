@@ -20,7 +20,7 @@ from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
@@ -152,7 +152,7 @@ class NativeEngine(Engine):
     def _environment_now(self) -> tuple[Any, dict[str, float]]:
         """Return box, nm, and parameters of the Context, on which the potential energy depends."""
         state = self._context.getState(parameters=True)
-        return state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
+        return box_of(state), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
         if self._flow.step == 0:
