@@ -18,6 +18,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 
@@ -313,7 +314,11 @@ class Engine(ABC):
 
         Args:
             by_openmm: does it with OpenMM's minimizer, which keeps nothing but constraints.
+
+        Raises:
+            openmm.OpenMMException: it cannot begin where the atoms are.
         """
+        refuse_hopeless_start(self._context)
         by_openmm()
         self.atoms_moved()
 

@@ -28,6 +28,7 @@ from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
 from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
@@ -130,8 +131,8 @@ class Binding:
         """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context.
 
         Raises:
-            openmm.OpenMMException: the System has Drude particles, the integrator was given more computations, or its
-                Context is gone.
+            openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
+                integrator was given more computations, or its Context is gone.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
@@ -142,6 +143,7 @@ class Binding:
                 "integrators with their Contexts: make a new one"
             )
         checks.refuse_drude_particles(system)
+        checks.refuse_impossible_numbers(system)
         installation.refuse_additions(self._integrator, self.program)
         given = self.settings
         groups = find_fast_groups(system, given.bodies, says=True) if given.finds_fast_groups else given.fast_groups
@@ -174,6 +176,7 @@ class Binding:
             self.record.clear()
         system, given = context.getSystem(), self.settings
         checks.tell_of_frozen_atoms_that_move(system)
+        tell_of_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
         self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
         if given.finds_fast_groups and find_fast_groups(system, given.bodies) != given.fast_groups:

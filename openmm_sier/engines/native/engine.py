@@ -15,6 +15,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
+from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
@@ -76,6 +77,7 @@ class NativeEngine(Engine):
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
+        self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         points, itself = refusals.points(system), weakref.proxy(context)
         self.movers = Movers(points, lambda: itself.getMolecules())
         # The atom of each point: those of none come first.
@@ -87,6 +89,7 @@ class NativeEngine(Engine):
         self._check_step = StepCheck(system, points, self.inner_step)
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
+        #: Box and parameters of the last step.
         self._environment: Any = None
         self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
@@ -135,10 +138,14 @@ class NativeEngine(Engine):
         self._flow = flow
         self._check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
         set_variables(self._integrator, flow.bath, is_guarded=False)
+        if self._environment is not None and self._environment_now() != self._environment:
+            # OpenMM takes the forces of the last step for valid where only the box was changed.
+            self.forces_changed()
+
+    def _environment_now(self) -> tuple:
+        """Return the box and the parameters of the Context."""
         state = self._context.getState(parameters=True)
-        environment = state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
-        if environment != self._environment:
-            self._environment, self._potential = environment, None
+        return state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
         clock, flow = self.clock, self._flow
@@ -173,6 +180,7 @@ class NativeEngine(Engine):
 
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
+        self._environment = self._environment_now()
         if self._is_guarded:
             self._variables[EXACT_ONLY] = 1.0
 
@@ -187,9 +195,13 @@ class NativeEngine(Engine):
         """After news from outside, make what follows depend on nothing but what the Context holds."""
         if not self._is_fresh:
             return
+        refuse_what_is_not_finite(Snapshot(self._context))
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         self._satisfy_constraints()
+        if self._has_sites:
+            # OpenMM places them at the end of a step, and the first needs forces before that.
+            self._context.computeVirtualSites()
         # Count the force that an earlier step would have left.
         self.evaluations += int(self._flow.scheme.reuses_force)
         self._is_fresh = False
@@ -227,8 +239,8 @@ class NativeEngine(Engine):
 
     def forces_changed(self) -> None:
         self._potential = None
-        # After this OpenMM considers no force valid.
-        self._context.setPeriodicBoxVectors(*self._context.getState().getPeriodicBoxVectors())
+        # After this OpenMM considers no force valid; to set the box does not have this effect.
+        set_velocities(self._context, Snapshot(self._context).velocities)
 
     def groups_changed(self) -> None:
         """OpenMM fixes the groups when it reads the program."""
