@@ -138,9 +138,19 @@ class NativeEngine(Engine):
         self._flow = flow
         self._check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
         set_variables(self._integrator, flow.bath, is_guarded=False)
-        if self._environment is not None and self._environment_now() != self._environment:
-            # OpenMM takes the forces of the last step for valid where only the box was changed.
-            self.forces_changed()
+        if self._environment is not None:
+            self._take_over_environment()
+
+    def _take_over_environment(self) -> None:
+        """Forget what depends on the box and on parameters if somebody has changed them."""
+        box, parameters = self._environment_now()
+        if (box, parameters) != self._environment:
+            self._potential = None
+        if box != self._environment[0]:
+            # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
+            # they are the same, makes it compute them.
+            velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
+            set_velocities(self._context, velocities)
 
     def _environment_now(self) -> tuple:
         """Return the box and the parameters of the Context."""
@@ -238,9 +248,8 @@ class NativeEngine(Engine):
         return errors, np.abs((arms * velocities).sum(axis=1)) / self._constraints.lengths
 
     def forces_changed(self) -> None:
+        # OpenMM itself considers no force valid after that.
         self._potential = None
-        # After this OpenMM considers no force valid; to set the box does not have this effect.
-        set_velocities(self._context, Snapshot(self._context).velocities)
 
     def groups_changed(self) -> None:
         """OpenMM fixes the groups when it reads the program."""
