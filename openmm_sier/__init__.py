@@ -9,6 +9,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.integrators.named import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
 from openmm_sier.integrators.tuning import Tuning, tune
+from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
 from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
 from openmm_sier.system.find_bodies import RigidBodies
@@ -21,4 +22,5 @@ __all__ = ["SIER2", "SIER2P3", "SIER2V2", "SIER4", "SIER4G", "SIER4P", "SIER4V",
 __all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PIntegrator", "SIERIntegrator"]
 __all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
 __all__ += ["BodyState", "RigidBodies", "RigidityError", "make_whole"]
+__all__ += ["ForceCheck", "ForceFault", "check_forces"]
 __all__ += ["Preparation", "__version__", "balance_pme", "prepare_system"]

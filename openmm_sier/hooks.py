@@ -8,13 +8,16 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 - `Context.setState` accepts a State of any other integrator, and does not let a State bring back noise that was used.
 - `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
   atoms were moved, which the native engine would not notice by itself.
+- `Context.setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where
+  OpenMM's solvers cannot satisfy the constraints.
+- `Context.setPeriodicBoxVectors` tells the integrator too: OpenMM would take the forces of the old box for valid.
 - `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
   continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
-- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and
-  `NonbondedForce.setPMEParameters` are counted, so that an integrator looks for changes of its System only after one
-  of them.
-- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them.
+- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and `setPMEParameters` of
+  every Force are counted, so that an integrator looks for changes of its System only after one of them.
+- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
+  warns of overlaps that it leaves.
 - `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
 """
 
@@ -26,6 +29,7 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -38,8 +42,12 @@ def install() -> None:
     _replace(openmm.Context, "reinitialize", _bind_again)
     _replace(openmm.Context, "setState", _set_state)
     _replace(openmm.Context, "getState", _mark_state)
-    for name in ("setPositions", "setVelocities", "setVelocitiesToTemperature"):
+    for name in ("setPositions", "setVelocities"):
         _replace(openmm.Context, name, functools.partial(_pass_on, Binding.moved))
+    _replace(openmm.Context, "setVelocitiesToTemperature", _draw_velocities)
+    _replace(openmm.Context, "applyConstraints", functools.partial(_satisfy, False))
+    _replace(openmm.Context, "applyVelocityConstraints", functools.partial(_satisfy, True))
+    _replace(openmm.Context, "setPeriodicBoxVectors", functools.partial(_pass_on, Binding.box_changed))
     _replace(openmm.Context, "loadCheckpoint", functools.partial(_pass_on, Binding.take_over))
     _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)
@@ -47,10 +55,10 @@ def install() -> None:
     for name in ("setParticleMass", "setConstraintParameters", "removeForce"):
         _replace(openmm.System, name, _count_change)
     _replace(openmm.Force, "setForceGroup", _count_change)
-    _replace(openmm.NonbondedForce, "setPMEParameters", _count_change)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keep_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _tell_of_new_forces)
+        _replace(cls, "setPMEParameters", _count_change)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
         _replace(openmm.XmlSerializer, name, _revive)
 
@@ -83,7 +91,7 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
     if len(args) > 1:
         _refuse_parts(args[1])
         if isinstance(revived(args[1], SIERIntegrator), SIERIntegrator):
-            args[1].binding.prepare(args[0])
+            args[1].binding.prepare(args[0], args[2] if len(args) > 2 else None)
     method(context, *args, **kwargs)
     if binding := _binding_of(context):
         binding.bind(context)
@@ -178,6 +186,22 @@ def _pass_on(news: Callable, method: Callable, context: openmm.Context, *args: A
     return found
 
 
+def _draw_velocities(method: Callable, context: openmm.Context, *args: Any) -> None:
+    by_openmm = functools.partial(method, context, *args)
+    if args and (binding := _binding_of(context)):
+        binding.draw_velocities(by_openmm, *args)
+    else:
+        by_openmm()
+
+
+def _satisfy(velocities: bool, method: Callable, context: openmm.Context, tol: float) -> None:
+    by_openmm = functools.partial(method, context, tol)
+    if binding := _binding_of(context):
+        binding.satisfy(by_openmm, velocities)
+    else:
+        by_openmm()
+
+
 def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
     if binding := _binding_of(context):
@@ -195,5 +219,6 @@ def _keep_bodies(
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if binding := _binding_of(context):
         binding.engine.minimize(by_openmm, tolerance, maxIterations, reporter)
+        tell_of_overlaps(context, binding.engine.bodies)
     else:
         by_openmm()

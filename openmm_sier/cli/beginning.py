@@ -48,6 +48,7 @@ class Simulated:
         bodies: its rigid bodies.
         fast: force groups that are fast.
         inputs: fingerprints of the files that were read.
+        unsettled: how a doubtful equilibration ended, in words; None without one.
     """
 
     def __init__(self, options: Options, plan: Plan):
@@ -65,6 +66,7 @@ class Simulated:
         if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
             raise RunError("--pressure-tensor needs a periodic box, which there is none")
         self.inputs = fingerprints(box.sources)
+        self.unsettled: str | None = None
 
     def context(self, step: int = 0) -> openmm.Context:
         """The Context of the run when it begins or goes on at a step, without positions.
@@ -161,10 +163,12 @@ class Simulated:
         note(f"starts from the positions, velocities and box of {start}")
 
     def _equilibrate(self, context: openmm.Context, positions: Any, minimize: bool | None) -> None:
-        plan = self.plan
+        plan, time = self.plan, self.options.equilibrate
         try:
-            prepare(context, positions, plan.temperature, plan.seed, self.options.equilibrate, minimize, REPORT)
+            found = prepare(context, positions, plan.temperature, plan.seed, time, minimize, REPORT)
         except openmm.OpenMMException as error:
             if not runaway.is_runaway(error):
                 raise
             raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
+        if found.doubtful:
+            self.unsettled = found.described

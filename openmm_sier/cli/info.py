@@ -12,11 +12,9 @@ from openmm_sier.cli.console import note, table
 from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.plan import ignored_options
 from openmm_sier.dynamics.species import Species
-from openmm_sier.measure.forcefields import Box
+from openmm_sier.measure.forcefields import Box, density_of
 from openmm_sier.measure.inputs import read_input
 from openmm_sier.measure.pdb_files import box_vectors, extent
-from openmm_sier.observe.conservation import density
-from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.
@@ -111,5 +109,4 @@ def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
 def _extent(box: Box) -> str:
     if (vectors := box_vectors(box.topology)) is None:
         return ", no periodic box"
-    masses, volume = tables.masses(box.system), abs(np.linalg.det(vectors))
-    return f", box {extent(vectors)}, {density(sum(masses), volume):.3f} g/cm3"
+    return f", box {extent(vectors)}, {density_of(box):.3f} g/cm3"

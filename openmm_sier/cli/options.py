@@ -222,7 +222,11 @@ class Options:
     )
     restart: Path | None = _option(file(), "checkpoint (.chk) to go on from", otherwise="none", restart="not noted")
     overwrite: bool | None = _option(
-        SWITCH, "replace files of an earlier run", False, otherwise="refuse to", restart="not noted"
+        SWITCH,
+        "replace files of an earlier run, or with --restart cut back a longer one",
+        False,
+        otherwise="refuse to",
+        restart="not noted",
     )
 
     @property

@@ -13,7 +13,7 @@ from openmm import unit
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
-from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.files.records import read_log
@@ -77,8 +77,9 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     if not (notes or options.overwrite):
         outputs.refuse_existing()
     if notes:
-        outputs.check_noted(notes)
-        _check_unfinished(plan, checkpoint, notes["step"])
+        found = _cuts(plan, outputs, notes, may_lose=bool(options.overwrite))
+        # Checkpoints of earlier versions say nothing of it.
+        simulated.unsettled = notes.get("unsettled")
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
@@ -87,11 +88,13 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     note(f"{plan.title}, to step {_length(plan, plan.steps)} on the {context.getPlatform().getName()} platform")
     if notes:
         tell_of_another_platform(context, checkpoint, notes["platform"])
+        if found:
+            note(cuts.describe(found, plan, checkpoint, notes["step"]))
     outputs.open(simulated, context, notes)
     bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
-    _report(plan, cost)
+    _report(plan, cost, simulated.unsettled)
     note(f"wrote {outputs}")
 
 
@@ -99,15 +102,27 @@ def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
-def _report(plan: Plan, cost: list[tuple[str, str]]) -> None:
+def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     log = read_log(plan.report)
     warning = runaway.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
+    rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost)
 
 
 # --- the continuation ---
+
+
+def _cuts(plan: Plan, outputs: Outputs, notes: dict[str, Any], may_lose: bool) -> list[cuts.Cut]:
+    """Return what is cut from the files of a run that goes on, after all reasons to refuse that."""
+    checkpoint, step = outputs.checkpoint, notes["step"]
+    outputs.check_noted(notes)
+    _check_unfinished(plan, checkpoint, step)
+    found = cuts.find_cuts(plan, notes)
+    if not may_lose:
+        cuts.refuse_to_lose(found, plan, checkpoint, step)
+    return found
 
 
 def _check_unfinished(plan: Plan, checkpoint: Path, step: int) -> None:

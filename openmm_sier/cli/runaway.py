@@ -72,7 +72,8 @@ def likely_cause(plan: Plan) -> str:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
     return (
         f"the step of {plan.dt:g} fs is not above the {usual:g} fs that is usual for {name} and rigid water: flexible "
-        "bonds, overlaps at the start (--minimize) or too short an equilibration may be the cause"
+        "bonds, overlaps at the start (--minimize) or too short an equilibration may be the cause. If a shorter step "
+        "changes nothing, openmm_sier.check_forces, in a script, tells which Force is not the gradient of its energy"
     )
 
 

@@ -117,8 +117,8 @@ def file(metavar: str = "FILE", use: str = "input") -> Kind:
     def accepts(value: Any) -> bool:
         if not isinstance(value, str) or "\0" in value or not value:
             return False
-        # No file is written by the name of the root, of this directory, or of the one above.
-        return use != "output" or Path(value).name not in ("", "..")
+        # The root, this directory and the one above are no files, and outputs may be named after inputs.
+        return Path(value).name not in ("", "..")
 
     return Kind("the name of a file", accepts, Path, metavar=metavar, file=use)
 

@@ -1,11 +1,15 @@
 """Which engine an integrator gets."""
 
+import os
+
 import openmm
 
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
+from openmm_sier.engines.native.installation import vectors_of
 from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system.arguments import Bodies
 
 #: Engines by the names by which users ask for them.
@@ -15,9 +19,22 @@ ENGINES = {engine.name: engine for engine in (ExactEngine, NativeEngine)}
 EXACT_PLATFORMS = ("CPU", "Reference")
 
 
+def is_on_host(platform: openmm.Platform) -> bool:
+    """Return whether Python can read the forces of a platform without a copy from a GPU."""
+    return platform.getName() in EXACT_PLATFORMS
+
+
+def fastest_platform() -> openmm.Platform:
+    """Return the platform that OpenMM takes for a Context of which none is named."""
+    if name := os.environ.get("OPENMM_DEFAULT_PLATFORM"):
+        return openmm.Platform.getPlatformByName(name)
+    return max(map(openmm.Platform.getPlatform, range(openmm.Platform.getNumPlatforms())), key=lambda it: it.getSpeed())
+
+
 def engine_for(wanted: str, context: openmm.Context, flow: Flow, bodies: Bodies, program: Program) -> Engine:
     """The engine of a Context, "exact", "native" or "auto" as wanted; the program is that of the flow."""
-    on_host = context.getPlatform().getName() in EXACT_PLATFORMS
-    if wanted == "exact" or (wanted == "auto" and on_host):
+    # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
+    has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
+    if wanted == "exact" or (wanted == "auto" and is_on_host(context.getPlatform()) and has_variables):
         return ExactEngine(context, flow, bodies)
     return NativeEngine(context, flow, bodies, program)

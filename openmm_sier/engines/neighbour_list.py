@@ -9,6 +9,8 @@ two evaluations agree. `docs/measurements/platforms.md` has the measurements.
 import openmm
 from openmm import unit
 
+from openmm_sier.system.inner_forces import parts
+
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
 
@@ -18,20 +20,27 @@ def is_remembered(context: openmm.Context) -> bool:
     platform = context.getPlatform()
     if platform.getName() != "CPU" or platform.getPropertyValue(context, "Threads") != "1":
         return False
-    forces = context.getSystem().getForces()
-    # In every Force that has nonbonded methods, 0 is the one without a cut-off.
-    return any(force.getNonbondedMethod() != 0 for force in forces if hasattr(force, "getNonbondedMethod"))
+    return any(_has_cutoff(part.force) for part in parts(context.getSystem()))
 
 
 def forget(context: openmm.Context) -> None:
     """Make the next force evaluation of a Context rebuild the list; nothing else changes.
 
     OpenMM checks the list at every request for forces, even for no force group. This costs two constructions of the
-    list, a fifth of a force evaluation.
+    list, a fifth of a force evaluation. Forces within other Forces have lists of their own, which OpenMM checks only
+    where it evaluates these.
     """
+    inner = {part.group for part in parts(context.getSystem()) if part.within and _has_cutoff(part.force)}
+    groups = sum(1 << group for group in inner)
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     try:
         context.setPositions(positions + FAR)
-        context.getState(forces=True, groups=0)
+        context.getState(forces=True, groups=groups)
     finally:
         context.setPositions(positions)
+
+
+def _has_cutoff(force: openmm.Force) -> bool:
+    # In every Force that has nonbonded methods, 0 is the one without a cut-off.
+    is_cut = hasattr(force, "getNonbondedMethod") and force.getNonbondedMethod() != 0
+    return is_cut or isinstance(force, openmm.ConstantPotentialForce)

@@ -21,6 +21,10 @@ from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
+from openmm_sier.system.solver_trial import SolverTrial
+
+# OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
+set_box = openmm.Context.setPeriodicBoxVectors
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -40,6 +44,7 @@ class Flow:
         bath: executes the scheme's bath; None for a scheme without one.
         constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
+        counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
     """
 
     scheme: Scheme
@@ -50,6 +55,7 @@ class Flow:
     bath: Thermostat | None = None
     constant_energy: bool = False
     updates_context: bool = True
+    counts_heat: bool | None = None
 
 
 class Clock(NamedTuple):
@@ -254,7 +260,7 @@ class Engine(ABC):
         return self._context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer)
 
     def _set_box(self, box: Any) -> None:
-        self._context.setPeriodicBoxVectors(*box)
+        set_box(self._context, *box)
 
     # --- what users ask ---
 
@@ -309,6 +315,28 @@ class Engine(ABC):
         """Number of degrees of freedom that share the heat, see `engines.temperature`."""
         return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
 
+    # --- what OpenMM does in the Context, and cannot do for all constraints ---
+
+    @cached_property
+    def _trial(self) -> SolverTrial:
+        return SolverTrial(self._context.getSystem())
+
+    def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
+        """Let OpenMM do something for which it solves constraints."""
+        by_openmm()
+
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+        """Draw velocities of all atoms; see `Context.setVelocitiesToTemperature`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
+    def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
+        """Move atoms onto the constraints; see `Context.applyConstraints`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
+    def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
+        """Take away velocities along constraints; see `Context.applyVelocityConstraints`, which `by_openmm` calls."""
+        self._let_openmm_solve(by_openmm)
+
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         """Minimize the energy and keep bodies rigid; see `openmm.LocalEnergyMinimizer` for the arguments.
 
@@ -319,13 +347,16 @@ class Engine(ABC):
             openmm.OpenMMException: it cannot begin where the atoms are.
         """
         refuse_hopeless_start(self._context)
-        by_openmm()
+        self._let_openmm_solve(by_openmm)
         self.atoms_moved()
 
     # --- news from outside ---
 
     def atoms_moved(self) -> None:  # noqa: B027 - nothing to do where it is found out
         """Somebody set positions or velocities; an engine may find it out by itself."""
+
+    def box_changed(self) -> None:  # noqa: B027 - nothing to do where it is found out
+        """Somebody set the box; an engine may find it out by itself."""
 
     @abstractmethod
     def forces_changed(self) -> None:

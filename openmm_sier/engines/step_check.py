@@ -1,25 +1,35 @@
-"""Whether a step is short enough for what vibrates in a System."""
+"""Whether a step is short enough for what vibrates and spins in a System."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.protocol import Flow
+from openmm_sier.system.spins import ROOM_TEMPERATURE, Spins
 from openmm_sier.system.vibrations import Vibrations
 
 
 class StepCheck:
-    """Refuses steps that are too long for bonds and librations, and speaks of those at which the energy walks."""
+    """Refuses steps that are too long for bonds, librations and spins; speaks of those at which the energy walks."""
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies, inner_step: Callable[[Flow, float], float]):
+    def __init__(
+        self,
+        system: openmm.System,
+        bodies: RigidBodies,
+        inner_step: Callable[[Flow, float], float],
+        rigid: Sequence[Species] | None = None,
+    ):
         """
         Args:
             system: openmm.System.
             bodies: what moves in it.
             inner_step: the longest step of a flow within drifts, ps, and up to which step bonds bear it where the flow
                 leaves the number of substeps open.
+            rigid: the kinds of rigid body; None: those of `bodies`.
         """
+        self._spins = Spins(system, bodies.species if rigid is None else rigid, bodies.describe_atoms)
         self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
         self._checked: tuple = ()
 
@@ -41,11 +51,13 @@ class StepCheck:
         """
         if context is not None and self._vibrations.measure(context):
             self._checked = ()
-        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups
+        temperature = ROOM_TEMPERATURE if flow.bath is None else flow.bath.temperature
+        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups, temperature
         if checked == self._checked:
             return
         slow, fast = groups & ~flow.fast_groups, groups & flow.fast_groups
         self._vibrations.check(flow.scheme, flow.step, slow)
+        self._spins.check(flow.scheme, flow.step, slow, temperature)
         inner_step = self.inner_step(flow, groups)
         self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, inner_step, flow.step, fast)
         if flow.constant_energy:

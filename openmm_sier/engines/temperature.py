@@ -25,6 +25,7 @@ from openmm import unit
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.system.inner_forces import parts
 
 #: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
 COORDINATE = re.compile(r"\b[xyz][1-9]\d*\b")
@@ -81,7 +82,7 @@ class MomentumConservation:
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
         self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
         self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
-        self._external_groups = sum({1 << force.getForceGroup() for force in forces if _is_external(force)})
+        self._external_groups = sum({1 << part.group for part in parts(system) if _is_external(part.force)})
 
     def holds(self, integrator: openmm.Integrator) -> bool:
         """Whether an integrator, with its force groups and its present friction, conserves the total momentum."""
@@ -102,8 +103,6 @@ def _is_external(force: openmm.Force) -> bool:
     """Whether the energy of a Force changes when all particles are shifted together."""
     if isinstance(force, openmm.CustomExternalForce):
         return force.getNumParticles() > 0
-    if isinstance(force, openmm.CustomCVForce):
-        return any(_is_external(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
         return COORDINATE.search(force.getEnergyFunction()) is not None
     return False

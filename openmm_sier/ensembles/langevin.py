@@ -1,6 +1,6 @@
 """Langevin dynamics: a bath inside the scheme."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -16,10 +16,12 @@ class Langevin(ConstantTemperature):
         temperature: K.
         friction: of translation, 1/ps.
         rotational_friction: 1/ps; None: that of translation, also after that was changed.
+        counts_heat: whether the native engine counts the heat of the bath; None: except on GPU platforms.
     """
 
     friction: float
     rotational_friction: float | None = None
+    counts_heat: bool | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -39,4 +41,4 @@ class Langevin(ConstantTemperature):
         """Without a bath if there is no friction, so that the trajectory is that of the scheme alone."""
         scheme = flow.scheme.without_bath() if self.friction == self.turning == 0 else flow.scheme
         bath = OrnsteinUhlenbeck(self.temperature, self.friction, self.turning, seed)
-        return replace(flow, scheme=scheme, bath=bath)
+        return replace(flow, scheme=scheme, bath=bath, counts_heat=self.counts_heat)

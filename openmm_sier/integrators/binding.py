@@ -17,17 +17,18 @@ from openmm import unit
 
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.choice import engine_for
-from openmm_sier.engines.native import installation, program
+from openmm_sier.engines.choice import engine_for, fastest_platform, is_on_host
+from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
+from openmm_sier.engines.native.program import WORK
 from openmm_sier.engines.native.refusals import why_not
+from openmm_sier.engines.native.writing import general_program, program_for
 from openmm_sier.engines.protocol import Engine, Flow
-from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, SITES, STATE_VARIABLES, Record
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, Record
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
-from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
 from openmm_sier.system.runaway import RunawayWatch
@@ -39,8 +40,8 @@ class Binding:
 
     `install` gives a new integrator its variables and program. `prepare` is called before its Context is created and
     `bind` after that, and again when the Context is reinitialized. `step` advances it. What happens to the Context from
-    outside is told by `moved`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and `start_anew`,
-    which do nothing without a Context. `change` replaces settings at any time.
+    outside is told by `moved`, `box_changed`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and
+    `start_anew`, which do nothing without a Context. `change` replaces settings at any time.
 
     Attributes:
         settings: all that the integrator was asked for.
@@ -59,7 +60,8 @@ class Binding:
             given: its settings.
         """
         self._integrator_ref = weakref.ref(integrator)
-        self.settings, self.program = given, _written(given)
+        self.settings, self.program = given, general_program(_whole_flow(given))
+        self._own_computations = integrator.getNumComputations()
         self.record = Record(integrator, given.ensemble.record)
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
@@ -93,18 +95,17 @@ class Binding:
     @property
     def native_steps(self) -> int:
         """Number of OpenMM steps in one step of the scheme."""
-        return len(self.program.parts) or 1
+        return int(self.record[installation.PARTS]) or 1
 
     # --- settings, here and in what OpenMM serializes ---
 
     def install(self) -> None:
         """Give a new integrator its variables, its program and its settings."""
         integrator = self._integrator
-        for name in (*STATE_VARIABLES, SITES):
-            integrator.addPerDofVariable(name, 0)
         for name in (HEAT, DRAWS, SEED, *self.ensemble.record):
             integrator.addGlobalVariable(name, 0)
         installation.install(self.program, integrator)
+        self._own_computations = integrator.getNumComputations()
         integrator.setConstraintTolerance(TOLERANCE)
         self.change()
 
@@ -127,8 +128,12 @@ class Binding:
 
     # --- a Context ---
 
-    def prepare(self, system: openmm.System) -> None:
-        """Before a Context is created, find the fast forces, and clear what a copy holds of its original's Context.
+    def prepare(self, system: openmm.System, platform: openmm.Platform | None = None) -> None:
+        """Write the program for the System of a new Context, and clear what a copy holds of another Context.
+
+        Args:
+            system: openmm.System.
+            platform: that of the Context; None leaves it to OpenMM.
 
         Raises:
             openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
@@ -144,21 +149,26 @@ class Binding:
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_numbers(system)
-        installation.refuse_additions(self._integrator, self.program)
+        installation.refuse_additions(self._integrator, self._own_computations)
         given = self.settings
-        groups = find_fast_groups(system, given.bodies, says=True) if given.finds_fast_groups else given.fast_groups
-        if groups != given.fast_groups:
-            self.program = _written(replace(given, fast_groups=groups))
-            installation.rewrite(self._integrator, self.program)
-            self.change(fast_groups=groups)
+        if given.finds_fast_groups:
+            given = replace(given, fast_groups=find_fast_groups(system, given.bodies, says=True))
+        self._rewrite(given, system, platform)
         if given.scheme.without_bath().order >= 4:
             tell_of_pme(system, given.scheme.name)
         self.record.clear()
         self.record[SEED] = self.record[PART] = 0
-        for name in (*STATE_VARIABLES, SITES, *program.VECTORS):
-            # OpenMM does not check that the number of values fits the System.
-            if len(self._integrator.getPerDofVariableByName(name)) > 1:
-                self._integrator.setPerDofVariableByName(name, np.zeros((system.getNumParticles(), 3)))
+
+    def _rewrite(self, given: settings.Settings, system: openmm.System, platform: openmm.Platform | None) -> None:
+        """Give the integrator the program of settings for a System, with zeros in all its per-atom variables."""
+        on_gpu = not is_on_host(platform or fastest_platform())
+        groups = self._integrator.getIntegrationForceGroups()
+        self.program = program_for(_whole_flow(given), system, groups, counts_heat=not on_gpu)
+        # What the exact engine stores makes the kernels of GPUs slower.
+        vectors = self.program.vectors if on_gpu and given.engine != "exact" else installation.ALL_VECTORS
+        installation.rewrite(self._integrator, self.program, vectors)
+        self._own_computations = self._integrator.getNumComputations()
+        self.change(fast_groups=given.fast_groups)
 
     def bind(self, context: openmm.Context, keeps_record: bool = True) -> None:
         """Choose and make the engine of a Context that was created or reinitialized with the integrator.
@@ -229,6 +239,28 @@ class Binding:
             self.watch.forget()
             self._engine.atoms_moved()
 
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
+        """Somebody asks for velocities of a temperature; see `Engine.draw_velocities`."""
+        if self._engine is None:
+            by_openmm()
+        else:
+            self._engine.draw_velocities(by_openmm, temperature, seed)
+        self.moved()
+
+    def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
+        """Somebody asks for positions that satisfy constraints, or for velocities; see `Engine.satisfy_positions`."""
+        if self._engine is None:
+            by_openmm()
+        elif velocities:
+            self._engine.satisfy_velocities(by_openmm)
+        else:
+            self._engine.satisfy_positions(by_openmm)
+
+    def box_changed(self) -> None:
+        """Somebody set the box."""
+        if self._engine is not None:
+            self._engine.box_changed()
+
     def forces_changed(self) -> None:
         """Somebody changed the potential."""
         if self._engine is not None:
@@ -249,10 +281,10 @@ class Binding:
 
         The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
         """
-        work = np.array(self._integrator.getPerDofVariableByName(program.WORK))
-        if work.any():
+        if WORK in installation.vectors_of(self._integrator):
+            work = np.array(self._integrator.getPerDofVariableByName(WORK))
             self.record[HEAT] += float(work.sum())
-            self._integrator.setPerDofVariableByName(program.WORK, np.zeros(work.shape))
+            self._integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
         self._set_program_variables()
         self.moved()
 
@@ -268,6 +300,7 @@ class Binding:
         """
         seed, draws = self.record[SEED], self.record[DRAWS]
         set_state()
+        self.box_changed()
         self.record[SEED], self.record[DRAWS] = seed, max(draws, self.record[DRAWS])
         self.take_over()
         is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
@@ -279,12 +312,9 @@ class Binding:
             )
 
 
-def _written(given: settings.Settings) -> program.Program:
-    groups, flow = groups_of(given.fast_groups), given.flow()
-    try:
-        return program.write(given.scheme, given.substeps, groups, flow.updates_context, flow.bath)
-    except ValueError as error:
-        return program.Program(given.scheme.name, (), str(error))
+def _whole_flow(given: settings.Settings) -> Flow:
+    """Return the flow of settings with the bath of its scheme, which a friction that is set later needs."""
+    return replace(given.flow(), scheme=given.scheme)
 
 
 # --- integrators from what OpenMM serialized ---

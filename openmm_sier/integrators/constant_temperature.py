@@ -1,8 +1,10 @@
 """Integrators of constant temperature: one for any ensemble, with temperature, pressure, heat and the noise's seed."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
+import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
@@ -69,5 +71,14 @@ class SIERThermostatIntegrator(SIERIntegrator):
         """Energy that the bath, moves of the volume and a CMMotionRemover have given to the bodies, a quantity.
 
         The total energy less this heat is conserved. The work P dV is not included in the heat.
+
+        Raises:
+            openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.
         """
-        return self.binding.engine.heat() * unit.kilojoule_per_mole
+        heat = self.binding.engine.heat()
+        if math.isnan(heat):
+            raise openmm.OpenMMException(
+                "This integrator does not count the heat of its bath, which takes up to a fifth of a step on a GPU. "
+                "Make it with countsHeat=True"
+            )
+        return heat * unit.kilojoule_per_mole

@@ -12,10 +12,16 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, read_pdb, refusing
+from openmm_sier.measure.file_kinds import PDB, kind_of
+from openmm_sier.measure.listed_bonds import tell_stale_bonds
+from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system import tables
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
+from openmm_sier.system.notices import notify
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -31,6 +37,9 @@ SWITCH = 0.75
 #: OpenMM's ewaldErrorTolerance, from which the mesh follows. A smaller one serves no scheme's usual step: balanced,
 #: SIER4P at 6 fs has 0.0145 % of rms(H)/rms(V) in water, and SIER4G 0.09 %.
 EWALD_TOLERANCE = 1e-4
+
+#: The smallest density of a box without a word, g/ml, below that of all liquids but those of hydrogen and helium.
+THINNEST = 0.3
 
 #: What may be constrained besides water, as in OpenMM's createSystem, which is bonds to hydrogen, all bonds, or all
 #: bonds and the angles of hydrogens.
@@ -95,17 +104,25 @@ def locate(name: str, beside: Path) -> str:
 
 
 def add_virtual_sites(
-    topology: app.Topology, positions: np.ndarray, forcefield: app.ForceField
+    topology: app.Topology, positions: Quantity, forcefield: app.ForceField
 ) -> tuple[app.Topology, Quantity]:
     """Topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
     """
-    modeller = app.Modeller(topology, positions)
-    with refusing():
-        modeller.addExtraParticles(forcefield)
-    return modeller.topology, modeller.positions
+
+    def completed(topology: app.Topology) -> app.Modeller:
+        modeller = app.Modeller(topology, positions)
+        with refusing():
+            modeller.addExtraParticles(forcefield)
+        return modeller
+
+    try:
+        found = completed(topology)
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{error}{tell_stale_bonds(error, topology, positions, completed)}") from error
+    return found.topology, found.positions
 
 
 def pme_system(
@@ -200,11 +217,10 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
     for force in meshed_forces(system):
         mesh = force.getPMEParameters()[1:]
         if math.prod(mesh) > MOST_MESH_POINTS:
-            vectors = system.getDefaultPeriodicBoxVectors()
-            edges = [vectors[axis][axis].value_in_unit(unit.nanometer) for axis in range(3)]
+            vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
             raise ForceFieldError(
-                f"the box of {' x '.join(f'{edge:.4g}' for edge in edges)} nm needs a mesh of "
-                f"{' x '.join(map(str, mesh))} points for PME, more than {MOST_MESH_POINTS}: is it in Angstrom?"
+                f"the box of {extent(np.array(vectors))} needs a mesh of {' x '.join(map(str, mesh))} points for PME, "
+                f"more than {MOST_MESH_POINTS}: is it in Angstrom?"
             )
 
 
@@ -274,11 +290,37 @@ def describe(box: Box) -> str:
     residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:
         return f"{residues} without a periodic box, {nonbonded} (--edges gives a box)"
-    return f"{residues} in {extent(vectors)}, {nonbonded}"
+    return f"{residues} in {extent(vectors)} at {density_of(box):.3g} g/ml, {nonbonded}"
+
+
+def density_of(box: Box) -> float | None:
+    """Return the density of a box, g/ml; None without a periodic one."""
+    if (vectors := box_vectors(box.topology)) is None:
+        return None
+    return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
+
+
+def tell_of_thin_box(path: str | Path, box: Box) -> None:
+    """Warn of a box that is too thin for a liquid, as one is whose file was cut off, or with the box of another system.
+
+    Without a mesh for charges, as of many coarse-grained models, nothing is expected of a density.
+
+    Args:
+        path: of the coordinates.
+        box: that was read from them.
+    """
+    found = density_of(box)
+    if found is None or found >= THINNEST or not meshed_forces(box.system):
+        return
+    end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
+    notify(
+        f"{path}: its {box.topology.getNumResidues()} residues have {found:.2g} g/ml in their box, less than a liquid. "
+        f"Unless it is a gas or has surfaces, the file{end} is cut off, or the box is another one"
+    )
 
 
 def _described_interactions(system: openmm.System) -> str:
-    force = next((force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)), None)
+    force = next((part.force for part in parts(system) if isinstance(part.force, openmm.NonbondedForce)), None)
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")

@@ -69,6 +69,7 @@ def read_input(
             box = _box_of_system(source, interactions)
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
+    forcefields.tell_of_thin_box(path, box)
     return _with_sources(box, Path(path), None if topology is None else Path(topology))
 
 

@@ -10,13 +10,18 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
+from openmm_sier.measure.alternates import find_alternates
 from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.system.notices import notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
 
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
+
+#: The last column of the coordinates of an atom in a PDB file.
+COORDINATES_END = 54
 
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
@@ -33,7 +38,8 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         edges: of its periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, has an atom twice, two atoms in one place, or a box that cannot hold its atoms.
+        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer of two alternate
+            places first, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -41,6 +47,8 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         raise ForceFieldError(f"{path} is no PDB file with atoms")
     if kind == PDB:
         _check_edges(path)
+        _check_lines(path)
+    _check_alternates(path, kind)
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:
@@ -72,8 +80,18 @@ def box_vectors(topology: app.Topology) -> np.ndarray | None:
 
 
 def extent(vectors: np.ndarray) -> str:
-    """Lengths of the edges of a box, in words."""
-    return f"{' x '.join(f'{edge:.4f}' for edge in np.linalg.norm(vectors, axis=1))} nm"
+    """Lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
+
+    Args:
+        vectors: of the box in rows, (3, 3), nm.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    edges = f"{' x '.join(f'{edge:.4f}' for edge in lengths)} nm"
+    a, b, c = vectors / lengths[:, None]
+    angles = [f"{np.degrees(np.arccos(one @ two)):.2f}" for one, two in ((b, c), (a, c), (a, b))]
+    if set(angles) == {"90.00"}:
+        return edges
+    return f"{edges} with angles of {angles[0]}, {angles[1]} and {angles[2]} degrees"
 
 
 def first_line(error: BaseException) -> str:
@@ -127,6 +145,36 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
             "where there is none, in a PDB file the record CRYST1"
         )
+
+
+def has_end(path: str | Path) -> bool:
+    """Return whether a PDB file has the record that is its last one."""
+    return any(record.split() == ["END"] for record in Path(path).read_text(errors="replace").splitlines())
+
+
+def _check_lines(path: str | Path) -> None:
+    """Refuse a file that ends within a coordinate, of which OpenMM would read the digits that are left."""
+    for number, line in enumerate(Path(path).read_text(errors="replace").splitlines(), 1):
+        if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
+            raise ForceFieldError(
+                f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
+                "file is cut off, or is no PDB file"
+            )
+
+
+def _check_alternates(path: str | Path, kind: str) -> None:
+    """Warn of atoms in alternate places, of which OpenMM takes the first, and refuse those whose first is rarer."""
+    found = find_alternates(path, kind)
+    column = "column 17" if kind == PDB else "label_alt_id"
+    for each in found:
+        if each.is_rarer:
+            raise ForceFieldError(
+                f"{path}: {each.residue} has alternate places with the occupancies {each}, and the first, which OpenMM "
+                f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
+            )
+    if found:
+        some = "has" if len(found) == 1 else f"and {len(found)} residues in all have"
+        notify(f"{path}: {found[0].residue} {some} alternate places; the first is taken, of the occupancies {found[0]}")
 
 
 def _check_edges(path: str | Path) -> None:

@@ -18,6 +18,7 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.measure.report import SILENT, Advance, Report
 from openmm_sier.system import tables
+from openmm_sier.system.spins import Spins
 from openmm_sier.system.vibrations import Vibrations
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
@@ -55,6 +56,35 @@ class EquilibrationWarning(UserWarning):
     """An equilibration ended before temperatures and potential energy had settled."""
 
 
+class Means(NamedTuple):
+    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
+
+    translation: float
+    rotation: float
+    flexible: float
+    potential: float
+
+
+class Equilibration(NamedTuple):
+    """The end of an equilibration.
+
+    Attributes:
+        state: positions, velocities and box.
+        time: that it took, ps.
+        means: over the last two windows.
+        settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
+        doubtful: whether it has not settled, and was long enough to, or a temperature is out of its bounds.
+        described: its time and temperatures, with their bounds, in words; empty if it took no time.
+    """
+
+    state: openmm.State
+    time: float
+    means: Means
+    settled: bool
+    doubtful: bool
+    described: str
+
+
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
     """A Context in mixed precision, where there is a choice, with no more threads than cores that this process may use.
 
@@ -87,7 +117,7 @@ def prepare(
     time: float | None = None,
     minimize: bool | None = None,
     report: Report = SILENT,
-) -> None:
+) -> Equilibration:
     """Positions and velocities of a new run: minimized, equilibrated, the centre of mass at rest, the clock at zero.
 
     A run at constant energy gets the kinetic energy that makes its total energy equal to the mean over the
@@ -102,6 +132,9 @@ def prepare(
         time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
         minimize: whether to minimize first; None does so where forces are larger than in a liquid.
         report: gets notes and progress.
+
+    Returns:
+        How the equilibration ended.
     """
     context.setPositions(positions)
     context.computeVirtualSites()
@@ -109,7 +142,11 @@ def prepare(
     strongest = _strongest_force(context)
     if minimize or (minimize is None and strongest > LARGE_FORCE):
         openmm.LocalEnergyMinimizer.minimize(context)
-        report.note(f"minimized: the largest force on a molecule was {strongest:.3g} kJ/mol/nm")
+        energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        report.note(
+            f"minimized to {energy:.5g} kJ/mol: the largest force on a molecule was {strongest:.3g} kJ/mol/nm, and is "
+            f"{_strongest_force(context):.3g}"
+        )
     found = equilibrate(context, temperature, seed, time, report)
     context.setState(found.state)
     stop_centre_of_mass(context)
@@ -117,6 +154,7 @@ def prepare(
         _set_energy(context, temperature, found.means.potential)
     context.setTime(0)
     context.setStepCount(0)
+    return found
 
 
 def _strongest_force(context: openmm.Context) -> float:
@@ -130,31 +168,6 @@ def _strongest_force(context: openmm.Context) -> float:
     net = np.linalg.norm([np.bincount(owners, column) for column in forces.T], axis=0)
     strongest = float((net / np.sqrt(sizes)).max())
     return strongest if math.isfinite(strongest) else math.inf
-
-
-class Means(NamedTuple):
-    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
-
-    translation: float
-    rotation: float
-    flexible: float
-    potential: float
-
-
-class Equilibration(NamedTuple):
-    """The end of an equilibration.
-
-    Attributes:
-        state: positions, velocities and box.
-        time: that it took, ps.
-        means: over the last two windows.
-        settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
-    """
-
-    state: openmm.State
-    time: float
-    means: Means
-    settled: bool
 
 
 def equilibrate(
@@ -179,7 +192,8 @@ def equilibrate(
         temperature: K.
         seed: of velocities and noise.
         time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
-            number it runs for that time, whether the liquid has settled or not.
+            number it runs for that time, whether the liquid has settled or not, and warns where a temperature is out of
+            its bounds.
         report: gets notes and progress.
     """
     bath = _bath_context(context, temperature, seed)
@@ -187,7 +201,7 @@ def equilibrate(
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
     step = integrator.getStepSize().value_in_unit(unit.picosecond)
     if step < STEP:
-        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds vibrate that no constraint holds")
+        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or spins are too fast for longer ones")
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that no short one counts as much as a long one.
     each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
@@ -200,8 +214,13 @@ def equilibrate(
             done += length
             settled = _has_settled(windows, temperature, dof)
     last = Means(*np.mean(windows[-2:], axis=0)) if windows else Means(*4 * [math.nan])
-    found = Equilibration(bath.getState(positions=True, velocities=True), done * step, last, settled)
-    _tell(found, temperature, dof, time, report)
+    # Who gives a time may know that it is too short to tell.
+    doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
+    described = _describe(last, done * step, temperature, dof) if done else ""
+    state = bath.getState(positions=True, velocities=True)
+    found = Equilibration(state, done * step, last, settled, doubtful, described)
+    if done:
+        _tell(found, report)
     return found
 
 
@@ -209,7 +228,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     """A copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
-    fast, step = integrator.fastForceGroups, _step_of(context)
+    fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(
         temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
     )
@@ -221,13 +240,15 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     return bath
 
 
-def _step_of(context: openmm.Context) -> float:
-    """Step of an equilibration, ps: the usual one, or one short enough for the bonds of a System."""
+def _step_of(context: openmm.Context, temperature: float) -> float:
+    """Step of an equilibration, ps: the usual one, or one short enough for the bonds and spins of a System."""
     integrator = context.getIntegrator()
+    system, bodies = context.getSystem(), integrator.bodies
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
-    vibrations = Vibrations(context.getSystem(), integrator.bodies)
+    vibrations, spins = Vibrations(system, bodies), Spins(system, bodies.species, bodies.describe_atoms)
     vibrations.measure(context)
-    return min(STEP, SHARE_OF_LONGEST * vibrations.longest_step(SCHEME, groups & ~fast, groups & fast))
+    longest = vibrations.longest_step(SCHEME, groups & ~fast, groups & fast)
+    return min(STEP, SHARE_OF_LONGEST * min(longest, spins.longest_step(SCHEME, groups & ~fast, temperature)))
 
 
 def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:
@@ -246,11 +267,15 @@ def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom
     if len(windows) < FEWEST_WINDOWS:
         return False
     earlier, later = windows[-2:]
-    means = zip(np.mean([earlier, later], axis=0), dof, strict=False)
     steady = 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
-    return abs(later.potential - earlier.potential) <= steady and all(
-        abs(mean - temperature) <= bound(temperature, number) for mean, number in means if number
-    )
+    means = Means(*np.mean([earlier, later], axis=0))
+    return abs(later.potential - earlier.potential) <= steady and _are_within_bounds(means, temperature, dof)
+
+
+def _are_within_bounds(means: Means, temperature: float, dof: DegreesOfFreedom) -> bool:
+    """Return whether mean temperatures, of what moves at all, are near enough to the temperature asked for."""
+    pairs = zip(means[:3], dof, strict=True)
+    return all(abs(mean - temperature) <= bound(temperature, number) for mean, number in pairs if number)
 
 
 def bound(temperature: float, dof: float) -> float:
@@ -258,21 +283,23 @@ def bound(temperature: float, dof: float) -> float:
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
 
-def _tell(found: Equilibration, temperature: float, dof: DegreesOfFreedom, time: float | None, report: Report) -> None:
-    if not found.time:
-        return
-    means = zip(("T_trans", "T_rot", "T_flexible"), found.means[:3], dof, strict=True)
-    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in means if n]
-    averaged = min(2 * WINDOW, found.time)
-    message = f"{found.time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {averaged:.2g} ps"
-    if time is None and not found.settled:
+def _describe(means: Means, time: float, temperature: float, dof: DegreesOfFreedom) -> str:
+    """Say how long an equilibration took, and which temperatures it had at its end."""
+    pairs = zip(("T_trans", "T_rot", "T_flexible"), means[:3], dof, strict=True)
+    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
+    return f"{time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {min(2 * WINDOW, time):.2g} ps"
+
+
+def _tell(found: Equilibration, report: Report) -> None:
+    """Tell of an equilibration, with a warning of a doubtful one."""
+    if found.doubtful:
         warnings.warn(
-            f"not equilibrated after {message}; the potential energy still changes or a temperature is out of bounds. "
-            "Equilibrate for longer, or minimize first",
+            f"not equilibrated after {found.described}; a temperature is out of bounds, or the potential energy still "
+            "changes. Equilibrate for longer, or minimize first, unless you have",
             EquilibrationWarning,
             stacklevel=4,
         )
-    report.note(f"equilibrated for {message}" + ("" if found.settled else "; not settled"))
+    report.note(f"equilibrated for {found.described}" + ("" if found.settled else "; not settled"))
 
 
 def stop_centre_of_mass(context: openmm.Context) -> None:

@@ -15,6 +15,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.boxes import wrapped
+from openmm_sier.system.inner_forces import parts
 
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -114,7 +115,7 @@ def _check(system: openmm.System) -> None:
     needs = "a pressure tensor needs"
     if not system.usesPeriodicBoundaryConditions():
         raise ValueError(f"{needs} a System with periodic boundary conditions, this one has none")
-    for force in system.getForces():
+    for force in (part.force for part in parts(system)):
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(f"{needs} forces between particles alone, the System has a CustomExternalForce")
         # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.

@@ -22,6 +22,7 @@ from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import tables
+from openmm_sier.system.solver_trial import SolverTrial
 
 #: Tolerance of constraints; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
@@ -105,7 +106,12 @@ def make_stock(
         temperature: K; None at constant energy, which "langevinmiddle" does not have.
         friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
         pressure: bar, of a MonteCarloBarostat; None at constant volume.
+
+    Raises:
+        openmm.OpenMMException: OpenMM cannot satisfy the System's constraints.
     """
+    if (unsolved := SolverTrial(system).unsolved()) is not None:
+        raise openmm.OpenMMException(f"OpenMM's integrators cannot satisfy {unsolved}: take a scheme of this package")
     system = openmm.XmlSerializer.clone(system)
     integrator: Any = StockVerlet(step) if name == "verlet" else StockLangevinMiddle(temperature, friction, step)
     if name == "verlet" and temperature is not None:

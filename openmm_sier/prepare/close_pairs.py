@@ -16,9 +16,13 @@ import numpy as np
 import openmm
 
 from openmm_sier.system import tables
+from openmm_sier.system.inner_forces import parts
 
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
 REACH = 4
+
+#: Forces of pairs that are known here. Those of multipoles are softer at close distance, by Thole's damping.
+PAIRWISE = (openmm.NonbondedForce, openmm.ConstantPotentialForce)
 
 #: 1/(4 pi epsilon_0) in kJ/mol nm/e^2, as OpenMM has it.
 COULOMB = 138.93545764438198
@@ -44,9 +48,9 @@ def fast_force_groups(system: openmm.System) -> int:
 def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, periodic: bool) -> int:
     """Add the interactions of close pairs to a fast group, and subtract them from that of the NonbondedForce.
 
-    They are those of the NonbondedForces as they are now, with global parameters at their defaults, and without cut-off
-    and switch. The potential energy is unchanged. Without a close pair there is an empty Force in the fast group, by
-    which the System is recognized, and nothing is subtracted.
+    They are those of the NonbondedForces and ConstantPotentialForces as they are now, also within other Forces, with
+    global parameters at their defaults, and without cut-off and switch. The potential energy is unchanged. Without a
+    close pair there is an empty Force in the fast group, by which the System is recognized, and nothing is subtracted.
 
     Args:
         system: openmm.System, which has none of `own_forces`.
@@ -57,13 +61,14 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, period
     Returns:
         How many pairs there are.
     """
-    forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
+    pairwise = [part for part in parts(system) if isinstance(part.force, PAIRWISE)]
+    found = [(part, weight) for part in pairwise if (weight := part.weight)]
     close = _close(edges, system.getNumParticles())
     fast = _pair_force(NAME, "", group, periodic)
-    opposite = _pair_force(OPPOSITE, "-", forces[0].getForceGroup() if forces else 0, periodic)
-    for force in forces:
-        for a, b, (q, sigma, epsilon) in _interactions(force, close):
-            parameters = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
+    opposite = _pair_force(OPPOSITE, "-", found[0][0].group if found else 0, periodic)
+    for part, weight in found:
+        for a, b, (q, sigma, epsilon) in _interactions(part.force, close):
+            parameters = [weight * COULOMB * q, 4 * weight * epsilon * sigma**12, 4 * weight * epsilon * sigma**6]
             fast.addBond(a, b, parameters)
             opposite.addBond(a, b, parameters)
     system.addForce(fast)
@@ -83,8 +88,10 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
     return force
 
 
-def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """The close pairs that a NonbondedForce lets interact: both atoms, and charge product, sigma and epsilon."""
+def _interactions(force: openmm.Force, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """The close pairs that a Force lets interact: both atoms, and charge product, sigma and epsilon."""
+    if isinstance(force, openmm.ConstantPotentialForce):
+        force = _of_charges(force)
     offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
     atoms = {
         i: tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) + offsets[i]
@@ -103,6 +110,17 @@ def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) ->
             found = np.array([q * other_q, (sigma + other_sigma) / 2, math.sqrt(max(0.0, epsilon * other_epsilon))])
         if found[0] or found[2]:
             yield a, b, found
+
+
+def _of_charges(force: openmm.ConstantPotentialForce) -> openmm.NonbondedForce:
+    """Make a NonbondedForce of the charges and exceptions of a ConstantPotentialForce."""
+    charges = openmm.NonbondedForce()
+    for i in range(force.getNumParticles()):
+        charges.addParticle(force.getParticleParameters(i), 1, 0)
+    for i in range(force.getNumExceptions()):
+        a, b, product = force.getExceptionParameters(i)
+        charges.addException(a, b, product, 1, 0)
+    return charges
 
 
 def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[int, np.ndarray]:

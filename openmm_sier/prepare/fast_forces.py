@@ -9,6 +9,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
 from openmm_sier.system.find_bodies import BodyPlan, linked
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
 
 
@@ -23,6 +24,7 @@ class FastForces:
         acting: Forces that exert forces, by their numbers.
         fast: those that can be fast, by their numbers.
         slow: bonded Forces that do work and cannot be fast.
+        inner: names of bonded Forces that another Force contains, and that could be fast if none did.
     """
 
     def __init__(self, system: openmm.System, bodies: Bodies):
@@ -38,6 +40,8 @@ class FastForces:
         working = {i: between for i, force in self.acting.items() if len(between := _between(force, owner))}
         self.fast = {i: self.acting[i] for i, between in working.items() if self.points[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
+        inner = [(part, _between(part.force, owner)) for part in parts(system) if part.within and part.weight]
+        self.inner = [part.name for part, between in inner if len(between) and self.points[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:
         """The Forces of a group that cannot be fast."""

@@ -5,6 +5,7 @@ import math
 import openmm
 from openmm import unit
 
+from openmm_sier.system.inner_forces import parts, pme_parameters
 from openmm_sier.system.notices import notify
 
 #: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
@@ -21,7 +22,16 @@ FINER = 1.1
 #: worse; from 2e-2 on meshes would be too small for OpenMM's splines.
 TOLERANCES = (1e-10, 1e-3)
 
-_METHODS = (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
+#: The same for Forces of multipoles: with `FINER` their forces in water would be half as exact again as OpenMM's.
+FINER_MULTIPOLES = 1.5
+
+#: Forces that can have a mesh, and the nonbonded methods with which they do; a ConstantPotentialForce always has one.
+METHODS = {
+    openmm.NonbondedForce: (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME),
+    openmm.AmoebaMultipoleForce: (openmm.AmoebaMultipoleForce.PME,),
+    openmm.HippoNonbondedForce: (openmm.HippoNonbondedForce.PME,),
+}
+MULTIPOLES = (openmm.AmoebaMultipoleForce, openmm.HippoNonbondedForce)
 
 
 def balance_pme(system: openmm.System) -> None:
@@ -34,19 +44,22 @@ def balance_pme(system: openmm.System) -> None:
     tolerances from 1e-5 to 5e-4).
 
     Call it after box, cut-off and tolerance of the System are set and before a Context is created, and again if they
-    change. It calls `NonbondedForce.setPMEParameters`, which replaces earlier parameters. The Lennard-Jones part of
-    LJPME stays as it is.
+    change. It calls `setPMEParameters` of each Force with PME, which replaces earlier parameters: of NonbondedForces,
+    ConstantPotentialForces, AmoebaMultipoleForces and HippoNonbondedForces, also within an ATMForce or a CustomCVForce.
+    The dispersion of LJPME and of a HippoNonbondedForce stays as it is.
 
     Args:
         system: openmm.System.
 
     Raises:
-        ValueError: no NonbondedForce of the System uses PME or LJPME, or one has a cut-off that is not positive or a
+        ValueError: no Force of the System uses PME or LJPME, or one has a cut-off that is not positive or a
             tolerance outside `TOLERANCES`. The System is unchanged then.
     """
     forces = meshed_forces(system)
     if not forces:
-        raise ValueError("balance_pme needs a NonbondedForce with PME or LJPME, and the System has none")
+        raise ValueError(
+            "balance_pme needs a Force with PME or LJPME, such as a NonbondedForce, and the System has none"
+        )
     box = system.getDefaultPeriodicBoxVectors()
     edges = [vector.value_in_unit(unit.nanometer)[axis] for axis, vector in enumerate(box)]
     parameters = [_parameters(force, edges) for force in forces]
@@ -56,8 +69,7 @@ def balance_pme(system: openmm.System) -> None:
 
 def tell_of_pme(system: openmm.System, scheme: str) -> None:
     """Warn of PME as OpenMM splits it, with an integrator of fourth order, whose scheme has this name."""
-    per_length = unit.nanometer**-1
-    loose = [each for each in meshed_forces(system) if not each.getPMEParameters()[0].value_in_unit(per_length)]
+    loose = [force for force in meshed_forces(system) if not pme_parameters(force)[0]]
     if loose:
         notify(
             "Call prepare_system(system) before the Context is made. Without it the jump of PME at the cut-off limits "
@@ -67,13 +79,18 @@ def tell_of_pme(system: openmm.System, scheme: str) -> None:
         )
 
 
-def meshed_forces(system: openmm.System) -> list[openmm.NonbondedForce]:
-    """The NonbondedForces of a System that use PME or LJPME."""
-    forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
-    return [force for force in forces if force.getNonbondedMethod() in _METHODS]
+def meshed_forces(system: openmm.System) -> list[openmm.Force]:
+    """Return the Forces of a System that use PME or LJPME, also those that other Forces contain."""
+    return [part.force for part in parts(system) if _has_mesh(part.force)]
 
 
-def _parameters(force: openmm.NonbondedForce, edges: list[float]) -> tuple[float, list[int]]:
+def _has_mesh(force: openmm.Force) -> bool:
+    if isinstance(force, openmm.ConstantPotentialForce):
+        return True
+    return any(isinstance(force, kind) and force.getNonbondedMethod() in METHODS[kind] for kind in METHODS)
+
+
+def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[int]]:
     """Ewald parameter in 1/nm and mesh."""
     tolerance = force.getEwaldErrorTolerance()
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
@@ -84,5 +101,6 @@ def _parameters(force: openmm.NonbondedForce, edges: list[float]) -> tuple[float
         raise ValueError(f"balance_pme needs a positive cut-off distance, got {cutoff:g} nm")
     usual = math.sqrt(-math.log(2 * tolerance)) / cutoff
     # The formulas of OpenMM's user guide, "Coulomb interaction with particle mesh Ewald".
-    mesh = [math.ceil(FINER * 2 * usual * edge / (3 * tolerance**0.2)) for edge in edges]
+    finer = FINER_MULTIPOLES if isinstance(force, MULTIPOLES) else FINER
+    mesh = [math.ceil(finer * 2 * usual * edge / (3 * tolerance**0.2)) for edge in edges]
     return math.sqrt(-math.log(2 * tolerance / DIRECT_SHARE)) / cutoff, mesh

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
+from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
@@ -41,10 +41,10 @@ def prepare_system(
 
     The potential energy stays what it is, but for the accuracy of PME:
 
-    - The sums of PME are balanced, see `balance_pme`.
+    - The sums of PME are balanced, also of Forces within an ATMForce or a CustomCVForce, see `balance_pme`.
     - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
       integrator finds them. Fast forces may move only atoms outside rigid bodies. So a Force with a term between a
-      rigid body and something else, or on a virtual site, stays slow.
+      rigid body and something else, or on a virtual site, stays slow, and so does a Force within another one.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
       to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
@@ -102,12 +102,17 @@ def prepare_system(
         force.setForceGroup(group)
     if fast:
         done += _add_close_pairs(system, known.points, fast, group)
-    elif not known.slow:
+    elif not known.slow and not known.inner:
         done.append("All molecules with bonded forces are rigid, so no force is fast.")
     if left := [force.getName() for force in known.slow]:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
-    return Preparation(frozenset({group} if fast else ()), tuple(done), _energy_limits(system))
+    if known.inner:
+        done.append(
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Where that does "
+            "not change them, add them to the System itself: then they are fast."
+        )
+    return Preparation(frozenset({group} if fast else ()), tuple(done), describe_jumps(system))
 
 
 def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openmm.Force], group: int) -> list[str]:
@@ -122,27 +127,3 @@ def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openm
             "the slow forces leave them out. The total energy is the same."
         )
     return done
-
-
-def _energy_limits(system: openmm.System) -> tuple[str, ...]:
-    """A sentence for each limit that another way to create the System would remove."""
-    found = [
-        f"{force.getName()} ends with a jump of the energy at {cutoff:.3g} nm, "
-        "which in water at 0.9 nm leaves SIER4G an energy error of 0.2 to 0.3 % within 1 ps in place of 0.1 %: create "
-        f"the System with switchDistance={5 / 6 * cutoff:.2g}*nanometer."
-        for force in system.getForces()
-        if _jumps(force)
-        for cutoff in [force.getCutoffDistance().value_in_unit(unit.nanometer)]
-    ]
-    return tuple(dict.fromkeys(found))
-
-
-def _jumps(force: openmm.Force) -> bool:
-    """Whether the van der Waals energy of a Force is cut off and not switched off."""
-    if isinstance(force, openmm.CustomNonbondedForce):
-        return force.getNonbondedMethod() != force.NoCutoff and not force.getUseSwitchingFunction()
-    if not isinstance(force, openmm.NonbondedForce) or force.getUseSwitchingFunction():
-        return False
-    parameters = map(force.getParticleParameters, range(force.getNumParticles()))
-    epsilons = (epsilon.value_in_unit(unit.kilojoule_per_mole) for _, _, epsilon in parameters)
-    return force.getNonbondedMethod() not in (force.NoCutoff, force.LJPME) and any(epsilons)

@@ -11,7 +11,9 @@ from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES, TERMS
 from openmm_sier.system.geometries import RESOLUTION
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
+from openmm_sier.system.solver_trial import LINE_REMEDY, is_line
 
 #: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
 PASSIVE_FORCES = (
@@ -41,10 +43,10 @@ def refuse_drude_particles(system: openmm.System) -> None:
     Raises:
         openmm.OpenMMException: there is one.
     """
-    for force in system.getForces():
-        if isinstance(force, openmm.DrudeForce):
+    for part in parts(system):
+        if isinstance(part.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
-                f"{force.getName()} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
+                f"{part.name} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
                 "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
                 "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
             )
@@ -149,22 +151,23 @@ def tell_of_other_temperatures(system: openmm.System, temperature: float) -> Non
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
-    """Refuse rigid bodies of three or more atoms on a line that constraints hold.
+    """Refuse rigid bodies of three or more atoms on a line, within `RESOLUTION`, that constraints hold.
 
     OpenMM's own constraint solvers divide by zero there: minimization, `applyConstraints` and
-    `setVelocitiesToTemperature` give NaN.
+    `setVelocitiesToTemperature` give NaN. Bodies that are not quite lines spin about their axes by several radians in
+    any usual step, and their constraints differ from those of a line by less than force fields give.
 
     Raises:
         RigidityError: there is one; the message names the first.
     """
     for species in bodies.species:
-        if species.atoms.shape[1] < 3 or species.moments[0] > 0:
+        if species.atoms.shape[1] < 3 or not is_line(species.masses, species.sites.T):
             continue
         for row in species.atoms[tables.constraints(system).hold(species.atoms)]:
             raise RigidityError(
-                f"{bodies.describe_atoms(row)}: these atoms lie on a line, and every two of them are constrained. "
-                "OpenMM cannot solve such constraints and sets their positions to NaN. Give the mass to the two outer "
-                "atoms and make the others virtual sites; or remove these constraints and name the atoms in `bodies`"
+                f"{bodies.describe_atoms(row)}: these atoms lie on a line (within {RESOLUTION:g} nm), and every two of "
+                "them are constrained. OpenMM cannot solve such constraints and sets their positions to NaN. "
+                f"{LINE_REMEDY}"
             )
 
 

@@ -46,6 +46,7 @@ class Vibration(NamedTuple):
 
 def fastest_vibration(
     force: openmm.Force,
+    weight: float,
     context: openmm.Context,
     bodies: RigidBodies,
     mobility: np.ndarray,
@@ -54,7 +55,8 @@ def fastest_vibration(
     """The fastest motion that one term of a Force of `EXPRESSIONS` causes; None if there is none.
 
     Args:
-        force: of the Context's System.
+        force: of the Context's System, or within a Force of it.
+        weight: the factor of its energy there.
         context: with positions, box and parameters.
         bodies: of that System. What a term does within one body is no motion.
         mobility: inverse effective masses, (N,), 1/dalton.
@@ -67,7 +69,8 @@ def fastest_vibration(
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)[atoms]
     gradient, curvature = _derivatives(alone, x)
     weights = np.sqrt(np.repeat(mobility[atoms], 3, axis=1))
-    gradient, curvature = gradient * weights, curvature * weights[:, :, None] * weights[:, None]
+    gradient = weight * gradient * weights
+    curvature = weight * curvature * weights[:, :, None] * weights[:, None]
     owner = bodies.owners[atoms]
     usable = np.isfinite(curvature).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
     if atoms.shape[1] > 1:

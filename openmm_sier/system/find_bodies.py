@@ -18,6 +18,7 @@ from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
+from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
@@ -93,6 +94,11 @@ class BodyPlan:
         lengths = self._links.constraints.by_pair()
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
         self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
+
+    @property
+    def species(self) -> tuple[Species, ...]:
+        """The kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
+        return tuple(kind.model for kind in self.kinds if kind.model is not None)
 
     @property
     def needs_positions(self) -> bool:
@@ -314,7 +320,7 @@ def linked(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.Rigi
 
 
 class Links:
-    """Constraints and bonds of a System.
+    """Constraints and bonds of a System, also those of Forces within Forces, by which OpenMM finds molecules too.
 
     Attributes:
         n_particles: of the System.
@@ -328,7 +334,8 @@ class Links:
     def __init__(self, system: openmm.System):
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
-        bonds = [harmonic_bonds(force) for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+        forces = [part.force for part in parts(system)]
+        bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
         self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
         self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
         self.terms = _pairs(system, _JOINING)
@@ -388,6 +395,6 @@ def joins_a_body(a: int, b: int) -> RigidityError:
 
 def _pairs(system: openmm.System, kinds: type | tuple[type, ...]) -> np.ndarray:
     """Distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
-    terms = [bonded_terms(force) for force in system.getForces() if isinstance(force, kinds)]
+    terms = [bonded_terms(part.force) for part in parts(system) if isinstance(part.force, kinds)]
     pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
     return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)

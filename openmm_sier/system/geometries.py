@@ -113,7 +113,7 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
 
 def _embedded(kind: Kind, describe: Callable) -> Species:
     """Bodies of the geometry that a length for every pair of atoms defines, up to a reflection."""
-    coordinates, excess = _embed(len(kind.masses), kind.lengths)
+    coordinates, excess = embed(len(kind.masses), kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(
             f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
@@ -123,7 +123,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
     return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
 
 
-def _embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
+def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
     """Coordinates (k, 3) of points with given distances, and the largest distance error.
 
     Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.

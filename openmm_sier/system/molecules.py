@@ -14,6 +14,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import checked_positions, checked_system
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
+from openmm_sier.system.inner_forces import parts
 
 #: kJ/mol. A bond that is longer than its own length and has more energy than this is broken: bonds dissociate with 400.
 BREAKING = 1000.0
@@ -67,7 +68,7 @@ class Bonds(NamedTuple):
         """Constraints, HarmonicBondForces that do work, and those of virtual sites to the first of their particles."""
         pairs, lengths = tables.constraints(system)
         found = [cls.joined(pairs, lengths, lengths + STRETCH)]
-        for force in system.getForces():
+        for force in (part.force for part in parts(system)):
             if isinstance(force, openmm.HarmonicBondForce):
                 ends, lengths, strengths = harmonic_bonds(force)
                 acts = strengths > 0
@@ -172,7 +173,8 @@ def _refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, 
     if not broken.size:
         return
     worst = broken[np.argmax(found[broken])]
-    expected = "are bonded" if np.isnan(bonds.lengths[worst]) else f"belong {bonds.lengths[worst]:.4f} nm apart"
+    by_topology = np.isnan(bonds.lengths[worst])
+    expected = "are bonded" if by_topology else f"belong {bonds.lengths[worst]:.4f} nm apart"
     names = f"atoms {bonds.pairs[worst][0]} and {bonds.pairs[worst][1]}"
     if topology is not None:
         atoms = list(topology.atoms())
@@ -180,7 +182,8 @@ def _refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, 
         names = " and ".join(f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in (one, two))
     images = "" if box is None else ", at the nearest images"
     more = f" ({len(broken)} bonds are too long)" if len(broken) > 1 else ""
+    stale = ", is the bond left from another file (a record CONECT)" if by_topology else ""
     raise ValueError(
         f"a molecule is broken: {names} {expected}, and are {found[worst]:.4g} nm apart{images}{more}. Is an atom "
-        "misplaced, are residues missing between these, or is the box another one?"
+        f"misplaced, are residues missing between these{stale}, or is the box another one?"
     )

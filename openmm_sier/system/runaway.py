@@ -11,6 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 
 #: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
@@ -63,7 +64,7 @@ class RunawayWatch:
     def __init__(self, system: openmm.System):
         self._masses = tables.masses(system)
         self._atoms = int(np.count_nonzero(self._masses))
-        self._freedoms = max(1, 3 * self._atoms - len(tables.constraints(system).pairs))
+        self._freedoms = max(1, 3 * self._atoms - _held(system))
         self.forget()
 
     def forget(self) -> None:
@@ -106,7 +107,9 @@ class RunawayWatch:
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
-                "start? Take a shorter step, or minimize the energy first"
+                "start? Take a shorter step, or minimize the energy first; atoms that a minimization has left stuck in "
+                "one another, of which it warns, need other positions. If none of this helps, print("
+                "check_forces(context)) tells which Force is not the gradient of its energy"
             )
 
     def _temperature(self, context: openmm.Context) -> float:
@@ -115,3 +118,13 @@ class RunawayWatch:
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
         return float(2 * energy / (self._freedoms * GAS_CONSTANT))
+
+
+def _held(system: openmm.System) -> int:
+    """Number of degrees of freedom that constraints take: of a cluster no more than leave it rigid."""
+    pairs, particles = tables.constraints(system).pairs, system.getNumParticles()
+    component = joined(particles, pairs)
+    counts = np.bincount(component[pairs[:, 0]], minlength=particles)
+    sizes = np.bincount(component, minlength=particles)
+    # Two atoms have one distance, three have three; 3 k - 6 holds from three on.
+    return int(np.minimum(counts, np.maximum(1, 3 * sizes - 6)).sum())

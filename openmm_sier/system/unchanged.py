@@ -6,6 +6,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.system import tables
+from openmm_sier.system.inner_forces import parts, pme_parameters
 
 
 class UnchangedSystem:
@@ -53,7 +54,10 @@ def _outline(system: openmm.System) -> dict[str, Any]:
     for number, force in enumerate(system.getForces()):
         found[f"Force {number}"] = kind = type(force).__name__
         found[f"force group of Force {number}, a {kind},"] = force.getForceGroup()
-        if isinstance(force, openmm.NonbondedForce):
-            alpha, *mesh = force.getPMEParameters()
-            found[f"PME parameters of Force {number}, a {kind},"] = (alpha.value_in_unit(unit.nanometer**-1), *mesh)
+    for part in parts(system):
+        if hasattr(part.force, "getPMEParameters"):
+            containers = [outer for outer, _ in reversed(part.within)]
+            kind = " in ".join(type(force).__name__ for force in (part.force, *containers))
+            place = ".".join(map(str, (part.number, *(index for _, index in part.within))))
+            found[f"PME parameters of Force {place}, a {kind},"] = pme_parameters(part.force)
     return found

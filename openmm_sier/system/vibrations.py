@@ -22,7 +22,9 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.notices import notify
+from openmm_sier.system.surroundings import holding, slow_share
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
@@ -43,34 +45,13 @@ SPREAD = tuple(1 + percent / 100 for percent in range(-4, 5))
 #: From this step in ps on, a number in fs has more likely been given than a step of picoseconds been meant.
 SLIP = 0.5
 
-#: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
-#: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
-#: 17.4, SIER4 15.1, SIER4V and SIER4P 15.8. In 64 molecules of liquid the energy grew within 1.2 ps by this share of
-#: the kinetic energy:
-#:     TIP3P     SIER2   9 fs 0.03, 10 fs 0.14, 11 fs 0.8     SIER4G  13 fs 0.04, 16 fs 0.11, 18 fs 0.6, 20 fs 1.7
-#:     SPC/E     SIER2   8 fs 0.03, 10 fs 0.28, 11 fs 3.6     SIER4G  14 fs 0.06, 16 fs 0.37, 18 fs 1.0, 20 fs 2.9
-#:     TIP4P-Ew  SIER2   8 fs 0.06, 10 fs 0.97, 11 fs 1e20    SIER4G  13 fs 0.02, 16 fs 0.54, 18 fs 1.1, 20 fs 3.3
-#:     TIP3P     SIER4  13 fs 0.06, 16 fs 0.31, 18 fs 3.0     SIER4P  18 fs 0.04, 20 fs 0.07     SIER4V  20 fs 0.05
-#:     TIP3P     SIER2V2  10 fs 0, 12 fs 0.04, 14 fs 0.35       SIER2P3  20 fs 0, 23 fs 0.10, 26 fs 0.77
-#: At the accuracy limits of the schemes of fourth order, 11 to 15 fs, rms(H) is 0.02 to 0.06 rms(V), and at SIER2's,
-#: 3.0 fs, it is 0.02.
-HYDROGEN_BOND = 4.0e4
-
-#: By the table above energy grows from this share of the stability limit on, since some librations are faster.
+#: By the table at `surroundings.HYDROGEN_BOND` energy grows from this share of the stability limit on, since some
+#: librations are faster.
 HEATING = 0.8
 
 #: A step is refused at so many times the stability limit of a libration. There all librations of water are unstable,
 #: since the slowest have half the frequency of the fastest.
 HOPELESS = 2.0
-
-#: Charge in e, of either sign, of an atom with hydrogen bonds. TIP5P's hydrogens have 0.24, those of amides 0.27, and
-#: those on carbon up to 0.15.
-CHARGED = 0.2
-
-#: Stiffness of a Lennard-Jones atom's surroundings in units of epsilon/sigma^2: the second derivative at the minimum,
-#: 72/2^(1/3), for twelve neighbours, a third of which counts in each direction. For liquid argon it gives 6.7/ps; its
-#: Einstein frequency is 7.5/ps.
-LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
 
 #: So many bodies of one kind are looked at, since charges of one kind of body are most often the same.
 SAMPLED = 100
@@ -146,8 +127,9 @@ class Vibrations:
     CustomCompoundBondForces and CustomExternalForces, which are expressions, are found by `measure`, once there are
     positions. Each bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms
     that share an atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than
-    bonds by a factor of two. Of forces between molecules only the NonbondedForces are looked at. Of Forces of which
-    nothing is known `check` says so.
+    bonds by a factor of two. Of forces between molecules only those with charges are looked at, see `_charge`, and the
+    Lennard-Jones terms of NonbondedForces. Forces within Forces count by their weight (`inner_forces`). Of Forces of
+    which nothing is known `check` says so.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
@@ -157,8 +139,8 @@ class Vibrations:
         self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility))
         self._bonds = list(self._harmonic)
         self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
-        self._is_measured = not any(map(_is_expression, system.getForces()))
-        self._unknown = [force for force in system.getForces() if not isinstance(force, KNOWN)]
+        self._is_measured = not any(_is_expression(part) for part in parts(system))
+        self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
         self._told: set[str] = set()
 
@@ -175,12 +157,13 @@ class Vibrations:
             return False
         self._is_measured, system = True, context.getSystem()
         held = self._constraints.by_pair()
-        for force in filter(_is_expression, system.getForces()):
-            if found := fastest_vibration(force, context, self._bodies, self._mobility, held):
+        for part in filter(_is_expression, parts(system)):
+            found = fastest_vibration(part.force, part.weight or 0.0, context, self._bodies, self._mobility, held)
+            if found:
                 strength = found.square / self._mobility[list(found.atoms)].sum()
-                share = _slow_share(system, found.atoms, strength, self._mobility)
+                share = slow_share(system, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
-                self._bonds.append(Motion(period, found.atoms, force.getForceGroup(), share, force.getName()))
+                self._bonds.append(Motion(period, found.atoms, part.group, share, part.name))
         return True
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -299,12 +282,12 @@ class Vibrations:
                 f"accurate up to {_fs(accurate)}, and unstable from {_fs(stable)} on. {remedy}, or {self._hold(bond)}"
             )
             self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
-        unknown = [force for force in self._unknown if groups >> force.getForceGroup() & 1]
-        names = [f"{force.getName()} ({type(force).__name__})" for force in unknown]
+        names = [name for group, name in self._unknown if groups >> group & 1]
         if names and h > accurate_step(scheme, FASTEST_BOND):
             self._tell_once(
                 f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
-                "changes with half the step, or the temperature is too high, the step is too long for it"
+                "changes with half the step, or the temperature is too high, the step is too long for it. If it "
+                "drifts alike with both, print(check_forces(context))"
             )
 
     def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
@@ -358,9 +341,20 @@ def _percent(fraction: float) -> str:
     return f"{float(f'{100 * fraction:.1g}'):g} %"
 
 
-def _is_expression(force: openmm.Force) -> bool:
+def _is_expression(part: Part) -> bool:
     # The close pairs of `prepare_system` are nonbonded interactions.
-    return isinstance(force, EXPRESSIONS) and not force.getName().startswith("openmm_sier: ")
+    is_own = part.force.getName().startswith("openmm_sier: ")
+    return isinstance(part.force, EXPRESSIONS) and not is_own and part.weight is not None
+
+
+def _unknown(system: openmm.System) -> Iterator[Part]:
+    """Find Forces of which no stiffness is known; one that contains others is known by them if it is linear in them."""
+    for part in parts(system):
+        if isinstance(part.force, openmm.ATMForce) or part.weight is None:
+            continue
+        is_sum = isinstance(part.force, openmm.CustomCVForce) and is_linear(part.force)
+        if not is_sum and not isinstance(part.force, KNOWN):
+            yield part
 
 
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
@@ -372,10 +366,11 @@ def _fastest_bonds(
     system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
 ) -> Iterator[Motion]:
     """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
-    for force in system.getForces():
-        if not isinstance(force, openmm.HarmonicBondForce) or not force.getNumBonds():
+    for part in parts(system):
+        if not isinstance(part.force, openmm.HarmonicBondForce) or not part.force.getNumBonds():
             continue
-        ends, _, strength = harmonic_bonds(force)
+        ends, _, strength = harmonic_bonds(part.force)
+        strength = (part.weight or 0.0) * strength
         owner = bodies.owners[ends]
         apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
         squares = (apart & ~constraints.hold(ends)) * strength * mobility[ends].sum(axis=1)
@@ -383,39 +378,24 @@ def _fastest_bonds(
         if squares[fastest] > 0:
             period = 2 * math.pi / math.sqrt(squares[fastest])
             atoms = tuple(ends[fastest].tolist())
-            share = _slow_share(system, atoms, strength[fastest], mobility)
-            yield Motion(period, atoms, force.getForceGroup(), share)
-
-
-def _slow_share(system: openmm.System, atoms: tuple[int, ...], strength: float, mobility: np.ndarray) -> float:
-    """Stiffness with which the surroundings may hold a bond, by its ends, over that of the bond itself."""
-    moved = mobility[list(atoms)]
-    forces = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
-    held = np.array([max((_stiffness(force, i) for force in forces), default=0.0) for i in atoms])
-    return float(held @ moved**2 / (strength * moved.sum() ** 2))
+            share = slow_share(system, atoms, strength[fastest], mobility)
+            yield Motion(period, atoms, part.group, share)
 
 
 def _fastest_swings(system: openmm.System, bodies: RigidBodies, links: Links, mobility: np.ndarray) -> Iterator[Motion]:
-    """For each NonbondedForce the fastest swing that it causes; none where a molecule is alone."""
+    """Give for each Force with charges the fastest swing that it causes; none where a molecule is alone."""
     joins = np.concatenate([links.constraints.pairs, links.bonds, links.terms, links.custom])
     molecules = joined(bodies.n_particles, joins)[bodies.owners >= 0]
     if len(np.unique(molecules)) <= 1 and not tables.frozen_atoms(system).size:
         return
     sample = [atom for species in bodies.species for atom in species.atoms[:SAMPLED].T.ravel().tolist()]
-    for force in system.getForces():
-        if not isinstance(force, openmm.NonbondedForce) or not sample:
-            continue
-        squares = {atom: _stiffness(force, atom) * mobility[atom] for atom in sample}
+    if not sample:
+        return
+    for part, stiffness in holding(system):
+        squares = {atom: stiffness(atom) * mobility[atom] for atom in sample}
         atom = max(squares, key=squares.__getitem__)
         if squares[atom] > 0:
-            yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), force.getForceGroup())
-
-
-def _stiffness(force: openmm.NonbondedForce, atom: int) -> float:
-    """With which its surroundings are taken to hold an atom, kJ/mol/nm^2."""
-    charge, sigma, epsilon = tables.numbers(force.getParticleParameters(atom), tables.ATOM_UNITS)
-    dispersion = LENNARD_JONES * epsilon / sigma**2 if sigma > 0 else 0.0
-    return max(HYDROGEN_BOND if abs(charge) >= CHARGED else 0.0, dispersion)
+            yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)
 
 
 def mobilities(bodies: RigidBodies) -> np.ndarray:

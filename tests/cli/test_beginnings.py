@@ -7,7 +7,7 @@ import pytest
 
 from openmm_sier.cli import console, main
 from openmm_sier.cli.files import checkpoints
-from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run
+from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +114,22 @@ def test_unwrapped_frames_do_not_jump(box):
 
 
 # --- what is shown ---
+
+
+def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys):
+    """Also after a restart; an equilibration that nobody made is not missed."""
+    write_lattice(Path("box.pdb"), 8)
+    short = ["--platform", "Reference", "--dt", "2", "--temperature", "297", "--no-minimize"]
+    run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0.1")
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    # From a lattice, whose energy becomes heat.
+    assert "warning: not equilibrated after 0.1" in said
+    row = "WARNING: not equilibrated after 0.102 ps at 297 K: T_trans = "
+    assert row in said
+    run("run", "--restart", "box.chk", "--steps", "4")
+    assert row in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0", "--overwrite")
+    assert "not equilibrated" not in capsys.readouterr().out
 
 
 def test_progress_lines_are_rare(monkeypatch, capsys):

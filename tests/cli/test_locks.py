@@ -15,6 +15,8 @@ from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 #: Seconds after which a test fails rather than wait.
 LIMIT = 300
 
+ON_LINUX = pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+
 #: Locks the files that it is given and says so, until its standard input ends.
 HOLDER = """
 import sys
@@ -74,6 +76,22 @@ def test_lock_of_a_killed_process_is_free(holder):
         mine.hold([Path("a.dcd")])
         assert Path(".a.dcd.lock").read_text().startswith(f"process {os.getpid()} on ")
     assert not names()
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        # Even root makes no files there.
+        pytest.param("/proc/x.dcd", "No such file or directory", marks=ON_LINUX),
+        (f"{'x' * 250}.dcd", "File name too long"),
+    ],
+)
+def test_a_lock_that_cannot_be_made_is_nobodys(place, reason):
+    with FileLocks() as mine, pytest.raises(RunError) as refusal:
+        mine.hold([Path(place)])
+    real = Path(place).absolute()
+    expected = f"{place} cannot be written, since its lock {real.with_name(f'.{real.name}.lock')} cannot be made: "
+    assert str(refusal.value) == f"{expected}{reason}. Name a file in a directory where files can be made"
 
 
 @pytest.mark.slow

@@ -59,12 +59,20 @@ def test_the_declaration_agrees_with_what_it_is_about():
         ("--hydrogen-mass", "12", "from 1 to 4.5 dalton, got '12'"),
         ("--steps", "1e3", "from 1 to 1000000000000000, got '1e3'"),
         ("--out", "/", "the name of a file, got '/'"),
+        ("--restart", ".", "the name of a file, got '.'"),
+        ("--forcefield", "..", "the name of a file, got '..'"),
     ],
 )
 def test_values_out_of_range(capsys, option, value, expected):
     message = complaint(capsys, "run", "box.pdb", option, value, code=MISUSED)
     assert f"argument {option}: expected " in message
     assert expected in message
+
+
+def test_this_directory_is_no_file_of_coordinates(capsys):
+    """Outputs are named after it."""
+    message = complaint(capsys, "run", ".", code=MISUSED)
+    assert "argument BOX: expected the name of a file, got '.'" in message
 
 
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():

@@ -157,5 +157,5 @@ def test_table_warns_of_a_step_that_is_too_long(box, capsys):
     for dt, warns in (("2", False), ("8", True)):
         assert main.main([*options, "--dt", dt]) == 0
         out = " ".join(capsys.readouterr().out.replace("│", " ").split())
-        assert ("WARNING" in out) == warns
+        assert ("WARNING: rms" in out) == warns
     assert "the step of 8 fs is too long for SIER2, for which 2 fs is usual" in out

@@ -4,6 +4,7 @@ Few Contexts are made here: OpenMM compiles some hundred kernels for each, which
 """
 
 import functools
+import math
 
 import numpy as np
 import openmm
@@ -91,7 +92,8 @@ def test_fourth_order_in_double_precision(in_precision, cluster):
 def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     _, system, point = settled(*periodic_system("tip4pew"))
     system.addForce(seeded(openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2), 1))
-    on_cpu, on_gpu, again = (seeded(SIERLangevinIntegrator(300, 5, 0.004, SIER4G), 1) for _ in range(3))
+    made = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G, countsHeat=True) for _ in range(3)]
+    on_cpu, on_gpu, again = (seeded(each, 1) for each in made)
     first = context_at(system, on_cpu, point, "CPU", steps=3)
     context = gpu_context(gpu, "mixed", system, on_gpu, point)
     context.setState(full_state(first))
@@ -114,6 +116,23 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     again.step(2)
     assert last.getStepCount() == 13
     assert again.computeSystemTemperature()._value == pytest.approx(300, abs=80)
+
+
+def test_heat_is_not_counted_unless_asked_for(gpu):
+    """What counts it, and what the exact engine stores, makes kernels slower."""
+    _, system, point = settled(*periodic_system())
+    integrator = seeded(SIERLangevinIntegrator(300, 5, 0.004), 1)
+    context = gpu_context(gpu, "mixed", system, integrator, point)
+    integrator.step(5)
+    names = map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+    assert list(names) == [native_program.KEPT]
+    with pytest.raises(openmm.OpenMMException, match=r"does not count the heat of its bath.*countsHeat=True"):
+        integrator.getHeat()
+    assert math.isnan(integrator.getBodyState().heat)
+    # Velocities are constrained at the end of a step; positions have SETTLE's 5e-9 nm.
+    before = phase_point(context)
+    context.applyVelocityConstraints(1e-9)
+    assert phase_point(context)[1] == pytest.approx(before[1], abs=1e-5)
 
 
 def test_solutes_in_mixed_precision(gpu):

@@ -29,6 +29,14 @@ def sheared(context):
     context.setPeriodicBoxVectors(*vectors)
 
 
+def a_state_without_positions(context):
+    """Which has a box nevertheless."""
+    other = openmm.Context(context.getSystem(), openmm.VerletIntegrator(0.001), platform())
+    other.setTime(context.getTime())
+    stretched(other)
+    context.setState(other.getState())
+
+
 def another_parameter(context):
     context.setParameter("stiffness", 300.0)
 
@@ -41,7 +49,7 @@ def other_charges(context):
     force.updateParametersInContext(context)
 
 
-CHANGES = (stretched, sheared, another_parameter, other_charges)
+CHANGES = (stretched, sheared, a_state_without_positions, another_parameter, other_charges)
 
 
 @both_engines

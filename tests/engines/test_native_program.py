@@ -93,5 +93,6 @@ def test_schemes_with_long_drifts_have_more_substeps(name, substeps, inner):
     assert native_program.write(scheme, fast_groups={1}) == native_program.write(scheme, inner, {1})
     assert SIERIntegrator(0.002, scheme).program == native_program.write(scheme, substeps)
     assert SIERIntegrator(0.002, scheme, substeps=2).program == native_program.write(scheme, 2)
-    lengths = [d for part in native_program.write(scheme, inner, {1}).parts for line in part for d in line.lengths]
-    assert native_program.longest_inner_step(scheme) == pytest.approx(max(map(abs, lengths)), rel=1e-14)
+    nested = native_program.write(scheme, inner, {1})
+    lengths = [d for part in nested.parts for line in part for d in line.lengths]
+    assert nested.inner_fraction == pytest.approx(max(map(abs, lengths)), rel=1e-14)

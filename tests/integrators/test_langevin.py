@@ -103,16 +103,16 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     context = context_at(system, integrator, point, "CPU")
     moving = 0.5 * integrator.bodies.masses.sum() * 0.29
 
-    def conserved():
-        return sum(energies(context)) - integrator.getHeat()._value
-
-    before = conserved()
+    # Velocities that were set belong to the positions, and those after a step lag half a kick behind.
+    before = sum(energies(context))
     integrator.step(100)
+    kinetic = sum(integrator.bodies.kinetic_energies(integrator.getWholeStepState()))
+    after = energies(context)[0] + kinetic - integrator.getHeat()._value
     # The jump at a cut-off of 0.55 nm makes an error of 1.5 kJ/mol. What the remover takes in 0.2 ps is 30, and at
     # first `moving`.
     assert moving > 40
     assert 0.2 * 3 * friction * 8.314e-3 * 300 > 29
-    assert conserved() == pytest.approx(before, abs=3.0)
+    assert after == pytest.approx(before, abs=3.0)
 
 
 def test_noise_that_a_state_does_not_hold_is_spoken_of():

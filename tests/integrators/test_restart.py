@@ -25,6 +25,7 @@ from openmm_sier import (
     prepare_system,
 )
 from openmm_sier.ensembles import VelocityRescaling
+from tests.support.containers import CONTAINERS, contained
 from tests.support.integrators import constrained_velocity_verlet
 from tests.support.restarts import (
     WAYS,
@@ -331,3 +332,21 @@ def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point
     again.context.setState(openmm.XmlSerializer.deserialize(xml))
     again.step(8)
     assert_same(everything(again.context), end)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_forces_within_forces_have_neighbour_lists_of_their_own(box, name, engine):
+    """Positions were 2e-7 nm apart when these lists had a past, after the lists were made anew at least once."""
+    _, system, point = box
+    system = contained(system, name)
+    prepare_system(system)
+    integrator = SIER4GIntegrator(0.004, engine=engine)
+    context = context_at(system, integrator, point, "CPU", steps=60)
+    checkpoint = context.createCheckpoint()
+    integrator.step(20)
+    again = SIER4GIntegrator(0.004, engine=engine)
+    other = context_at(system, again, point, "CPU")
+    other.loadCheckpoint(checkpoint)
+    again.step(20)
+    assert np.array_equal(phase_point(context), phase_point(other))

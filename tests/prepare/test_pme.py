@@ -37,7 +37,7 @@ def test_the_mesh_is_a_tenth_finer_than_that_of_openmm(water):
 
 def test_systems_without_a_mesh_are_refused():
     _, _, system = cluster_system(2)
-    with pytest.raises(ValueError, match="needs a NonbondedForce with PME or LJPME"):
+    with pytest.raises(ValueError, match="needs a Force with PME or LJPME"):
         balance_pme(system)
 
 

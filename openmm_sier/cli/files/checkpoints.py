@@ -4,6 +4,8 @@ import io
 import json
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,15 +42,39 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
         RecordError: the file is no checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
+    with _opened(path) as archive:
+        notes = _notes(archive)
+        state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+    _refuse_other_version(path, notes)
+    return state, notes
+
+
+def read_notes(path: Path) -> dict[str, Any]:
+    """Notes of a checkpoint, without its State; see `read_checkpoint`."""
+    with _opened(path) as archive:
+        notes = _notes(archive)
+    _refuse_other_version(path, notes)
+    return notes
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open a checkpoint; what fails while it is read becomes a `RecordError`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            notes: dict[str, Any] = json.loads(archive.read("notes.json"))
-            state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+            yield archive
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
         raise records.RecordError(f"{path} is no checkpoint of openmm-sier run") from error
+
+
+def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
+    notes: dict[str, Any] = json.loads(archive.read("notes.json"))
+    return notes
+
+
+def _refuse_other_version(path: Path, notes: dict[str, Any]) -> None:
     if (version := notes.get("format")) != FORMAT:
         raise records.RecordError(
             f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
             "the run with that version, or begin a new one"
         )
-    return state, notes

@@ -10,7 +10,7 @@ from openmm import app, unit
 
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files.records import GrowingFile, Log, Noted
-from openmm_sier.cli.files.trajectories import FORMATS
+from openmm_sier.cli.files.trajectories import FORMATS, Trajectory
 from openmm_sier.observe import conservation, pressure
 
 #: An open file, and what appends a record of the last completed step to it, given the values of the log by column.
@@ -25,11 +25,23 @@ class OutputKind(NamedTuple):
         option, every: the options that name the file and set its interval.
         open: opens the file at a path, new or cut back to the length that a checkpoint notes, for what is simulated in
             a Context.
+        format: gives the class of a file at a path.
     """
 
     option: str
     every: str
     open: Callable[[Path, Simulated, openmm.Context, Noted | None], Opened]
+    format: Callable[[Path], type[GrowingFile]]
+
+
+def trajectory_format(path: Path) -> type[Trajectory]:
+    """Return the class of a trajectory, by the ending of its name."""
+    return FORMATS[path.suffix.lower()]
+
+
+def table_format(path: Path) -> type[Log]:
+    """Return the class of all tables."""
+    return Log
 
 
 def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
@@ -37,7 +49,7 @@ def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, n
     plan, box = simulated.plan, simulated.box
     is_wrapped = box.system.usesPeriodicBoundaryConditions() and not plan.unwrapped
     topology, interval = _subset(box.topology, box.listed), plan.interval(plan.every)
-    file = FORMATS[path.suffix.lower()](path, topology, plan.step_time, interval, noted)
+    file = trajectory_format(path)(path, topology, plan.step_time, interval, noted)
 
     def write(values: Mapping[str, float]) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=is_wrapped)
@@ -69,9 +81,9 @@ def open_tensors(path: Path, simulated: Simulated, context: openmm.Context, note
 
 #: By the names that checkpoints have for them, in the order in which they are checked and written.
 KINDS = {
-    "trajectory": OutputKind("out", "every", open_trajectory),
-    "log": OutputKind("report", "report_every", open_log),
-    "tensors": OutputKind("pressure_tensor", "pressure_tensor_every", open_tensors),
+    "trajectory": OutputKind("out", "every", open_trajectory, trajectory_format),
+    "log": OutputKind("report", "report_every", open_log, table_format),
+    "tensors": OutputKind("pressure_tensor", "pressure_tensor_every", open_tensors, table_format),
 }
 
 

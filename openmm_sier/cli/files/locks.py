@@ -40,8 +40,8 @@ class FileLocks(ExitStack):
         """Lock files, whether they exist or not; those that are locked already stay so.
 
         Raises:
-            RunError: another process holds one of them; the message says which.
-            OSError: a lock cannot be made, for example where nothing may be written.
+            RunError: another process holds one of them, or a lock cannot be made, for example where nothing may be
+                written; the message says which.
         """
         for path in paths:
             # All names of a file, links to it too, have one lock.
@@ -53,7 +53,10 @@ class FileLocks(ExitStack):
             try:
                 self.enter_context(lock)
             except Timeout:
+                _refuse_unwritable(path, place)
                 raise RunError(f"{path} is being written by {_holder(place)}") from None
+            except OSError as error:
+                raise _unlockable(path, place, error) from None
             self._held.add(place)
             # Before the lock is released: whoever then gets a lock on the removed file sees that it is gone.
             self.callback(place.unlink, missing_ok=True)
@@ -68,6 +71,26 @@ def _mark(descriptor: int) -> None:
         holder = f"process {os.getpid()} on {socket.gethostname()} since {since}: {command}"
         # The command may name files whose names are no text.
         os.write(descriptor, holder.encode("utf-8", "surrogateescape"))
+
+
+def _refuse_unwritable(path: Path, place: Path) -> None:
+    """Refuse a file for whose lock nobody can make a file, which `FileLock` takes for one that somebody has removed.
+
+    Raises:
+        RunError: naming the file.
+    """
+    try:
+        os.close(os.open(place, os.O_RDWR | os.O_CREAT))
+    except OSError as error:
+        raise _unlockable(path, place, error) from None
+
+
+def _unlockable(path: Path, place: Path, error: OSError) -> RunError:
+    reason = error.strerror or str(error)
+    return RunError(
+        f"{path} cannot be written, since its lock {place} cannot be made: {reason}. Name a file in a directory where "
+        "files can be made"
+    )
 
 
 def _holder(place: Path) -> str:

@@ -38,7 +38,7 @@ class Outputs:
         for name, path in self._grown.items():
             is_trajectory = path.suffix.lower() in FORMATS
             if name == "trajectory" and not is_trajectory:
-                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path.name}")
+                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
                 raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
 
@@ -103,7 +103,7 @@ class Outputs:
             context: at the start, or at the checkpoint.
             notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
         """
-        self._inputs = simulated.inputs
+        self._inputs, self._unsettled = simulated.inputs, simulated.unsettled
         self.saved_step = notes["step"] if notes else None
         self._files, self._writers = {}, {}
         for name, path in self._grown.items():
@@ -140,6 +140,7 @@ class Outputs:
             "potential_energy": potential,
             "platform": platform_of(context),
             "inputs": self._inputs,
+            "unsettled": self._unsettled,
             **{name: vars(file.noted()) for name, file in self._files.items()},
         }
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)

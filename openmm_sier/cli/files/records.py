@@ -7,6 +7,7 @@ frame twice. So that no file of another run is cut, the checkpoint also notes a 
 
 import hashlib
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -73,7 +74,7 @@ class Noted:
     fingerprint: str
 
 
-class GrowingFile:
+class GrowingFile(ABC):
     """A file that only grows, by whole records.
 
     Attributes:
@@ -98,6 +99,15 @@ class GrowingFile:
             self._file = open(path, "r+b" if self.size else "wb", buffering=0)  # noqa: SIM115
             self._file.truncate(self.size)
             self._file.seek(self.size)
+
+    @staticmethod
+    @abstractmethod
+    def records_after(path: Path, size: int) -> int:
+        """Count the records of a file after its first `size` bytes, and an incomplete one at its end.
+
+        Raises:
+            OSError: it cannot be read.
+        """
 
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
@@ -169,6 +179,12 @@ class Log(GrowingFile):
         self.columns = tuple(columns)
         if not self.size:
             self.append(csv_line(self.columns).encode(), counts=False)
+
+    @staticmethod
+    def records_after(path: Path, size: int) -> int:
+        with naming(path), open(path, "rb") as file:
+            file.seek(size)
+            return sum(1 for _ in file)
 
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())

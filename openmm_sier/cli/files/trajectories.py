@@ -2,6 +2,8 @@
 
 import errno
 import io
+import math
+import os
 import struct
 import tempfile
 from abc import abstractmethod
@@ -11,10 +13,18 @@ from typing import Any
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted
+from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted, naming
 
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
+
+#: Where that header has whether frames have a box, and the number of atoms.
+DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
+
+#: What a frame of an XTC file begins with, and bytes before its compressed positions, the last four of which count
+#: these. Positions of few atoms are not compressed, and have fewer bytes before them.
+XTC_MAGIC, XTC_HEADER = (1995).to_bytes(4, "big"), 92
+XTC_FEW_ATOMS, XTC_FEW_HEADER = 9, 56
 
 
 class Trajectory(GrowingFile):
@@ -51,6 +61,16 @@ class DCDTrajectory(Trajectory):
         else:
             self.append(self._memory.getvalue(), counts=False)
 
+    @staticmethod
+    def records_after(path: Path, size: int) -> int:
+        with naming(path), open(path, "rb") as file:
+            header = file.read(DCD_HEADER)
+            end = file.seek(0, os.SEEK_END)
+        (has_box,), (atoms,) = (struct.unpack("<i", header[place]) for place in (DCD_HAS_BOX, DCD_ATOMS))
+        # Each record of Fortran has its length before and after it: the box, then x, y and z.
+        frame = (48 + 8) * has_box + 3 * (4 * atoms + 8)
+        return math.ceil((end - max(size, DCD_HEADER)) / frame)
+
     def write(self, positions: Quantity, box: Quantity) -> None:
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
@@ -61,6 +81,18 @@ class DCDTrajectory(Trajectory):
 
 class XTCTrajectory(Trajectory):
     """Frames of an XTC file, which follow each other without a header."""
+
+    @staticmethod
+    def records_after(path: Path, size: int) -> int:
+        count = 0
+        with naming(path), open(path, "rb") as file:
+            end = file.seek(0, os.SEEK_END)
+            while size < end:
+                file.seek(size)
+                length = _frame_length(file.read(XTC_HEADER))
+                size = end if length is None else size + length
+                count += 1
+        return count
 
     def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:
@@ -74,6 +106,17 @@ class XTCTrajectory(Trajectory):
                 told = f"a frame could not be written, {place}. Is that full? Another one can be named by TMPDIR"
                 raise OSError(errno.EIO, told, str(self.path))
             self.append(frame.read_bytes())
+
+
+def _frame_length(header: bytes) -> int | None:
+    """Return the length of an XTC frame that begins with these bytes; None if they are no whole header."""
+    if len(header) < XTC_HEADER or header[:4] != XTC_MAGIC:
+        return None
+    atoms, compressed = (int.from_bytes(header[first : first + 4], "big") for first in (4, XTC_HEADER - 4))
+    if atoms <= XTC_FEW_ATOMS:
+        return XTC_FEW_HEADER + 12 * atoms
+    # Padded to whole words of four bytes.
+    return XTC_HEADER + 4 * math.ceil(compressed / 4)
 
 
 def _is_frame(path: Path, atoms: int) -> bool:

@@ -17,6 +17,7 @@ from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import interrupts
+from openmm_sier.engines.exact import in_place_of_openmm
 from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
@@ -229,8 +230,35 @@ class ExactEngine(Engine):
             state = self._last[1]
         return temperatures(self.bodies, state, self.conserves_momentum())
 
+    # --- what OpenMM does in the Context, and cannot do for all constraints ---
+
+    def _is_unsolved(self) -> bool:
+        """Whether OpenMM's solvers cannot satisfy the constraints."""
+        return self._trial.unsolved(lambda: Snapshot(self._context).positions) is not None
+
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+        if self._is_unsolved():
+            state = self.state()
+            in_place_of_openmm.draw_velocities(self._context, self.bodies, state, temperature, seed)
+        else:
+            by_openmm()
+
+    def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
+        if self._is_unsolved():
+            state = self.state()
+            in_place_of_openmm.write_positions(self._context, self.bodies, state)
+        else:
+            by_openmm()
+
+    def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
+        if self._is_unsolved():
+            state = self.state()
+            in_place_of_openmm.write_velocities(self._context, self.bodies, state)
+        else:
+            by_openmm()
+
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        if constraints_hold(self._context.getSystem(), self.bodies):
+        if constraints_hold(self._context.getSystem(), self.bodies) and not self._is_unsolved():
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         with interrupts.deferred():

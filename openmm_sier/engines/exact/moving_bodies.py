@@ -75,9 +75,9 @@ class MovingBodies:
     def _settle(self, bodies: RigidBodies, flow: Flow) -> None:
         context = self._context
         system = context.getSystem()
+        checks.refuse_constrained_lines(system, bodies)
         self.check_step = StepCheck(system, bodies, inner_step)
         self.check_step(flow, context.getIntegrator().getIntegrationForceGroups())
-        checks.refuse_constrained_lines(system, bodies)
         checks.refuse_deforming_barostats(system, context.getMolecules(), bodies)
         if self.moves_volume:
             checks.refuse_constant_pressure(system, bodies)

@@ -19,7 +19,7 @@ from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
-from openmm_sier.engines.native.program import V0, WORK, Program, longest_inner_step
+from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.step_check import StepCheck
@@ -35,6 +35,9 @@ TOLERANCE = 1e-9
 
 #: Positions in single precision cannot be constrained better.
 SINGLE_TOLERANCE = 1e-6
+
+#: Steps of one native step each in one call of OpenMM, after which signals are looked at.
+AT_ONCE = 10
 
 #: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
 #: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
@@ -74,6 +77,7 @@ class NativeEngine(Engine):
         system, integrator = context.getSystem(), context.getIntegrator()
         self._program, self._variables = program, Record(integrator)
         refusals.refuse(flow, bodies, program, system)
+        refusals.refuse_unsolved(self._trial.unsolved())
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
@@ -86,11 +90,12 @@ class NativeEngine(Engine):
             self._found: Any = known_or_planned(system, bodies)
         except RigidityError as error:
             self._found = error
-        self._check_step = StepCheck(system, points, self.inner_step)
+        rigid = () if isinstance(self._found, RigidityError) else self._found.species
+        self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following), rigid)
         self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
-        #: Box and parameters of the last step.
         self._environment: Any = None
+        self._is_box_new = False
         self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
         #: Whether velocities are those that the last step left.
@@ -122,6 +127,11 @@ class NativeEngine(Engine):
         self._context.setStepCount(clock.steps)
 
     def heat(self) -> float:
+        """See `Engine.heat`; NaN where the program does not count it."""
+        if not self._program.counts_heat:
+            return math.nan
+        if WORK not in self._program.vectors:
+            return self._variables[HEAT]
         return self._variables[HEAT] + float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
 
     @property
@@ -138,59 +148,69 @@ class NativeEngine(Engine):
         self._flow = flow
         self._check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
         set_variables(self._integrator, flow.bath, is_guarded=False)
-        if self._environment is not None:
-            self._take_over_environment()
-
-    def _take_over_environment(self) -> None:
-        """Forget what depends on the box and on parameters if somebody has changed them."""
-        box, parameters = self._environment_now()
-        if (box, parameters) != self._environment:
+        if self._potential is not None and self._environment_now() != self._environment:
             self._potential = None
-        if box != self._environment[0]:
+        if self._is_box_new:
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
             # they are the same, makes it compute them.
             velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
             set_velocities(self._context, velocities)
+            self._is_box_new = False
 
-    def _environment_now(self) -> tuple:
-        """Return the box and the parameters of the Context."""
+    def _environment_now(self) -> tuple[Any, dict[str, float]]:
+        """Return box, nm, and parameters of the Context, on which the potential energy depends."""
         state = self._context.getState(parameters=True)
         return state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
-        clock, flow = self.clock, self._flow
-        if flow.step == 0:
+        if self._flow.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
-            self.clock = Clock(clock.time, clock.steps + steps)
+            time, count = self.clock
+            self.clock = Clock(time, count + steps)
             return
         if steps:
             self._settle()
         self._potential = None
-        evaluations = flow.scheme.force_evaluations
-        for _ in range(steps):
-            clock = self._one_step(clock)
-            self._follows_bath = True
-            self.evaluations += evaluations
+        advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
+        while steps:
+            steps -= advance(steps)
             act_on_pending()
 
-    def _one_step(self, clock: Clock) -> Clock:
-        """Make one step, which OpenMM counts as several native ones."""
-        parts, after = len(self._program.parts), Clock(clock.time + self._flow.step, clock.steps + 1)
+    def _whole_steps(self, steps: int) -> int:
+        """Make some steps of one native step each, and return their number."""
+        count, done = min(steps, AT_ONCE), self._context.getStepCount()
         try:
-            openmm.CustomIntegrator.step(self._integrator, parts)
+            self._native_steps(count)
+        finally:
+            self._completed(self._context.getStepCount() - done)
+        return count
+
+    def _divided_step(self, _: int) -> int:
+        """Make one step, which OpenMM counts as several native ones, and return 1."""
+        clock, parts = self.clock, len(self._program.parts)
+        try:
+            self._native_steps(parts)
+        finally:
+            # Even after an error the clock must agree with the positions.
+            if self._context.getStepCount() == clock.steps + parts:
+                self.clock = Clock(clock.time + self._flow.step, clock.steps + 1)
+                self._completed(1)
+        return 1
+
+    def _native_steps(self, number: int) -> None:
+        try:
+            openmm.CustomIntegrator.step(self._integrator, number)
         except openmm.OpenMMException as error:
             if "nan" in str(error).lower():
                 raise TrajectoryError(str(error)) from error
             raise
-        finally:
-            # Even after an error the clock must agree with the positions.
-            if self._context.getStepCount() == clock.steps + parts:
-                self.clock = after
-        return after
+
+    def _completed(self, steps: int) -> None:
+        self._follows_bath = self._follows_bath or steps > 0
+        self.evaluations += steps * self._flow.scheme.force_evaluations
 
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
-        self._environment = self._environment_now()
         if self._is_guarded:
             self._variables[EXACT_ONLY] = 1.0
 
@@ -221,9 +241,11 @@ class NativeEngine(Engine):
 
         Raises:
             RigidityError: OpenMM cannot satisfy them.
+            openmm.OpenMMException: it never could, see `SolverTrial`.
         """
         if not len(self._constraints.pairs):
             return
+        refusals.refuse_unsolved(self._trial.unsolved(self.positions))
         context, tolerance = self._context, self._integrator.getConstraintTolerance()
         errors, speeds = self._constraint_errors()
         if not errors.max() <= OFF:
@@ -240,6 +262,10 @@ class NativeEngine(Engine):
         if not speeds.max() <= OFF:
             context.applyVelocityConstraints(tolerance)
 
+    def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
+        refusals.refuse_unsolved(self._trial.unsolved(self.positions))
+        by_openmm()
+
     def _constraint_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
         now, (first, second) = Snapshot(self._context), self._constraints.pairs.T
@@ -250,6 +276,9 @@ class NativeEngine(Engine):
     def forces_changed(self) -> None:
         # OpenMM itself considers no force valid after that.
         self._potential = None
+
+    def box_changed(self) -> None:
+        self._is_box_new = True
 
     def groups_changed(self) -> None:
         """OpenMM fixes the groups when it reads the program."""
@@ -263,6 +292,7 @@ class NativeEngine(Engine):
             groups = self._integrator.getIntegrationForceGroups()
             state = self._context.getState(energy=True, groups=groups)
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+            self._environment = self._environment_now()
         return self._potential
 
     @property
@@ -314,10 +344,8 @@ class NativeEngine(Engine):
 
     # --- what users ask ---
 
-    @staticmethod
-    def inner_step(flow: Flow, borne: float = math.inf) -> float:
-        # Programs are written before bonds are known, so that what they bear does nothing.
-        return flow.step * longest_inner_step(flow.scheme, flow.substeps)
+    def inner_step(self, flow: Flow) -> float:
+        return flow.step * self._program.inner_fraction
 
     @property
     def momentum_lag(self) -> float:
@@ -333,7 +361,7 @@ class NativeEngine(Engine):
     def temperatures(self) -> Temperatures:
         """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known.
 
-        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
+        Flexible molecules have those just after the bath. After a step with several baths these are those at its end.
         """
         conserved, thermal = self.conserves_momentum(), self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
@@ -349,8 +377,9 @@ class NativeEngine(Engine):
         return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
-        """Velocities of all particles just after the bath in the middle of the last step, if there was one, nm/ps."""
-        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
+        """Return velocities of all particles just after the bath of the last step, nm/ps, where it has just one."""
+        has_one = self._flow.scheme.bath_divides_drift and self._program.counts_heat
+        if self._follows_bath and has_one and self._flow.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 

@@ -1,17 +1,37 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
 import inspect
+import re
+from collections.abc import Iterable
 from xml.etree import ElementTree
 
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.native.program import CONSTRAIN_V, CONSTRAIN_X, FRICTION, THERMAL, UPDATE, VECTORS, Program
-from openmm_sier.engines.variables import PART, PREFIX
+from openmm_sier.engines.native.program import (
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    FRICTION,
+    NEVER,
+    THERMAL,
+    UPDATE,
+    VECTORS,
+    Program,
+)
+from openmm_sier.engines.variables import PART, PREFIX, SITES, STATE_VARIABLES
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
+
+#: Global variable: the number of native steps of the program.
+PARTS = PREFIX + "parts"
+
+#: The per-atom variables of both engines, which are there where a run may go on with the other one.
+ALL_VECTORS = (*STATE_VARIABLES, SITES, *VECTORS)
+
+#: The force of one group in an expression.
+GROUP_FORCE = re.compile(r"\bf\d+(?=/m)")
 
 #: OpenMM's own computations, by the targets of statements without an expression.
 OWN = {
@@ -24,21 +44,27 @@ OWN = {
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
-def install(program: Program, integrator: openmm.CustomIntegrator) -> None:
+def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iterable[str] | None = None) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
     the exact engine uses this. Without parts of a program nothing else can be executed here.
+
+    Args:
+        program: what OpenMM executes.
+        integrator: has neither computations nor variables yet.
+        vectors: names of the per-atom variables; None: all.
     """
-    for name in VECTORS:
+    for name in ALL_VECTORS if vectors is None else vectors:
         integrator.addPerDofVariable(name, 0)
-    for name in (EXACT_ONLY, PART, FRICTION, THERMAL):
+    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL):
         integrator.addGlobalVariable(name, 0)
+    n = len(program.parts)
+    integrator.setGlobalVariableByName(PARTS, n)
     _add_guard(integrator)
     integrator.beginIfBlock(f"{PART} < 0")
     integrator.addUpdateContextState()
     integrator.endBlock()
-    n = len(program.parts)
     for k, part in enumerate(program.parts):
         integrator.beginIfBlock(f"{PART} = {k}")
         for line in part:
@@ -48,33 +74,57 @@ def install(program: Program, integrator: openmm.CustomIntegrator) -> None:
                 else:
                     integrator.addComputePerDof(statement.target, f"{statement.expression}{lengths}; h = {n}*dt")
         integrator.endBlock()
-    if n:
+    _add_last_force(program, integrator)
+    # A program of one native step has nothing to count: OpenMM's GPU platforms upload all global variables after each
+    # computation of one.
+    if n > 1:
         integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
 
 
-def rewrite(integrator: openmm.CustomIntegrator, program: Program) -> None:
-    """Give an integrator another program. Its variables, functions, seed, tolerance and force groups stay.
+def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> None:
+    """Add a block that is never executed and uses the force group that the program uses last.
+
+    OpenMM computes what uses no force together with what uses the next force, and statements after the last one alone,
+    in kernels of their own.
+    """
+    used = [name for statement in program.statements for name in GROUP_FORCE.findall(statement.expression)]
+    if used:
+        integrator.beginIfBlock(f"{PART} = {NEVER}")
+        integrator.addComputePerDof("v", f"v + {used[-1]}/m")
+        integrator.endBlock()
+
+
+def rewrite(integrator: openmm.CustomIntegrator, program: Program, vectors: Iterable[str]) -> None:
+    """Give an integrator another program, and other per-atom variables. Nothing else of it changes.
 
     A program is written before its System is known, and OpenMM cannot take a computation back. So the Python object
     gets another OpenMM object, from the XML of its present one with other computations. This is possible until a
     Context is created, which holds the OpenMM object.
     """
-    donor = _alone(program)
+    donor = openmm.CustomIntegrator(1.0)
+    install(program, donor, vectors)
     root, other = (ElementTree.fromstring(openmm.XmlSerializer.serialize(one)) for one in (integrator, donor))
-    computations = [child.tag for child in root].index("Computations")
-    root[computations] = other[[child.tag for child in other].index("Computations")]
+    for tag in ("Computations", "PerDofVariables"):
+        index, source = ([child.tag for child in tree].index(tag) for tree in (root, other))
+        root[index] = other[source]
     # Unwrapped, it makes a plain CustomIntegrator and not one of ours.
     plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)
     integrator.this = plain(ElementTree.tostring(root, encoding="unicode")).this
+    integrator.setGlobalVariableByName(PARTS, len(program.parts))
 
 
-def refuse_additions(integrator: openmm.CustomIntegrator, program: Program) -> None:
-    """Refuse an integrator that has other computations than its program.
+def vectors_of(integrator: openmm.CustomIntegrator) -> set[str]:
+    """Return the names of the per-atom variables of an integrator."""
+    return set(map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables())))
+
+
+def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
+    """Refuse an integrator that has other computations than the number of its own.
 
     Raises:
         openmm.OpenMMException: somebody added some.
     """
-    if (count := integrator.getNumComputations()) != (own := _alone(program).getNumComputations()):
+    if (count := integrator.getNumComputations()) != own:
         raise openmm.OpenMMException(
             f"This integrator has {own} computations of its own and {count} now: a step of it is its scheme, and "
             "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
@@ -93,13 +143,6 @@ def set_variables(integrator: openmm.CustomIntegrator, bath: Thermostat | None, 
     for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
-
-
-def _alone(program: Program) -> openmm.CustomIntegrator:
-    """An integrator that has nothing but a program."""
-    integrator = openmm.CustomIntegrator(1.0)
-    install(program, integrator)
-    return integrator
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:

@@ -4,13 +4,20 @@ The program runs where the forces run, and XML carries it to interpreters withou
 `Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
-A step of the scheme is therefore divided into several steps of OpenMM, here called native steps, each of which computes
-forces at the positions that it starts from and nowhere else. All are h/n long, so that OpenMM's clock is right after
-every n of them.
+Where a System may have virtual sites, a step of the scheme is therefore divided into several steps of OpenMM, here
+called native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n
+long, so that OpenMM's clock is right after every n of them.
+
+What a step costs on a GPU is the kernels that it launches and the memory that these move. So a program has no
+computation of a global variable unless its step is divided (OpenMM uploads all of them after each), takes the slow
+forces by the name of their group where they have one of their own, and counts the heat of a bath only where it is asked
+to, since that takes four more projections of the velocities.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -24,8 +31,8 @@ from openmm_sier.engines.variables import PREFIX
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
 
-#: Per-atom variables of the program. They hold positions or a displacement to be undone, velocities to return to (after
-#: a step with a bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
+#: Per-atom variables of programs. They hold positions or a displacement to be undone, velocities to return to (after a
+#: step with one bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
 #: of the centre of mass, gave to each degree of freedom.
 KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
 VECTORS = (KEPT, V0, WORK)
@@ -44,6 +51,13 @@ INNER_SUBSTEPS = 3
 
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
+
+#: The longest step of leapfrog around a bath, ps. One RATTLE step follows the rotation of water with heavy hydrogens so
+#: long, and bonds between heavy atoms are stable up to 6 fs.
+LONGEST_LEAPFROG = 0.0045
+
+#: The condition of a block that is never executed: no native step has such a number.
+NEVER = -9
 
 
 class Statement(NamedTuple):
@@ -131,15 +145,30 @@ class Program(NamedTuple):
         name: of the scheme.
         parts: the lines of each native step.
         refusal: why there are none, for a scheme that cannot be written out.
+        inner_fraction: the longest inner step in units of h; 1 where there are none.
+        counts_heat: whether it counts the heat of its bath.
     """
 
     name: str
     parts: tuple[tuple[Line, ...], ...]
     refusal: str = ""
+    inner_fraction: float = 1.0
+    counts_heat: bool = True
+
+    @property
+    def statements(self) -> list[Statement]:
+        """All statements in the order of execution."""
+        return [statement for part in self.parts for line in part for statement, _ in line.executed()]
+
+    @property
+    def vectors(self) -> tuple[str, ...]:
+        """The per-atom variables that the statements use."""
+        text = " ".join(f"{statement.target} {statement.expression}" for statement in self.statements)
+        return tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
 
     def __str__(self) -> str:
         n = len(self.parts)
-        lines = [f"{self.name}: one step h = {n} native steps dt"]
+        lines = [f"{self.name}: one step h = {n} native step{'s' if n > 1 else ''} dt"]
         for k, part in enumerate(self.parts, 1):
             lines += [f"{k if i == 0 else '':>2} {line}" for i, line in enumerate(part)]
         for inner in dict.fromkeys(line.inner for part in self.parts for line in part if line.inner):
@@ -148,21 +177,30 @@ class Program(NamedTuple):
 
 
 def usual_substeps(scheme: Scheme, nested: bool) -> int:
-    """The least number of substeps whose errors are below those of the scheme at usual steps.
+    """Return the least number of substeps whose errors are below those of the scheme at usual steps.
 
     SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
-    as long as a drift of SIER4G, 3 fs, or a third of a step with a bath in the middle of its drift.
+    as long as a drift of SIER4G, 3 fs. Beside a bath in the middle of the drift one RATTLE step in each half, of 4.5
+    fs, has the averages of water that three have; with fast forces a third of the step is short enough for bonds.
     """
+    if scheme.bath_divides_drift:
+        return 2 if nested else 1
     is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
     if nested:
-        return 2 if is_long or scheme.bath_divides_drift else 1
+        return 2 if is_long else 1
     return 5 if is_long else 3
 
 
-def longest_inner_step(scheme: Scheme, substeps: int | None = None) -> float:
-    """The longest inner step of a program with fast forces, in units of h; None means `usual_substeps`."""
-    return scheme.inner_fraction(substeps or usual_substeps(scheme, nested=True))
+def leapfrog_steps(step: float, longest: float = math.inf) -> int:
+    """Return the least number of equal steps of leapfrog in a step, ps, each with a bath in the middle of its drift.
+
+    Args:
+        step: of the scheme, ps.
+        longest: that the fastest bond allows, ps.
+    """
+    # Nine femtoseconds are two steps of 4.5, whatever the rounding.
+    return max(1, math.ceil(step / min(LONGEST_LEAPFROG, longest) * (1 - 1e-9)))
 
 
 def write(
@@ -171,28 +209,35 @@ def write(
     fast_groups: Collection[int] = (),
     updates_context: bool = True,
     bath: Thermostat | None = None,
+    slow_group: int | None = None,
+    has_virtual_sites: bool = True,
+    baths: int | None = None,
 ) -> Program:
-    """The program of a scheme.
+    """Write the program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    move from the kicks into the drift, which becomes `substeps` steps of `Scheme.within_drifts`: its kicks use the fast
-    forces, and each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs
-    follows springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the
-    drift is an odd number of leapfrog steps with the bath in the middle of one.
+    move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
+    each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs follows
+    springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the drift is
+    an odd number of leapfrog steps with the bath in the middle of one.
 
-    Velocities are constrained where they are read, at the end of the step and before a bath, and not after every stage:
-    what they have along the constraints changes no position that is constrained next, since the constraint forces take
-    it up. Only forces at displaced positions are constrained where they act.
+    Velocities are constrained where they are read, at the end of the step and before a bath whose heat is counted, and
+    not after every stage: what they have along the constraints changes no position that is constrained next, since the
+    constraint forces take it up. Only forces at displaced positions are constrained where they act.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal steps of the inner scheme, the one with a bath in its
+            numbers are equal steps. With fast groups, equal inner steps in each drift, the one with a bath in its
             middle counted half. None: `usual_substeps`.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
-            counted as heat.
+            counted as heat, unless `baths` are not.
         bath: executes the scheme's bath, with whatever temperature and friction it is given later.
+        slow_group: the only force group of the slow forces; None: the sum of all forces less the fast ones.
+        has_virtual_sites: whether the System may have virtual sites; without them one native step is enough.
+        baths: None counts the heat of the bath. A number does not. A scheme with a bath in the middle of its drift then
+            has so many leapfrog steps, each with a bath, see `_leapfrog_with_bath`, in place of `substeps`.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
@@ -200,18 +245,34 @@ def write(
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
+    counts_heat = baths is None or BATH not in scheme.operators
+    slow = [("+", "f"), *(("-", name) for name in fast)] if slow_group is None else [("+", f"f{slow_group}")]
 
     def drift(stage: Stage) -> Line:
         return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
 
-    lines = [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))] if updates_context else []
-    lines += _lines(scheme.stages, "h", [("+", "f"), *(("-", name) for name in fast)], drift, bath)
-    if scheme.stages[-1].operator != BATH:
+    lines = _update(counts_heat) if updates_context else []
+    if scheme.bath_divides_drift and bath is not None and baths is not None:
+        lines += _lines(scheme.stages[:1], "h", slow, drift)
+        within = _leapfrog_with_bath([("+", name) for name in fast], bath)
+        lines.append(Line("leapfrog with a bath", (), (1 / baths,) * baths, "e/h", tuple(within)))
+        fraction = 1 / baths
+    else:
+        lines += _lines(scheme.stages, "h", slow, drift, bath, counts_heat)
+        fraction = scheme.inner_fraction(number) if fast else 1.0
+    if not (scheme.stages[-1].operator == BATH and counts_heat):
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
-    parts = _divided(lines)
+    parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
-    return Program(scheme.name, parts)
+    return Program(scheme.name, parts, inner_fraction=fraction, counts_heat=counts_heat)
+
+
+def _update(counts_heat: bool) -> list[Line]:
+    """Let OpenMM's barostats and CMMotionRemovers act."""
+    if not counts_heat:
+        return [Line("every step", (Statement(UPDATE),))]
+    return [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))]
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
@@ -228,7 +289,10 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
 
 
 def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) -> Line:
-    """A drift under the forces of fast groups, see `dynamics.constrained.steps_around_bath` for those beside a bath."""
+    """Write a drift under the forces of fast groups.
+
+    See `dynamics.constrained.steps_around_bath` for drifts beside a bath.
+    """
     force = [("+", name) for name in fast]
     title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
     if not scheme.bath_divides_drift:
@@ -236,14 +300,42 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
         within = _lines(scheme.within_drifts.stages, "e", force, lambda one: inner_drift(one.fraction))
         return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
     e = scheme.inner_fraction(number)
-    whole, half = (Stage(KICK, 1), Stage(DRIFT, 1)) * (number - 1), Stage(DRIFT, 0.5)
+    whole = (Stage(KICK, 1), Stage(DRIFT, 1)) * (number - 1)
+    half = Stage(DRIFT, 0.5)
     stages = (half, *whole) if stage.operator == DRIFT_FROM_BATH else (*whole, Stage(KICK, 1), half)
     within = _lines(stages, "e", force, lambda one: _drift(one.fraction, 1, "d/e"))
     return Line(title, (), (e,), "e/h", tuple(within))
 
 
-def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Drift, bath: Thermostat | None = None) -> list[Line]:
-    """Stages for a step called `h`; `drift` writes one from its stage."""
+def _leapfrog_with_bath(fast: Force, bath: Thermostat) -> list[Line]:
+    """Write a step e of leapfrog: kick, half drift, bath, half drift.
+
+    Constraints move the positions once, at its end, as in OpenMM's LangevinMiddleIntegrator. They take up the noise
+    along them. So velocities at the end of the step are those after the last bath, moved freely.
+
+    Source: Zhang et al., J. Phys. Chem. A 123, 6056 (2019).
+    """
+    kick = [Line("kick", tuple(_summed("v", "v", "e*", fast)))] if fast else []
+    halves = (
+        Statement("x", "x + 0.5*e*v"),
+        Statement("v", bath.velocity("e", FRICTION, THERMAL)),
+        Statement(KEPT, "x + 0.5*e*v"),
+        Statement("x", KEPT),
+        Statement(CONSTRAIN_X),
+        Statement("v", f"v + (x - {KEPT})/e"),
+    )
+    return [*kick, Line("half drift, bath, half drift", halves)]
+
+
+def _lines(
+    stages: Iterable[Stage],
+    h: str,
+    force: Force,
+    drift: Drift,
+    bath: Thermostat | None = None,
+    counts_heat: bool = True,
+) -> list[Line]:
+    """Write stages for a step called `h`; `drift` writes one from its stage."""
     lines: list[Line] = []
     for stage in stages:
         time = f"{stage.fraction!r}*{h}"
@@ -254,7 +346,7 @@ def _lines(stages: Iterable[Stage], h: str, force: Force, drift: Drift, bath: Th
         elif stage.operator == GRADIENT_KICK:
             lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
         elif stage.operator == BATH and bath is not None:
-            lines.append(_bath(bath.velocity(time, FRICTION, THERMAL)))
+            lines.append(_bath(bath.velocity(time, FRICTION, THERMAL), counts_heat))
         else:
             raise ValueError(f"the operator '{stage.operator}' cannot be written out")
     return lines
@@ -314,8 +406,10 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(velocity: str) -> Line:
-    """A bath of the constrained velocities: constraining projects the noise too."""
+def _bath(velocity: str, counts_heat: bool = True) -> Line:
+    """Write a bath. Where its heat is counted, velocities are constrained before and after it, and kept."""
     drawn = Statement("v", velocity)
+    if not counts_heat:
+        return Line("bath", (drawn,))
     after = Statement(CONSTRAIN_V), GAINED, Statement(V0, "v")
     return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, *after))

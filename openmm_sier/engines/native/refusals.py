@@ -14,6 +14,7 @@ from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
+from openmm_sier.system.solver_trial import LINE_REMEDY, Unsolved
 
 
 def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
@@ -60,6 +61,19 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
                     "`bodies`: constrain every two atoms of it"
                 )
     return None
+
+
+def refuse_unsolved(unsolved: Unsolved | None) -> None:
+    """Refuse constraints that OpenMM's solvers cannot satisfy, if any were found.
+
+    Raises:
+        openmm.OpenMMException: the message names their atoms, and the remedy.
+    """
+    if unsolved is not None:
+        remedy = LINE_REMEDY if unsolved.is_line else "Take engine='exact', which any platform runs"
+        raise openmm.OpenMMException(
+            f"The native engine leaves constraints to OpenMM, which cannot satisfy {unsolved}. {remedy}"
+        )
 
 
 def refuse_fast_forces(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:

@@ -1,0 +1,107 @@
+"""What a restart cuts from the files of its run: what a killed run wrote after its last checkpoint, and no more."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from openmm_sier.cli.files import checkpoints, records
+from openmm_sier.cli.files.kinds import KINDS
+from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.plan import Plan, RunError, noted_plan
+
+
+class Cut(NamedTuple):
+    """What is cut from a file.
+
+    Attributes:
+        path: of the file.
+        step: of its last record, which may be incomplete.
+    """
+
+    path: Path
+    step: int
+
+
+def find_cuts(plan: Plan, notes: Mapping[str, Any]) -> list[Cut]:
+    """Return what a restart cuts from each file that has records after the checkpoint.
+
+    Args:
+        plan: of the run.
+        notes: of the checkpoint, with which the files begin.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    found = []
+    for name, kind in KINDS.items():
+        if (path := getattr(plan, kind.option)) is None:
+            continue
+        if count := kind.format(path).records_after(path, notes[name]["size"]):
+            interval = plan.interval(getattr(plan, kind.every))
+            found.append(Cut(path, (notes["step"] // interval + count) * interval))
+    return found
+
+
+def describe(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> str:
+    """Say what is cut, from where and back to where."""
+    files = ", ".join(f"{cut.path} from {_ps(plan, cut.step)}" for cut in cuts)
+    return f"cuts back to {_ps(plan, step)}, where {checkpoint} is: {files}"
+
+
+def refuse_to_lose(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> None:
+    """Refuse to cut more than a killed run leaves after its last checkpoint.
+
+    A run writes its next checkpoint one interval later at the latest. What goes on beyond that, or belongs to a later
+    checkpoint, is the trajectory of a run that went on, as after a restart from a copy of a checkpoint.
+
+    Args:
+        cuts: as `find_cuts` gives them.
+        plan: of the run.
+        checkpoint, step: the checkpoint and where it is.
+
+    Raises:
+        RunError: naming the files, what they would lose, and a later checkpoint of the run if there is one.
+    """
+    if not cuts:
+        return
+    interval = plan.interval(plan.checkpoint_every)
+    next_checkpoint = (step // interval + 1) * interval
+    last = max(cut.step for cut in cuts)
+    later = _later_checkpoint(cuts, plan, checkpoint, step)
+    if later is None and last <= next_checkpoint:
+        return
+    files = ", ".join(str(cut.path) for cut in cuts)
+    reason = f"{later} is a later checkpoint of them" if later else "no killed run goes on so far after its checkpoint"
+    raise RunError(
+        f"{checkpoint} is at {_ps(plan, step)}, but {files} go on to {_ps(plan, last)}, and {reason}: this restart "
+        f"would cut them back. Give {later or 'the last checkpoint of the run'} to --restart; or begin a new run with "
+        f"--start {checkpoint} and another --out; or allow the cut by --overwrite"
+    )
+
+
+def _later_checkpoint(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> Path | None:
+    """Return the last checkpoint of the same run, beside this one or its files, that is beyond this one's step."""
+    places = {path.parent for path in (checkpoint, *(cut.path for cut in cuts))}
+    latest, found = step, None
+    for other in sorted(path for place in places for path in place.glob("*.chk")):
+        # Other files may be anything.
+        with suppress(ValueError, LookupError, TypeError, OSError):
+            notes = checkpoints.read_notes(other)
+            if notes["step"] > latest and _is_of(cuts, noted_plan(other, notes["plan"]), notes):
+                latest, found = notes["step"], other
+    return found
+
+
+def _is_of(cuts: Sequence[Cut], plan: Plan, notes: Mapping[str, Any]) -> bool:
+    """Return whether a checkpoint, by its plan and notes, belongs to one of the files as it is now."""
+    for name, kind in KINDS.items():
+        path = getattr(plan, kind.option)
+        if path is not None and any(same_file(path, cut.path) for cut in cuts):
+            records.check(path, records.Noted(**notes[name]))
+            return True
+    return False
+
+
+def _ps(plan: Plan, step: int) -> str:
+    return f"{step * plan.step_time:g} ps"

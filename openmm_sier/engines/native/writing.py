@@ -1,0 +1,73 @@
+"""Which program an integrator gets: a general one, and for a System the one that costs least there."""
+
+from typing import Any
+
+import openmm
+
+from openmm_sier.engines.native import refusals
+from openmm_sier.engines.native.program import Program, leapfrog_steps, write
+from openmm_sier.engines.protocol import Flow
+from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+from openmm_sier.system.vibrations import Vibrations
+
+
+def general_program(flow: Flow) -> Program:
+    """Return a program that follows a flow in any System; one without parts where the flow cannot be written out."""
+    return _written(flow)
+
+
+def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool) -> Program:
+    """Return the program that follows a flow in a System, and costs least there.
+
+    Args:
+        flow: what to follow.
+        system: openmm.System.
+        groups: the integration force groups, a bit mask.
+        counts_heat: whether to count the heat of a bath where the flow leaves that open.
+
+    Returns:
+        A program, or one without parts where the flow cannot be written out.
+    """
+    slow = groups_of(_acting_groups(system) & groups & ~flow.fast_groups)
+    counts_heat = counts_heat if flow.counts_heat is None else flow.counts_heat
+    return _written(
+        flow,
+        # By its name the force of a group is right only if no other slow force acts.
+        slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
+        has_virtual_sites=any(map(system.isVirtualSite, range(system.getNumParticles()))),
+        baths=None if counts_heat else _baths(flow, system, groups),
+    )
+
+
+def _baths(flow: Flow, system: openmm.System, groups: int) -> int:
+    """Return the number of baths in a step whose heat is not counted."""
+    if flow.substeps is not None:
+        return 2 * flow.substeps - 1
+    if not flow.fast_groups:
+        return leapfrog_steps(flow.step)
+    vibrations = Vibrations(system, refusals.points(system))
+    return leapfrog_steps(
+        flow.step, vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
+    )
+
+
+def _written(flow: Flow, **choices: Any) -> Program:
+    """Write a program by `program.write`, or one without parts that says why not."""
+    fast = groups_of(flow.fast_groups)
+    try:
+        return write(flow.scheme, flow.substeps, fast, flow.updates_context, flow.bath, **choices)
+    except ValueError as error:
+        return Program(flow.scheme.name, (), str(error))
+
+
+def _acting_groups(system: openmm.System) -> int:
+    """Return the force groups of all Forces that exert forces, a bit mask."""
+    mask = 0
+    for force in system.getForces():
+        if isinstance(force, WITHOUT_FORCES):
+            continue
+        mask |= 1 << force.getForceGroup()
+        if isinstance(force, openmm.NonbondedForce) and force.getReciprocalSpaceForceGroup() >= 0:
+            mask |= 1 << force.getReciprocalSpaceForceGroup()
+    return mask

@@ -1,0 +1,70 @@
+"""What a minimizer cannot part: bodies that overlap with others which they cannot pass, at a minimum of the energy."""
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.engines import interrupts
+from openmm_sier.system.notices import notify
+
+#: nm, by which bodies are moved to find how stiffly others hold them. Forces in single precision, rounded to 1e-6 of
+#: 1e5 kJ/mol/nm, give the stiffness to 1e3 kJ/mol/nm^2 then.
+DISPLACEMENT = 1e-4
+
+#: kJ/mol/nm^2, above which a body is held by overlaps. All bonds of an atom of a protein together have up to 1e6. Two
+#: atoms with a Lennard-Jones well of 1 kJ/mol and a diameter of 0.3 nm reach it at 0.62 of that, at 1200 kJ/mol.
+STIFFEST = 5e6
+
+_FORCE = unit.kilojoule_per_mole / unit.nanometer
+
+
+def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
+    """Warn of bodies that still overlap with others after a minimization.
+
+    Forces do not tell, since they cancel at a minimum, and those within a rigid body may be of any size. So all bodies
+    are moved by random displacements, as wholes, and the change of the forces on each is looked at. The positions are
+    then those of before.
+
+    Args:
+        context: openmm.Context, after a minimization.
+        bodies: that move in it.
+    """
+    stiffness = _stiffness(context, bodies)
+    overlapping = np.flatnonzero(stiffness > STIFFEST)
+    if not overlapping.size:
+        return
+    # Of two that hold each other the lighter is the one to move.
+    worst = int(overlapping[np.argmax(stiffness[overlapping] / bodies.masses[overlapping])])
+    energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    notify(
+        f"After the minimization, at {energy:.5g} kJ/mol, {overlapping.size} bodies or atoms still overlap with "
+        f"others, most of all {bodies.describe(worst)}: its neighbours hold it with {stiffness[worst]:.2g} kJ/mol/nm2, "
+        "where all bonds of an atom have up to 1e6. Minimize for longer if the iterations were limited. Otherwise it "
+        "cannot pass them, as an atom inside a rigid body cannot: give other positions"
+    )
+
+
+def _stiffness(context: openmm.Context, bodies: RigidBodies) -> np.ndarray:
+    """Return the change of the force on each body over its displacement, (n,), kJ/mol/nm^2; 0 if it is not finite."""
+    positions = context.getState(positions=True).getPositions(asNumpy=True)
+    moved = bodies.owners >= 0
+    owners = bodies.owners[moved]
+    directions = np.random.default_rng(0).normal(size=(bodies.n, 3))
+    shifts = DISPLACEMENT * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    displaced = np.array(positions.value_in_unit(unit.nanometer))
+    displaced[moved] += shifts[owners]
+
+    def forces() -> np.ndarray:
+        found = context.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)[moved]
+        return np.stack([np.bincount(owners, column, bodies.n) for column in found.T], axis=1)
+
+    with interrupts.deferred():
+        before = forces()
+        context.setPositions(displaced)
+        try:
+            context.computeVirtualSites()
+            after = forces()
+        finally:
+            context.setPositions(positions)
+    return np.nan_to_num(np.linalg.norm(after - before, axis=1), nan=0.0, posinf=0.0) / DISPLACEMENT

@@ -1,0 +1,180 @@
+"""The work that each Force of a Context does along a short motion of bodies, less what its energy loses there.
+
+Bodies move on straight lines and turn about fixed axes, each in a random direction. Where forces are the gradient of an
+energy the difference is zero, to the rounding of the platform.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+
+#: nm. Atoms move about so far to either side of where they are. Differences of energies in single precision need as
+#: much, and Simpson's rule follows the steepest repulsion over it to 1e-5.
+REACH = 5e-3
+
+#: A motion is divided into so many segments. What is rounding, or a pair that crosses a cut-off, differs between them.
+SEGMENTS = 5
+
+#: OpenMM has 32 force groups. One is for all Forces that are not looked at.
+BATCH = 31
+
+_FORCE = unit.kilojoule_per_mole / unit.nanometer
+
+
+class Mismatch(NamedTuple):
+    """Work less loss of energy, over the length of a motion along which bodies move by 1 in each direction.
+
+    Attributes:
+        mean: over the segments of the motion, kJ/mol/nm.
+        error: standard error of the mean, by the scatter of the segments.
+        force: the norm of what moves the bodies in such directions, kJ/mol/nm.
+    """
+
+    mean: float
+    error: float
+    force: float
+
+
+class Directions(NamedTuple):
+    """Velocities of bodies, (n, 3), and their rates of rotation, (n, 3), along a motion."""
+
+    velocity: np.ndarray
+    spin: np.ndarray
+
+
+class Motions:
+    """Random motions of some bodies, and what Forces do along them.
+
+    Attributes:
+        forces: numbers of the Forces of the System that exert forces.
+        radii: of gyration of the bodies, not weighted by mass, (n,), nm; 0 for points.
+    """
+
+    def __init__(self, context: openmm.Context, bodies: RigidBodies, seed: int):
+        """
+        Args:
+            context: with positions; it is not changed.
+            bodies: what moves in it.
+            seed: of the random directions.
+        """
+        self._random, self._n = np.random.default_rng(seed), bodies.n
+        state = context.getState(positions=True)
+        self._positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        self._moved = np.flatnonzero(bodies.owners >= 0)
+        self._owners = bodies.owners[self._moved]
+        count = np.bincount(self._owners, minlength=bodies.n)
+        self._centres = self._sums(self._positions[self._moved]) / count[:, None]
+        self._arms = self._positions[self._moved] - self._centres[self._owners]
+        self.radii = np.sqrt(self._sums(self._arms**2).sum(axis=1) / count)
+        system = context.getSystem()
+        kinds = enumerate(system.getForces())
+        self.forces = [number for number, force in kinds if not isinstance(force, WITHOUT_FORCES)]
+        batches = [self.forces[i : i + BATCH] for i in range(0, len(self.forces), BATCH)]
+        self._contexts = [(batch, _by_groups(context, state, batch)) for batch in batches]
+
+    def along(self, members: np.ndarray, numbers: Sequence[int], turns: bool) -> dict[int, Mismatch]:
+        """Move bodies in random directions, and measure what Forces do.
+
+        Args:
+            members: numbers of the bodies that move, (m,).
+            numbers: of the Forces.
+            turns: whether the bodies turn about their centres, or are shifted.
+
+        Raises:
+            openmm.OpenMMException: an energy or a force is not finite.
+        """
+        directions = self._directions(members, turns)
+        times = REACH * np.linspace(-1, 1, 2 * SEGMENTS + 1)
+        found = {}
+        for batch, context in self._contexts:
+            groups = {number: 1 << group for group, number in enumerate(batch) if number in numbers}
+            points = [self._evaluate(context, groups, directions, time) for time in times] if groups else []
+            for number in groups:
+                energies, powers, forces = np.array([point[number] for point in points]).T
+                found[number] = _mismatch(energies, powers, forces[SEGMENTS], times[1] - times[0])
+        return found
+
+    def _directions(self, members: np.ndarray, turns: bool) -> Directions:
+        moves = Directions(*np.zeros((2, self._n, 3)))
+        random = self._random.standard_normal((len(members), 3))
+        if turns:
+            # Atoms move as far as they do by shifts.
+            radii = self.radii[members, None]
+            moves.spin[members] = np.divide(random, radii, out=np.zeros_like(random), where=radii > 0)
+        else:
+            moves.velocity[members] = random
+        return moves
+
+    def _evaluate(
+        self, context: openmm.Context, groups: dict[int, int], moves: Directions, time: float
+    ) -> dict[int, tuple[float, float, float]]:
+        """Return for each Force its energy, its power along the motion, and the norm of what moves the bodies."""
+        velocity, spin = moves.velocity[self._owners], moves.spin[self._owners]
+        arms = _turned(self._arms, spin * time)
+        positions = self._positions.copy()
+        positions[self._moved] = self._centres[self._owners] + velocity * time + arms
+        context.setPositions(positions)
+        context.computeVirtualSites()
+        speeds = velocity + np.cross(spin, arms)
+        found = {}
+        for number, group in groups.items():
+            state = context.getState(energy=True, forces=True, groups=group)
+            energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+            forces = state.getForces(asNumpy=True).value_in_unit(_FORCE)[self._moved]
+            if not (math.isfinite(energy) and np.isfinite(forces).all()):
+                name = context.getSystem().getForce(number).getName()
+                raise openmm.OpenMMException(
+                    f"The energy of {name} is {energy} where atoms are, or near it, or its forces are not finite. Set "
+                    "positions, and minimize the energy where atoms overlap"
+                )
+            acting = self._acting(forces, arms, moves)
+            found[number] = energy, float((forces * speeds).sum()), float(np.linalg.norm(acting))
+        return found
+
+    def _acting(self, forces: np.ndarray, arms: np.ndarray, moves: Directions) -> np.ndarray:
+        """Return forces on the bodies that are shifted, and torques over radii on those that turn."""
+        shifted, turned = (moves.velocity != 0).any(axis=1), (moves.spin != 0).any(axis=1)
+        torques = self._sums(np.cross(arms, forces))[turned] / self.radii[turned, None]
+        return np.concatenate([self._sums(forces)[shifted], torques])
+
+    def _sums(self, values: np.ndarray) -> np.ndarray:
+        """Return sums (n, 3) of values (m, 3) over the atoms of each body."""
+        return np.stack([np.bincount(self._owners, column, self._n) for column in values.T], axis=1)
+
+
+def _mismatch(energies: np.ndarray, powers: np.ndarray, force: float, interval: float) -> Mismatch:
+    """Compare energies and powers at equally spaced points, two for each segment and one more."""
+    work = interval / 3 * (powers[:-2:2] + 4 * powers[1:-1:2] + powers[2::2])
+    each = (work + np.diff(energies[::2])) / (2 * interval)
+    return Mismatch(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))), float(force))
+
+
+def _by_groups(context: openmm.Context, state: openmm.State, batch: Sequence[int]) -> openmm.Context:
+    """Make a Context of the same System in which each Force of a batch has a group of its own, in their order."""
+    system = openmm.XmlSerializer.clone(context.getSystem())
+    for number, force in enumerate(system.getForces()):
+        force.setForceGroup(batch.index(number) if number in batch else BATCH)
+        if isinstance(force, openmm.NonbondedForce):
+            force.setReciprocalSpaceForceGroup(-1)
+    platform = context.getPlatform()
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+    found = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
+    found.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    for name, value in context.getParameters().items():
+        found.setParameter(name, value)
+    return found
+
+
+def _turned(arms: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Turn vectors (m, 3) by rotation vectors (m, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(angles, axis=1, keepdims=True)
+    axis = np.divide(angles, angle, out=np.zeros_like(angles), where=angle > 0)
+    along = (axis * arms).sum(axis=1, keepdims=True) * axis
+    return along + np.cos(angle) * (arms - along) + np.sin(angle) * np.cross(axis, arms)

@@ -1,0 +1,136 @@
+"""The Forces of a System with those that Forces contain, as an ATMForce and a CustomCVForce do.
+
+OpenMM evaluates inner Forces in Contexts of their own, with their cut-offs, meshes and charges.
+"""
+
+import copy
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import openmm
+from openmm import unit
+
+#: Values of collective variables at which a derivative is compared with itself, to see whether it is constant. Energies
+#: of a box in kJ/mol, and distances in nm, are of these sizes.
+TRIED = (0.0, 0.31, -2.7, 41.0, -380.0, 5200.0, -71000.0)
+
+#: Relative difference up to which derivatives are the same.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Part:
+    """A Force of a System, or one that a Force of it contains.
+
+    Attributes:
+        force: the Force itself, which may be changed.
+        number: of the Force of the System that it is or that contains it.
+        group: the force group of that one, in which it acts.
+        within: the Forces that contain it, the outermost first, each with the number under which it does.
+    """
+
+    force: openmm.Force
+    number: int
+    group: int
+    within: tuple[tuple[openmm.Force, int], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its name, and of what it is a part."""
+        return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.within))])
+
+    @property
+    def weight(self) -> float | None:
+        """The factor of its energy in that of the System; None where that is no constant.
+
+        An ATMForce divides an energy between two states, and energies that these share count once. A CustomCVForce
+        multiplies it by the derivative of its expression, where that is constant, with global parameters at their
+        defaults.
+        """
+        product = 1.0
+        for outer, index in self.within:
+            factor = 1.0 if isinstance(outer, openmm.ATMForce) else _constant_derivative(outer, index)
+            if factor is None:
+                return None
+            product *= factor
+        return product
+
+
+def parts(system: openmm.System) -> Iterator[Part]:
+    """Give each Force of a System, followed by those that it contains."""
+    for number, force in enumerate(system.getForces()):
+        yield from _with_inner(Part(force, number, force.getForceGroup()))
+
+
+def is_linear(force: openmm.CustomCVForce) -> bool:
+    """Return whether a CustomCVForce only adds up the energies of its variables, with constant factors."""
+    return all(_constant_derivative(force, i) is not None for i in range(force.getNumCollectiveVariables()))
+
+
+def pme_parameters(force: openmm.Force) -> tuple[float, int, int, int]:
+    """Return the Ewald parameter in 1/nm, and the mesh, that were set for a Force; zeros leave them to OpenMM.
+
+    Some Forces give the first one without a unit.
+    """
+    alpha, *mesh = force.getPMEParameters()
+    return (alpha.value_in_unit(unit.nanometer**-1) if unit.is_quantity(alpha) else alpha, *mesh)
+
+
+def _with_inner(part: Part) -> Iterator[Part]:
+    yield part
+    for index, force in enumerate(_inner(part.force)):
+        yield from _with_inner(Part(force, part.number, part.group, (*part.within, (part.force, index))))
+
+
+def _inner(force: openmm.Force) -> list[openmm.Force]:
+    if isinstance(force, openmm.ATMForce):
+        return [_of_its_class(force.getForce(i)) for i in range(force.getNumForces())]
+    if isinstance(force, openmm.CustomCVForce):
+        return [force.getCollectiveVariable(i) for i in range(force.getNumCollectiveVariables())]
+    return []
+
+
+def _of_its_class(force: openmm.Force) -> openmm.Force:
+    """Give a Force as an object of its own class: `ATMForce.getForce` gives a plain Force, without its methods.
+
+    A System tells the classes of its Forces. This one is never deleted, since it would delete the Force, which belongs
+    to another; it holds 200 bytes.
+    """
+    if type(force) is not openmm.Force:
+        return force
+    holder = openmm.System()
+    holder.thisown = False
+    force.thisown = True
+    holder.addForce(force)
+    return holder.getForce(0)
+
+
+def _constant_derivative(force: openmm.CustomCVForce, index: int) -> float | None:
+    """Return the derivative of a CustomCVForce's energy by one of its variables, or None if it depends on any."""
+    names = [force.getCollectiveVariableName(i) for i in range(force.getNumCollectiveVariables())]
+    # The same expression of parameters in place of variables.
+    expression = openmm.CustomCVForce(force.getEnergyFunction())
+    for name in names:
+        expression.addGlobalParameter(name, 0.0)
+    for i in range(force.getNumGlobalParameters()):
+        expression.addGlobalParameter(force.getGlobalParameterName(i), force.getGlobalParameterDefaultValue(i))
+    for i in range(force.getNumTabulatedFunctions()):
+        function = copy.deepcopy(force.getTabulatedFunction(i))
+        expression.addTabulatedFunction(force.getTabulatedFunctionName(i), function)
+    expression.addEnergyParameterDerivative(names[index])
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addForce(expression)
+    reference = openmm.Platform.getPlatformByName("Reference")
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
+    context.setPositions([openmm.Vec3(0, 0, 0)])
+    found = []
+    for first in range(len(TRIED)):
+        for i, name in enumerate(names):
+            context.setParameter(name, TRIED[(first + i) % len(TRIED)])
+        found.append(context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()[names[index]])
+    same = all(math.isclose(value, found[0], rel_tol=ROUNDING) for value in found)
+    # Tables are zero outside their range, which may contain none of the values.
+    is_told = found[0] != 0 or not force.getNumTabulatedFunctions()
+    return found[0] if same and is_told else None

@@ -1,0 +1,198 @@
+"""The check of Forces against their energies: it finds those that are no gradient, and nothing in sound ones."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER4GIntegrator, check_forces
+from openmm_sier.observe.work import BATCH
+from tests.support.containers import CONTAINERS, contained
+from tests.support.peptides import capped_alanine
+from tests.support.silence import silence
+from tests.support.systems import field, with_forces
+from tests.support.waters import array, cluster_system, force_of, periodic_system, plain_context, platform
+
+PLATFORMS = ("Reference", "CPU")
+
+#: The atom that a wrong force acts on, and by how much that is wrong, kJ/mol/nm.
+WRONG_ATOM, WRONG = 10, 300.0
+
+#: Sizes are known by six random directions: the root of chi-squared over six is within these but for 1 in 10,000.
+LOWEST, HIGHEST = 0.25, 2.2
+
+
+def pushing(state):
+    """A constant force of which the energy knows nothing."""
+    forces = np.zeros((len(state.getPositions()), 3))
+    forces[WRONG_ATOM, 1] = WRONG
+    return 0.0 * unit.kilojoule_per_mole, forces * unit.kilojoule_per_mole / unit.nanometer
+
+
+def resting(state):
+    """An energy of which no force knows."""
+    x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    return WRONG * x[WRONG_ATOM, 1] * unit.kilojoule_per_mole, 0 * x * unit.kilojoule_per_mole / unit.nanometer
+
+
+# --- what is sound ---
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+@pytest.mark.parametrize(("model", "tolerance"), [("tip3p", 5e-4), ("tip4pew", 1e-4)])
+def test_water_is_sound(model, tolerance, name):
+    """With PME as OpenMM splits it, and a jump of Lennard-Jones energies."""
+    _, positions, system = periodic_system(model, 64)
+    force_of(system).setEwaldErrorTolerance(tolerance)
+    done = check_forces(plain_context(system, positions, name))
+    assert done.faults == ()
+    assert "All Forces are the gradients of their energies within 1 %" in str(done)
+    assert "NonbondedForce" in done.checked
+    assert "CMMotionRemover" not in done.checked
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_a_peptide_is_sound(name):
+    system, positions = capped_alanine(waters=4)
+    assert check_forces(plain_context(system, positions, name)).faults == ()
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_forces_within_forces_are_sound(name):
+    _, positions, system = periodic_system("tip3p", 64)
+    assert check_forces(plain_context(contained(system, name), positions, "CPU")).faults == ()
+
+
+# --- what is not ---
+
+
+def gay_berne(ex, ey):
+    """Eight ellipsoids of 0.4, 0.5 and 0.6 nm, each with two particles that are its axes: System and positions."""
+    random = np.random.default_rng(3)
+    system, force, positions = openmm.System(), openmm.GayBerneForce(), []
+    for number, corner in enumerate(np.ndindex(2, 2, 2)):
+        first = 3 * number
+        for mass in (10.0, 1.0, 1.0):
+            system.addParticle(mass)
+        force.addParticle(0.3, 1.0, first + 1, first + 2, 0.2, 0.25, 0.3, ex, ey, 0.9)
+        for _ in range(2):
+            force.addParticle(0.1, 0.0, -1, -1, 0.1, 0.1, 0.1, 1, 1, 1)
+        axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        centre = 0.6 * np.array(corner)
+        positions += [centre, centre + 0.1 * axes[0], centre + 0.1 * axes[1]]
+        for a, b, length in ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.1 * 2**0.5)):
+            system.addConstraint(first + a, first + b, length)
+    system.addForce(force)
+    return system, np.array(positions)
+
+
+def torque_error(context, positions, body):
+    """By how much the torque on a body of three atoms is wrong in each direction, by central differences."""
+    atoms = slice(3 * body, 3 * body + 3)
+    centre = positions[atoms].mean(axis=0)
+    arms = positions[atoms] - centre
+    torque = np.cross(arms, array(context.getState(forces=True).getForces())[atoms]).sum(axis=0)
+    wrong = []
+    for axis in np.eye(3):
+        energies = []
+        for angle in (-1e-5, 1e-5):
+            moved = positions.copy()
+            moved[atoms] += angle * np.cross(axis, arms)
+            context.setPositions(moved)
+            energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+        wrong.append(torque @ axis + (energies[1] - energies[0]) / 2e-5)
+    context.setPositions(positions)
+    return np.linalg.norm(wrong) / 3**0.5
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_gay_berne_with_different_well_depths_is_found(name):
+    """Its torques are wrong, on both platforms, as central differences show."""
+    system, positions = gay_berne(0.7, 1.3)
+    context = plain_context(system, positions, name)
+    (fault,) = check_forces(context).faults
+    assert (fault.force, fault.number, fault.turns) == ("GayBerneForce", 0, True)
+    body = fault.atoms[0] // 3
+    assert fault.atoms == tuple(range(3 * body, 3 * body + 3))
+    assert f"the torque on the body of atoms {fault.atoms[0]}, " in str(fault)
+    expected = torque_error(plain_context(system, positions), positions, body)
+    assert LOWEST * expected < fault.size < HIGHEST * expected
+    assert fault.size > 0.01 * fault.of
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+@pytest.mark.parametrize("wrong", [pushing, resting])
+def test_a_force_on_one_atom_is_found_among_many(wrong, name):
+    _, positions, system = cluster_system(24)
+    force = openmm.PythonForce(wrong)
+    force.setName("mine")
+    system.addForce(force)
+    (fault,) = check_forces(plain_context(system, positions, name)).faults
+    assert fault.force == "mine (PythonForce)"
+    assert fault.number == system.getNumForces() - 1
+    # A rigid water molecule is one body: atoms 9, 10 and 11.
+    assert fault.atoms == (9, 10, 11)
+    text = str(fault)
+    assert text.startswith("mine (PythonForce), Force ")
+    assert "is not the gradient of its energy" in text
+    if not fault.turns:
+        assert LOWEST * WRONG / 3**0.5 < fault.size < HIGHEST * WRONG / 3**0.5
+
+
+def test_more_forces_than_groups():
+    """The wrong one is the last of them, behind as many as OpenMM has groups."""
+    _, positions, system = cluster_system(4)
+    springs = [field(f"{1 + i}*x^2", [i % 12]) for i in range(BATCH + 4)]
+    system = with_forces(system, *springs)
+    system.addForce(openmm.PythonForce(pushing))
+    done = check_forces(plain_context(system, positions))
+    assert [fault.force for fault in done.faults] == ["PythonForce"]
+    assert len(done.checked) == system.getNumForces()
+
+
+# --- what it leaves as it is, and refuses ---
+
+
+def test_a_context_of_this_package_is_not_changed():
+    _, positions, system = cluster_system(4)
+    integrator = SIER4GIntegrator(0.002)
+    with silence():
+        context = openmm.Context(system, integrator, platform())
+        context.setPositions(positions)
+        context.setVelocitiesToTemperature(297, 1)
+        integrator.step(2)
+        before, xml = context.getState(positions=True, velocities=True), openmm.XmlSerializer.serialize(system)
+        assert check_forces(context).faults == ()
+    after = context.getState(positions=True, velocities=True)
+    assert np.array_equal(array(before.getPositions()), array(after.getPositions()))
+    assert np.array_equal(array(before.getVelocities()), array(after.getVelocities()))
+    assert openmm.XmlSerializer.serialize(system) == xml
+
+
+def test_parameters_of_the_context_count():
+    """At its default the parameter leaves nothing of the force."""
+    _, positions, system = cluster_system(4)
+    system.addForce(field("scale*x^2", [0], scale=0.0))
+    wrong = openmm.CustomCVForce("scale*push")
+    wrong.addGlobalParameter("scale", 0.0)
+    wrong.addCollectiveVariable("push", openmm.PythonForce(pushing))
+    system.addForce(wrong)
+    context = plain_context(system, positions)
+    assert check_forces(context).faults == ()
+    context.setParameter("scale", 1.0)
+    assert [fault.force for fault in check_forces(context).faults] == ["CustomCVForce"]
+
+
+def test_what_is_given_wrongly_is_refused():
+    _, positions, system = cluster_system(2)
+    context = plain_context(system, positions)
+    with pytest.raises(TypeError, match=r"context must be an openmm\.Context, got a System"):
+        check_forces(system)
+    for tolerance in (0, 1, -0.1, float("nan")):
+        with pytest.raises(ValueError, match="tolerance must be between 0 and 1, got"):
+            check_forces(context, tolerance=tolerance)
+    empty = openmm.Context(copy.deepcopy(system), openmm.VerletIntegrator(0.001), platform())
+    with pytest.raises(openmm.OpenMMException, match=r"energy of NonbondedForce is nan .*Set positions"):
+        check_forces(empty)
