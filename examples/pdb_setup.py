@@ -61,7 +61,7 @@ simulation.reporters.append(DCDReporter(options.out, max(1, options.steps // 10)
 simulation.step(options.steps)
 
 state = simulation.context.getState(energy=True)
-_, translation, rotation, _ = integrator.computeTemperatures()
+_, translation, rotation, _ = integrator.computeTemperatures().in_kelvin()
 potential = state.getPotentialEnergy().value_in_unit(kilojoule_per_mole)
 print(f"after {options.steps} steps the potential energy is {potential:.0f} kJ/mol,")
 print(f"translation at {translation:.0f} K, rotation at {rotation:.0f} K; the trajectory is in {options.out}")

@@ -32,6 +32,6 @@ simulation.context.setVelocitiesToTemperature(297 * kelvin, 1)
 simulation.reporters.append(ConservationReporter("peptide.csv", max(1, steps // 50)))
 simulation.step(steps)
 
-found = integrator.computeTemperatures()
+found = integrator.computeTemperatures().in_kelvin()
 print(f"water's translation at {found.translation:.0f} K, its rotation at {found.rotation:.0f} K,")
 print(f"the peptide at {found.flexible:.0f} K after {steps} steps; peptide.csv has the conserved energy.")

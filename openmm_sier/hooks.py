@@ -33,6 +33,7 @@ from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
+from openmm_sier.system import tables
 from openmm_sier.system.unchanged import UnchangedSystem
 
 
@@ -88,13 +89,17 @@ def _binding_of(context: openmm.Context) -> Binding | None:
 
 def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     # OpenMM's constructor takes its arguments by position.
-    if len(args) > 1:
-        _refuse_parts(args[1])
-        if isinstance(revived(args[1], SIERIntegrator), SIERIntegrator):
-            args[1].binding.prepare(args[0], args[2] if len(args) > 2 else None)
-    method(context, *args, **kwargs)
-    if binding := _binding_of(context):
-        binding.bind(context)
+    system, integrator, platform = (*args, None, None, None)[:3]
+    if integrator is not None:
+        _refuse_parts(integrator)
+        revived(integrator, SIERIntegrator)
+    if not isinstance(integrator, SIERIntegrator):
+        method(context, *args, **kwargs)
+        return
+    with tables.read_once():
+        integrator.binding.prepare(system, platform)
+        method(context, *args, **kwargs)
+        integrator.binding.bind(context)
 
 
 def _refuse_parts(integrator: openmm.Integrator) -> None:

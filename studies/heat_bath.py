@@ -220,7 +220,7 @@ class Observer:
 
     def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
         if isinstance(integrator, SIERIntegrator):
-            known = integrator.computeTemperatures()
+            known = integrator.computeTemperatures().in_kelvin()
             return known._asdict() | {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
         twice = self._masses * (speeds**2).sum(axis=1)
         found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}

@@ -107,6 +107,7 @@ class Simulated:
         usual = METHODS[scheme].usual_step(plan.ensemble, plan.hydrogen_mass)
         stand_in = plan if plan.method.scheme else replace(plan, scheme=scheme, dt=usual)
         begun = make_context(self.box.system, self.integrator(stand_in), options.platform)
+        begun.getIntegrator().binding.check_step()
         positions, minimize = self.box.positions, options.minimize
         if state is not None:
             self._start_from(begun, state, origin)

@@ -52,7 +52,7 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
     Raises:
         RunawayError: a temperature is above its bound, or no number.
     """
-    found = context.getIntegrator().computeTemperatures()
+    found = context.getIntegrator().computeTemperatures().in_kelvin()
     for name, bound in bounds.items():
         if not (temperature := getattr(found, name)) <= bound:
             raise RunawayError(f"the temperature of {name} is {temperature:.3g} K, above {bound:.4g} K")

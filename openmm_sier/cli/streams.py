@@ -6,17 +6,20 @@ import os
 import sys
 from typing import TextIO
 
-from openmm_sier.system import vibrations
+from openmm_sier.system import advice
 
 PROGRAM = "openmm-sier"
 
 #: What the library advises its callers, as options of the command, which prepares every System.
 AS_OPTIONS = {
-    vibrations.SHORTER_STEP: "Take a shorter step (--dt)",
-    vibrations.MORE_SUBSTEPS: "Take a shorter step (--dt)",
-    vibrations.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
-    vibrations.KEEP_HEAVY: "",
-    vibrations.HEAVY: "--hydrogen-mass 4",
+    advice.PREPARE: "Take a shorter step (--dt)",
+    advice.SHORTER_STEP: "Take a shorter step (--dt)",
+    advice.MORE_SUBSTEPS: "Take a shorter step (--dt)",
+    advice.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+    advice.CONSTRAIN_HEAVY: "hold the bond by --constraints allbonds, or its residue by --rigid NAME",
+    advice.ONE_BODY: "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
+    advice.KEEP_HEAVY: "",
+    advice.HEAVY: "--hydrogen-mass 4",
 }
 
 
@@ -46,8 +49,8 @@ def complain(message: str) -> None:
 def for_the_command(message: Warning | BaseException | str) -> str:
     """A message of the library in one line, with options of the command in place of arguments."""
     text = " ".join(str(message).split())
-    for advice, option in AS_OPTIONS.items():
-        text = text.replace(advice, option)
+    for words, option in AS_OPTIONS.items():
+        text = text.replace(words, option)
     return text
 
 

@@ -366,8 +366,8 @@ class RigidBodies:
         return float(self.masses.sum())
 
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Velocity of the centre of mass of all bodies, (3,), nm/ps, at momenta (3, n)."""
-        return p.sum(axis=1) / self.mass
+        """Velocity of the centre of mass of all bodies, (3,), nm/ps, at momenta (3, n); zero without bodies."""
+        return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
         """The state with a velocity, (3,), nm/ps, added to all bodies, and its energy to the heat."""

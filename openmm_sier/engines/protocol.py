@@ -19,8 +19,10 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.beginnings import refuse_hopeless_start
+from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
+from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
 
 # OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
@@ -174,6 +176,16 @@ class Engine(ABC):
     def _recover(self) -> None:
         """After an error: write the last completed step to the Context as far as the engine still has it."""
         self._publish()
+
+    @abstractmethod
+    def check_step(self, flow: Flow) -> None:
+        """Refuse a flow whose step is too long, by what is known before there are positions.
+
+        Every step is checked when it is made; this tells it earlier.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
 
     # --- the phase point ---
 
@@ -344,11 +356,17 @@ class Engine(ABC):
             by_openmm: does it with OpenMM's minimizer, which keeps nothing but constraints.
 
         Raises:
+            RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
             openmm.OpenMMException: it cannot begin where the atoms are.
         """
+        self._refuse_cut_molecules()
         refuse_hopeless_start(self._context)
         self._let_openmm_solve(by_openmm)
         self.atoms_moved()
+
+    def _refuse_cut_molecules(self) -> None:
+        now = Snapshot(self._context)
+        refuse_cut_molecules(self._context.getSystem(), now.positions, now.box)
 
     # --- news from outside ---
 

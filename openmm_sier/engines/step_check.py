@@ -41,6 +41,8 @@ class StepCheck:
     def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
         """Check a flow, once, by forces of integration force groups, a bit mask.
 
+        Engines call it before the first step and not earlier: a Context may also be made for energies alone.
+
         Args:
             flow: what will be followed.
             groups: the integration force groups.

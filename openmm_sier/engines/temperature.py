@@ -16,7 +16,7 @@ part of the thermal motion that `setVelocitiesToTemperature` draws, and no conve
 
 import math
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -37,9 +37,10 @@ class DegreesOfFreedom(NamedTuple):
     """Numbers of degrees of freedom that share the heat.
 
     Attributes:
-        translation, rotation: of molecules that are one body. If the centre of mass holds no heat, translation omits
-            its degrees of freedom in proportion to these molecules' share of the mass, and need not be a whole number.
-        flexible: all degrees of freedom of other molecules.
+        translation, rotation: of molecules that are one body, and of rigid bodies that linkers join to others. If the
+            centre of mass holds no heat, translation omits its degrees of freedom in proportion to the share of these
+            bodies in the mass, and need not be a whole number.
+        flexible: of the points of other molecules.
     """
 
     translation: float
@@ -48,18 +49,29 @@ class DegreesOfFreedom(NamedTuple):
 
 
 class Temperatures(NamedTuple):
-    """Temperatures in K; NaN where there are no degrees of freedom.
+    """Temperatures; NaN where there are no degrees of freedom.
+
+    Engines have numbers in K. Users get quantities, as from OpenMM.
 
     Attributes:
         total: of all motion.
-        translation, rotation: of molecules that are one body, rigid or a point.
-        flexible: of all motion of the other molecules.
+        translation, rotation: of molecules that are one body, rigid or a point, and of rigid bodies that linkers join
+            to others.
+        flexible: of the points of other molecules.
     """
 
-    total: float
-    translation: float
-    rotation: float
-    flexible: float = math.nan
+    total: Any
+    translation: Any
+    rotation: Any
+    flexible: Any = math.nan
+
+    def in_kelvin(self) -> "Temperatures":
+        """Numbers in K, from quantities."""
+        return Temperatures(*(found.value_in_unit(unit.kelvin) for found in self))
+
+    def as_quantities(self) -> "Temperatures":
+        """Quantities, from numbers in K."""
+        return Temperatures(*(found * unit.kelvin for found in self))
 
 
 class MomentumConservation:
@@ -110,14 +122,22 @@ def _is_external(force: openmm.Force) -> bool:
 
 def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
     """Degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
-    rigid = ~bodies.flexible
-    count = int(rigid.sum())
-    share = float(bodies.masses[rigid].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
+    apart = _counted_apart(bodies)
+    count = int(apart.sum())
+    share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
     left_out = 3 if conserved and bodies.n else 0
-    turning = int(np.count_nonzero(bodies.moments[:, rigid]))
+    turning = int(np.count_nonzero(bodies.moments[:, apart]))
     # A single particle has no heat where momentum is conserved.
     translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - turning - (1 - share) * left_out
     return DegreesOfFreedom(max(0, translation), turning, max(0, flexible))
+
+
+def _counted_apart(bodies: RigidBodies) -> np.ndarray:
+    """Tell which bodies have temperatures of translation and rotation, (n,): their momenta are independent.
+
+    No constraint joins a rigid body to anything else, so that this also holds for the domains of a flexible molecule.
+    """
+    return ~bodies.flexible | bodies.moments.any(axis=0)
 
 
 def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
@@ -130,8 +150,8 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
         p = p - bodies.masses * bodies.centre_velocity(p)[:, None]
     moving = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
     turning = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
-    rigid = ~bodies.flexible
-    return float(moving[rigid].sum()), float(turning[rigid].sum()), float((moving + turning)[~rigid].sum())
+    apart = _counted_apart(bodies)
+    return float(moving[apart].sum()), float(turning[apart].sum()), float(moving[~apart].sum())
 
 
 def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:

@@ -14,7 +14,6 @@ from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
-from openmm_sier.system import checks
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
 #: Global variables of volume moves: the largest change of ln V, 0 before the first; and what else `MoveSize` has.
@@ -120,7 +119,6 @@ class ConstantTemperature(Ensemble):
         return self.pressure is not None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
-        checks.tell_of_other_temperatures(system, self.temperature)
         if self.pressure is not None:
             engine.prepare_for_volume_moves()
 

@@ -66,6 +66,8 @@ class Binding:
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
         self._stepping, self._told_of_noise = RLock(), False
+        #: The temperature of the bath at which those of the System's Forces were compared with it, K.
+        self._bath_seen, self._told_of_temperatures = 0.0, False
 
     @property
     def _integrator(self) -> openmm.CustomIntegrator:
@@ -179,7 +181,7 @@ class Binding:
                 of a Context that is reinitialized without its state, but not the global ones.
 
         Raises:
-            RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says. There is no
+            RigidityError, openmm.OpenMMException: the System is refused, as the message says. There is no
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
         if not keeps_record:
@@ -188,6 +190,7 @@ class Binding:
         checks.tell_of_frozen_atoms_that_move(system)
         tell_of_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
+        self._bath_seen, self._told_of_temperatures = 0.0, False
         self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
         if given.finds_fast_groups and find_fast_groups(system, given.bodies) != given.fast_groups:
             raise openmm.OpenMMException(
@@ -213,6 +216,7 @@ class Binding:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         self._system.check(context.getSystem())
         length, bath = self.settings.step * self.ensemble.steps, getattr(self.ensemble, "temperature", 0.0)
+        self._compare_temperatures(context, bath)
         # To wait would hang a process that was forked while another thread had the lock.
         if not self._stepping.acquire(blocking=False):
             raise openmm.OpenMMException("Another thread is stepping this Context: give each a Context of its own")
@@ -220,6 +224,20 @@ class Binding:
             self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
         finally:
             self._stepping.release()
+
+    def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:
+        """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
+        if bath in (0.0, self._bath_seen) or self._told_of_temperatures:
+            return
+        self._bath_seen, self._told_of_temperatures = bath, checks.tell_of_other_temperatures(context, bath)
+
+    def check_step(self) -> None:
+        """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        self.engine.check_step(self._flow())
 
     def _advance(self, engine: Engine, steps: int) -> None:
         with interrupts.deferred():

@@ -70,7 +70,8 @@ class SIERThermostatIntegrator(SIERIntegrator):
     def getHeat(self) -> unit.Quantity:
         """Energy that the bath, moves of the volume and a CMMotionRemover have given to the bodies, a quantity.
 
-        The total energy less this heat is conserved. The work P dV is not included in the heat.
+        The total energy less this heat is conserved. The work P dV is not included in the heat, nor what a thermostat
+        or barostat of OpenMM in the System gives, which nobody counts.
 
         Raises:
             openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.

@@ -196,16 +196,18 @@ class SIERIntegrator(openmm.CustomIntegrator):
         three degrees of freedom and the kinetic energy of the centre of mass are left out. NaN if there are no degrees
         of freedom.
         """
-        return self.computeTemperatures().total * unit.kelvin
+        return self.computeTemperatures().total
 
     def computeTemperatures(self) -> Temperatures:
-        """Temperatures of all motion, of translation, of rotation and of flexible molecules, numbers in K.
+        """Temperatures of all motion, of translation, of rotation and of flexible molecules, quantities in K.
 
         A named tuple (total, translation, rotation, flexible), by the rule of `computeSystemTemperature`; NaN where
-        there are no degrees of freedom. With a bath in the middle of the step, as that of SIER2 is, they are those just
-        after the bath, which have no error of the step.
+        there are no degrees of freedom. `in_kelvin` gives numbers. Translation and rotation are those of all rigid
+        bodies, also of domains that linkers join; flexible is the temperature of the points of other molecules. With a
+        bath in the middle of the step, as that of SIER2 is, they are those just after the bath, which have no error of
+        the step.
         """
-        return self.binding.engine.temperatures()
+        return self.binding.engine.temperatures().as_quantities()
 
     def reported(self) -> dict[str, float]:
         """Additional columns for `ConservationReporter`, by name."""

@@ -17,9 +17,9 @@ from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refus
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
 from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, named_atom, refusing
-from openmm_sier.prepare.masses import hydrogens
 from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
 
 #: By the kind of a topology, what else makes a System and would do nothing there.

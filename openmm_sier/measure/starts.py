@@ -258,7 +258,7 @@ def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Me
         taken = min(EVERY, steps - begin)
         integrator.step(taken)
         potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-        samples.append((*integrator.computeTemperatures()[1:], potential))
+        samples.append((*integrator.computeTemperatures().in_kelvin()[1:], potential))
         advance(done + begin + taken)
     return Means(*np.mean(samples, axis=0).tolist())
 
@@ -305,8 +305,9 @@ def _tell(found: Equilibration, report: Report) -> None:
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
     masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
-    velocities[masses > 0] -= masses @ velocities / masses.sum()
-    context.setVelocities(velocities)
+    if masses.any():
+        velocities[masses > 0] -= masses @ velocities / masses.sum()
+        context.setVelocities(velocities)
 
 
 def _set_energy(context: openmm.Context, temperature: float, potential: float) -> None:

@@ -9,6 +9,7 @@ conventions and units (`CONVENTIONS`), and `wrapped`: whether centres are wrappe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -92,8 +93,9 @@ def begin(file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray],
         for name, values in _constants(bodies).items():
             file[name] = values
         for name, values in frame.items():
-            chunks = (max(1, CHUNK // values.size), *values.shape)
-            growing = {"maxshape": (None, *values.shape), "chunks": chunks}
+            # There may be no bodies, and a chunk is never empty.
+            most = [max(1, size) for size in values.shape]
+            growing = {"maxshape": (None, *most), "chunks": (max(1, CHUNK // math.prod(most)), *most)}
             file.create_dataset(name, (0, *values.shape), values.dtype, **growing)
     for name, expected in conventions.items():
         if (there := file.attrs.get(name)) != expected:

@@ -12,6 +12,7 @@ from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.engines.temperature import temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.stock import StockIntegrator
+from openmm_sier.system import checks
 
 #: Columns of the potential energy, and of the total energy less the heat.
 POTENTIAL, CONSERVED = "Potential Energy (kJ/mole)", "Conserved Energy (kJ/mole)"
@@ -66,8 +67,8 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
     thermostat and volume moves of this package gave, with velocities of whole steps
-    (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat:
-    with OpenMM's integrators the conserved energy is then NaN, with integrators of this package it lacks that heat.
+    (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat: where one acts,
+    the conserved energy is NaN.
     Temperatures follow the rule of `openmm_sier.engines.temperature`; those of an integrator of this package are what
     its `computeTemperatures` gives. Angular momentum is about the origin, with positions as they are in the Context;
     periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic boundaries.
@@ -88,9 +89,11 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     if isinstance(integrator, StockIntegrator):
         found = temperatures(bodies, motion, integrator.conservesMomentum)
     else:
-        found = integrator.computeTemperatures()
+        found = integrator.computeTemperatures().in_kelvin()
         if integrator.scheme.momentum_lag:
             conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
+    if checks.gives_uncounted_heat(context):
+        conserved = math.nan
     momentum, angular_momentum = bodies.total_momenta(motion)
     periodic = context.getSystem().usesPeriodicBoundaryConditions()
     volume = observed.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3) if periodic else math.nan

@@ -74,7 +74,7 @@ class StockIntegrator(openmm.Integrator):
 
     def computeTemperatures(self) -> Temperatures:
         """Temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
-        return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum)
+        return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
         """No further columns of the log."""

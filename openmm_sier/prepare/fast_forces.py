@@ -7,7 +7,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, own_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
+from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, working_terms
 from openmm_sier.system.find_bodies import BodyPlan, linked
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
@@ -37,10 +37,10 @@ class FastForces:
             for i, force in enumerate(system.getForces())
             if i not in own and not isinstance(force, WITHOUT_FORCES)
         }
-        working = {i: between for i, force in self.acting.items() if len(between := _between(force, owner))}
+        working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
         self.fast = {i: self.acting[i] for i, between in working.items() if self.points[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
-        inner = [(part, _between(part.force, owner)) for part in parts(system) if part.within and part.weight]
+        inner = [(part, working_terms(part.force, owner)) for part in parts(system) if part.within and part.weight]
         self.inner = [part.name for part, between in inner if len(between) and self.points[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:
@@ -124,12 +124,3 @@ def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarr
         for cluster in kind.clusters:
             owner[list(cluster)], point[list(cluster)], number = number, len(cluster) == 1, number + 1
     return owner, point
-
-
-def _between(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
-    """The terms of a Force that do not lie in one body; none if it is not a bonded one."""
-    if bonded_kind(force) is None:
-        return np.empty((0, 0), dtype=np.int64)
-    terms = bonded_terms(force)
-    found = owner[terms]
-    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]

@@ -5,16 +5,14 @@ make the hydrogens of water heavier too.
 """
 
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.notices import notify
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
@@ -26,9 +24,6 @@ HEAVIEST_IN_CHAINS = 3.0
 
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0
-
-#: nm. The longest bonds of hydrogen, to iodine and silicon, have 0.16 and 0.15; what is further away is restrained.
-LONGEST_TO_HYDROGEN = 0.17
 
 #: Dalton. The least that may be asked for; hydrogens that would get less are left as they are, as in HD.
 LIGHTEST_HYDROGEN = 1.0
@@ -63,8 +58,8 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     Returns:
         What was done, in a sentence.
     """
-    masses, partners, given = tables.masses(system), _partners(system), Counter[float]()
-    for centre, found in _hydrogens(masses, partners).items():
+    masses, partners, given = tables.masses(system), partners_of(system), Counter[float]()
+    for centre, found in hydrogens_among(masses, partners).items():
         total = masses[centre] + masses[found].sum()
         spared = (total - LIGHTEST_CENTRE) / len(found)
         most = mass if partners[centre].keys() <= set(found) else min(mass, HEAVIEST_IN_CHAINS)
@@ -81,44 +76,3 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
     return f"{said}: averages of positions do not change, motion is slower."
-
-
-def hydrogens(system: openmm.System) -> dict[int, list[int]]:
-    """Hydrogens of a System, which knows no elements, by the atom that each is bonded to.
-
-    A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints of up to
-    `LONGEST_TO_HYDROGEN` join to it, the nearest is heavier or is joined to more atoms than it is, and all the others
-    are joined to that one. So a methyl's carbon, which heavy hydrogens may have made lighter than they are, is none. An
-    atom without such a bond is judged by its custom bonds. Frozen atoms, virtual sites, Drude particles and H2 are left
-    out.
-    """
-    return _hydrogens(tables.masses(system), _partners(system))
-
-
-def _hydrogens(masses: np.ndarray, partners: Mapping[int, Mapping[int, float]]) -> dict[int, list[int]]:
-    found: dict[int, list[int]] = {}
-    for atom in sorted(atom for atom in partners if masses[atom] <= HEAVIEST_HYDROGEN):
-        lengths = partners[atom]
-        near = sorted((i for i in lengths if 0 < lengths[i] <= LONGEST_TO_HYDROGEN), key=lengths.__getitem__)
-        joined = near or [i for i in lengths if not lengths[i]]
-        if not joined:
-            continue
-        centre = joined[0]
-        is_centre = masses[centre] > masses[atom] or len(partners[centre]) > len(lengths)
-        if is_centre and set(joined) <= {centre, *partners[centre]}:
-            found.setdefault(centre, []).append(atom)
-    return found
-
-
-def _partners(system: openmm.System) -> dict[int, dict[int, float]]:
-    """What bonds and constraints join to each particle that moves, with distances in nm; that of custom bonds is 0."""
-    masses, links = tables.masses(system), Links(system)
-    lengths = dict(zip(map(tuple, np.sort(links.bonds).tolist()), links.lengths.tolist(), strict=True))
-    lengths |= links.constraints.by_pair()
-    found: dict[int, dict[int, float]] = {}
-    for first, second in np.sort(links.covalent()).tolist():
-        if masses[first] > 0 and masses[second] > 0:
-            length = lengths.get((first, second), 0.0)
-            found.setdefault(first, {})[second] = length
-            found.setdefault(second, {})[first] = length
-    return found

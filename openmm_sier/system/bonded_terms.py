@@ -45,6 +45,20 @@ def bonded_terms(force: openmm.Force) -> np.ndarray:
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
+def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
+    """The terms of a Force that do not lie in one body, (t, k); none if it is not a bonded one.
+
+    Args:
+        force: openmm.Force.
+        owner: for each particle the number of its body, (N,), -1 where it has none.
+    """
+    if bonded_kind(force) is None:
+        return np.empty((0, 0), dtype=np.int64)
+    terms = bonded_terms(force)
+    found = owner[terms]
+    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
+
+
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
     parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in _elements(force)]

@@ -37,6 +37,16 @@ def barostats(system: openmm.System) -> list[openmm.Force]:
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
 
 
+def gives_uncounted_heat(context: openmm.Context) -> bool:
+    """Tell whether a thermostat or barostat of OpenMM acts in a Context: nobody counts the energy that it gives."""
+    for force in context.getSystem().getForces():
+        if isinstance(force, BAROSTATS) and force.getFrequency() > 0:
+            return True
+        if isinstance(force, openmm.AndersenThermostat) and context.getParameter(force.CollisionFrequency()) > 0:
+            return True
+    return False
+
+
 def refuse_drude_particles(system: openmm.System) -> None:
     """Refuse a DrudeForce, whose particles need a cold heat bath of their own.
 
@@ -139,15 +149,23 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
         )
 
 
-def tell_of_other_temperatures(system: openmm.System, temperature: float) -> None:
-    """Warn of a barostat or an AndersenThermostat of OpenMM at another temperature in K than that of a heat bath."""
-    for force in [force for force in system.getForces() if isinstance(force, OF_ENSEMBLES)]:
-        theirs = force.getDefaultTemperature().value_in_unit(unit.kelvin)
+def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> bool:
+    """Warn of a barostat or an AndersenThermostat of OpenMM that has another temperature in K than a heat bath now.
+
+    Returns:
+        Whether there is one.
+    """
+    others = False
+    for force in [force for force in context.getSystem().getForces() if isinstance(force, OF_ENSEMBLES)]:
+        theirs = context.getParameter(force.Temperature())
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
+            others = True
             notify(
                 f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
-                "averages are those of neither temperature. Give both the same"
+                "averages are those of neither temperature. Give both the same, by context.setParameter("
+                f"{type(force).__name__}.Temperature(), {temperature:g}) for the first"
             )
+    return others
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:

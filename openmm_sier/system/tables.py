@@ -1,11 +1,15 @@
 """Masses and constraints of a System as arrays.
 
-They are read anew at each call, since users change them between Contexts.
+They are read anew at each call, since users change them between Contexts. OpenMM gives them one by one, each as a
+quantity, so that a million atoms take seconds; within `read_once` they are read a single time.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import openmm
@@ -49,12 +53,47 @@ def numbers(quantities: Iterable[unit.Quantity], units: Iterable[unit.Unit]) -> 
     return np.array([quantity.value_in_unit(one) for quantity, one in zip(quantities, units, strict=True)])
 
 
+Table = TypeVar("Table")
+
+#: What was read within `read_once`, by the name of the function and the address of the System, with the System, whose
+#: address must not become that of another; None outside.
+_read: ContextVar[dict[tuple[str, int], tuple[openmm.System, Any]] | None] = ContextVar("read", default=None)
+
+
+@contextmanager
+def read_once() -> Iterator[None]:
+    """Read masses and constraints of each System only once within the block, in which nobody may change them."""
+    token = _read.set({} if _read.get() is None else _read.get())
+    try:
+        yield
+    finally:
+        _read.reset(token)
+
+
+def _once(read: Callable[[openmm.System], Table]) -> Callable[[openmm.System], Table]:
+    """Let a function of a System give what it gave before, within `read_once`."""
+
+    @wraps(read)
+    def found(system: openmm.System) -> Table:
+        known = _read.get()
+        if known is None:
+            return read(system)
+        key = read.__name__, int(system.this)
+        if key not in known:
+            known[key] = system, read(system)
+        return known[key][1]
+
+    return found
+
+
+@_once
 def masses(system: openmm.System) -> np.ndarray:
     """Masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
     found = (system.getParticleMass(i) for i in range(system.getNumParticles()))
     return np.fromiter((mass.value_in_unit(unit.dalton) for mass in found), float)
 
 
+@_once
 def constraints(system: openmm.System) -> Constraints:
     """The constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
 
@@ -88,6 +127,7 @@ def constraints(system: openmm.System) -> Constraints:
     return Constraints(pairs[kept], lengths[kept])
 
 
+@_once
 def frozen_atoms(system: openmm.System) -> np.ndarray:
     """Particles without mass that are no virtual sites, (f,): they exert forces and do not move."""
     return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)

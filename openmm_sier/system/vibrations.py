@@ -18,10 +18,11 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
-from openmm_sier.system import tables
+from openmm_sier.system import advice, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
-from openmm_sier.system.curvature import EXPRESSIONS, fastest_vibration
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.collective import fastest_motion, is_collective
+from openmm_sier.system.curvature import EXPRESSIONS, Vibration, fastest_vibration
+from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.notices import notify
 from openmm_sier.system.surroundings import holding, slow_share
@@ -79,26 +80,11 @@ KNOWN = (
     *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
 )
 
+#: Forces whose terms of two atoms are bonds.
+BONDS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce)
+
 #: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
 STIFFENED = 0.54
-
-#: Remedies, for messages.
-SHORTER_STEP = "Call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step"
-MORE_SUBSTEPS = "Take more substeps or a shorter step"
-HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
-HEAVIER = f"for averages only, make all hydrogens heavy by {HEAVY}"
-CONSTRAIN = (
-    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
-    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
-)
-CONSTRAIN_HEAVY = (
-    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
-    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
-)
-KEEP_HEAVY = f"; if createSystem made hydrogens heavy, call {HEAVY}, which leaves other atoms heavier"
-
-#: Dalton. Atoms up to this are hydrogens that have not been made heavy.
-LIGHT = 2.0
 
 
 class Motion(NamedTuple):
@@ -110,6 +96,8 @@ class Motion(NamedTuple):
         group: the force group that moves them.
         share: stiffness of the surroundings over that of the bond.
         force: name of the Force, where it is an expression.
+        is_bond: whether it stretches a bond.
+        can_be_fast: whether inner steps could follow it, once the System is prepared.
     """
 
     period: float
@@ -117,6 +105,8 @@ class Motion(NamedTuple):
     group: int
     share: float = 0.0
     force: str = ""
+    is_bond: bool = True
+    can_be_fast: bool = False
 
 
 class Vibrations:
@@ -124,28 +114,30 @@ class Vibrations:
 
     Bonds inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
     from the System, as it is when the Context is created. Those of the terms of CustomBondForces,
-    CustomCompoundBondForces and CustomExternalForces, which are expressions, are found by `measure`, once there are
-    positions. Each bond is treated on its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms
-    that share an atom (CO2) vibrate up to a quarter faster. Angles are ignored: those of hydrogens are slower than
-    bonds by a factor of two. Of forces between molecules only those with charges are looked at, see `_charge`, and the
-    Lennard-Jones terms of NonbondedForces. Forces within Forces count by their weight (`inner_forces`). Of Forces of
-    which nothing is known `check` says so.
+    CustomCompoundBondForces and CustomExternalForces, which are expressions, and those of collective variables of
+    bonded Forces, of centroids and of an RMSD are found by `measure`, once there are positions. Each bond is treated on
+    its own, which gives its period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up
+    to a quarter faster. Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces
+    between molecules only those with charges are looked at, see `surroundings`, and the Lennard-Jones terms of
+    NonbondedForces. Forces within Forces count by their weight (`inner_forces`). Of Forces of which nothing is known
+    `check` says so.
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         self._bodies, self._mobility = bodies, mobilities(bodies)
-        links = Links(system)
+        self._links = links = Links(system)
         self._constraints = links.constraints
-        self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility))
+        self._remedies = advice.Remedies(system, bodies)
+        self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility, self._remedies))
         self._bonds = list(self._harmonic)
         self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
-        self._is_measured = not any(_is_expression(part) for part in parts(system))
+        self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in parts(system))
         self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
         self._told: set[str] = set()
 
     def measure(self, context: openmm.Context) -> bool:
-        """Measure, once, how fast the terms are that are expressions; returns whether anything was measured.
+        """Measure, once, how fast expressions and collective variables are; returns whether anything was measured.
 
         They are looked at where their atoms are. What is far from its minimum there, by `curvature.FAR`, does not
         count.
@@ -156,15 +148,25 @@ class Vibrations:
         if self._is_measured:
             return False
         self._is_measured, system = True, context.getSystem()
-        held = self._constraints.by_pair()
-        for part in filter(_is_expression, parts(system)):
-            found = fastest_vibration(part.force, part.weight or 0.0, context, self._bodies, self._mobility, held)
-            if found:
+        for part in parts(system):
+            if found := self._measured(part, context):
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = slow_share(system, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
-                self._bonds.append(Motion(period, found.atoms, part.group, share, part.name))
+                is_bond = isinstance(part.force, BONDS) and len(found.atoms) == 2
+                can_be_fast = not part.within and self._remedies.can_be_fast(part.force)
+                self._bonds.append(Motion(period, found.atoms, part.group, share, part.name, is_bond, can_be_fast))
         return True
+
+    def _measured(self, part: Part, context: openmm.Context) -> Vibration | None:
+        """Return the fastest motion that a Force causes, if it is one that is measured."""
+        if _is_expression(part):
+            held = self._constraints.by_pair()
+            return fastest_vibration(part.force, part.weight or 0.0, context, self._bodies, self._mobility, held)
+        if not _is_collective(part):
+            return None
+        found = fastest_motion(part.force, context, self._links.link(self._bodies))
+        return found and found._replace(square=abs(part.weight or 0.0) * found.square)
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
@@ -175,13 +177,14 @@ class Vibrations:
         Raises:
             openmm.OpenMMException: the step is beyond the scheme's stability limit.
         """
-        self._check_bonds("A step", scheme, h, groups, SHORTER_STEP)
+        self._check_bonds("A step", scheme, h, groups)
         libration = _fastest(self._librations, groups)
         if libration is None:
             return
         stable, accurate = _limits(scheme, libration.period)
-        body = self._bodies.describe(int(self._bodies.owners[libration.atoms[0]]))
-        heavier = f"; or, {HEAVIER}" if self._has_atom_up_to(LIGHT, libration) else ""
+        number = int(self._bodies.owners[libration.atoms[0]])
+        body = self._bodies.describe(number)
+        heavier = f"; or, {advice.HEAVIER}" if self._remedies.heavier(self._bodies.atoms_of(number)) else ""
         described = (
             f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
             f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
@@ -202,18 +205,18 @@ class Vibrations:
             openmm.OpenMMException: the inner step is beyond the inner scheme's stability limit, or the step is in a
                 window, or beyond `DESTROYED` or, with a bath in its drift, `SHORTENED`.
         """
-        self._check_bonds("An inner step", inner, inner_step, groups, MORE_SUBSTEPS)
+        self._check_bonds("An inner step", inner, inner_step, groups, advice.MORE_SUBSTEPS)
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-            heavier = f"or, {HEAVIER}, " if self._has_atom_up_to(LIGHT, bond) else ""
+            heavier = f"or, {advice.HEAVIER}, " if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else ""
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
                 f"in it. Take up to {_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
-            is_shortened = scheme.bath_divides_drift and self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)
+            is_shortened = scheme.bath_divides_drift and self._moves_like_hydrogen(bond)
             if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
                 raise openmm.OpenMMException(f"A step of {_fs(h)} is too long {message}. More inner steps do not help")
             self._tell_once(f"A step of {_fs(h)} is long {message}")
@@ -226,14 +229,14 @@ class Vibrations:
         A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of the bond
         by x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
         """
-        bond = _fastest([bond for bond in self._bonds if self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond)], groups)
+        bond = _fastest([bond for bond in self._bonds if bond.is_bond and self._moves_like_hydrogen(bond)], groups)
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
         self._tell_once(
             f"At {_fs(h)} averages of this molecule are wrong: slow forces stretch {self._name(bond)} (period "
             f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should. Take up to "
-            f"{_fs(STIFFENED * bond.period / math.pi)}, or {CONSTRAIN}"
+            f"{_fs(STIFFENED * bond.period / math.pi)}, or {self._hold(bond)}"
         )
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -273,9 +276,10 @@ class Vibrations:
         bond = _fastest(self._harmonic, groups)
         return accurate_step(inner, bond.period) if bond else math.inf
 
-    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str) -> None:
+    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str = "") -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
         if bond := _fastest(self._bonds, groups):
+            remedy = remedy or (advice.PREPARE if bond.can_be_fast else advice.SHORTER_STEP)
             stable, accurate = _limits(scheme, bond.period)
             described = (
                 f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} is "
@@ -296,19 +300,17 @@ class Vibrations:
         if h > accurate:
             self._tell_once(f"{what} is long: {described}")
 
-    def _has_atom_up_to(self, mass: float, bond: Motion) -> bool:
-        """Whether an end of a bond moves like an atom of this mass, dalton, or less."""
-        return bool(self._mobility[list(bond.atoms)].max() * mass >= 1)
+    def _moves_like_hydrogen(self, bond: Motion) -> bool:
+        """Tell whether an end of a bond moves like a hydrogen, which may have been made heavy."""
+        return bool(self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def _hold(self, bond: Motion) -> str:
-        if not self._has_atom_up_to(tables.HEAVIEST_HYDROGEN, bond):
-            return CONSTRAIN_HEAVY
-        return CONSTRAIN if self._has_atom_up_to(LIGHT, bond) else CONSTRAIN + KEEP_HEAVY
+    def _hold(self, motion: Motion) -> str:
+        return self._remedies.hold(motion.atoms) if motion.is_bond else f"make {motion.force} softer"
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in bond.atoms))})"
-        if len(bond.atoms) == 2:
+        if bond.is_bond:
             by = f" by {bond.force}" if bond.force else ""
             return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
         plural = "s" if len(bond.atoms) > 1 else ""
@@ -347,13 +349,21 @@ def _is_expression(part: Part) -> bool:
     return isinstance(part.force, EXPRESSIONS) and not is_own and part.weight is not None
 
 
+def _is_sum(force: openmm.Force) -> bool:
+    """Tell whether a Force is known by those that it contains."""
+    return isinstance(force, openmm.CustomCVForce) and is_linear(force)
+
+
+def _is_collective(part: Part) -> bool:
+    return part.weight is not None and not _is_sum(part.force) and is_collective(part.force)
+
+
 def _unknown(system: openmm.System) -> Iterator[Part]:
-    """Find Forces of which no stiffness is known; one that contains others is known by them if it is linear in them."""
+    """Find Forces of which no stiffness is known."""
     for part in parts(system):
         if isinstance(part.force, openmm.ATMForce) or part.weight is None:
             continue
-        is_sum = isinstance(part.force, openmm.CustomCVForce) and is_linear(part.force)
-        if not is_sum and not isinstance(part.force, KNOWN):
+        if not _is_sum(part.force) and not isinstance(part.force, KNOWN) and not _is_collective(part):
             yield part
 
 
@@ -363,7 +373,11 @@ def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
 
 
 def _fastest_bonds(
-    system: openmm.System, bodies: RigidBodies, constraints: tables.Constraints, mobility: np.ndarray
+    system: openmm.System,
+    bodies: RigidBodies,
+    constraints: tables.Constraints,
+    mobility: np.ndarray,
+    remedies: advice.Remedies,
 ) -> Iterator[Motion]:
     """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
     for part in parts(system):
@@ -379,7 +393,8 @@ def _fastest_bonds(
             period = 2 * math.pi / math.sqrt(squares[fastest])
             atoms = tuple(ends[fastest].tolist())
             share = slow_share(system, atoms, strength[fastest], mobility)
-            yield Motion(period, atoms, part.group, share)
+            can_be_fast = not part.within and remedies.can_be_fast(part.force)
+            yield Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
 
 
 def _fastest_swings(system: openmm.System, bodies: RigidBodies, links: Links, mobility: np.ndarray) -> Iterator[Motion]:

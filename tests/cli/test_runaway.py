@@ -24,7 +24,7 @@ def plan(ensemble="nve", **options):
 
 def looked_at(dof, *temperatures):
     """Hold temperatures of translation, rotation and flexible molecules against the bounds of a run at 297 K."""
-    integrator = SimpleNamespace(computeTemperatures=lambda: Temperatures(math.nan, *temperatures))
+    integrator = SimpleNamespace(computeTemperatures=Temperatures(math.nan, *temperatures).as_quantities)
     runaway.check(SimpleNamespace(getIntegrator=lambda: integrator), runaway.bounds(plan(), dof))
 
 

@@ -5,11 +5,23 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, SIER4GIntegrator, SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import (
+    RigidBodies,
+    SIER4GIntegrator,
+    SIERHMCIntegrator,
+    SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
+    prepare_system,
+)
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.ensembles import VelocityRescaling
+from openmm_sier.measure.starts import stop_centre_of_mass
+from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
 from openmm_sier.observe.stock import shift_velocities
 from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield
+from tests.support.restarts import simulation_of
+from tests.support.silence import silence
 from tests.support.waters import (
     array,
     cluster_system,
@@ -135,6 +147,57 @@ def test_a_constraint_between_a_frozen_atom_and_another_is_refused_as_by_openmm(
     for integrator in (openmm.VerletIntegrator(0.001), SIER4GIntegrator(0.001)):
         with pytest.raises(openmm.OpenMMException, match="massless particle"):
             openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+
+
+INTEGRATORS = {
+    "constant energy": lambda engine: SIER4GIntegrator(0.001, engine=engine),
+    "Langevin": lambda engine: SIERLangevinIntegrator(300, 1, 0.001, engine=engine),
+    "trials": lambda engine: SIERHMCIntegrator(300, 0.001, engine=engine),
+    "rescaling": lambda engine: SIERThermostatIntegrator(VelocityRescaling(300, 0.1), 0.001, engine=engine),
+}
+
+
+@pytest.mark.parametrize("remover", [False, True])
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS)
+def test_where_all_atoms_are_frozen_steps_and_reports_go_on_in_silence(tmp_path, make, engine, remover):
+    """Nothing moves, no degree of freedom has a temperature, and the centre of mass is at rest."""
+    topology, positions, system = cluster_system(2)
+    freeze(system, range(system.getNumParticles()))
+    if remover:
+        system.addForce(openmm.CMMotionRemover())
+    integrator = make(engine)
+    with silence():
+        simulation = simulation_of(topology, system, integrator, "Reference", (positions, 0 * positions))
+        simulation.reporters += [
+            ConservationReporter(tmp_path / "log.csv", 1),
+            app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, temperature=True, totalEnergy=True),
+        ]
+        simulation.step(2)
+        simulation.minimizeEnergy(maxIterations=2)
+        simulation.context.setVelocitiesToTemperature(300)
+        stop_centre_of_mass(simulation.context)
+        simulation.step(1)
+    np.testing.assert_array_equal(phase_point(simulation.context)[0], positions)
+    assert all(np.isnan(each) for each in integrator.computeTemperatures().in_kelvin())
+    rows = np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True)
+    assert (rows["Kinetic_Energy_kJmole"] == 0).all()
+    for reporter in simulation.reporters[:1]:
+        reporter.close()
+
+
+def test_body_states_of_a_system_without_bodies(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    topology, positions, system = cluster_system(2)
+    freeze(system, range(system.getNumParticles()))
+    for append in (False, True):
+        simulation = simulation_of(topology, system, SIER4GIntegrator(0.001), "Reference", (positions, 0 * positions))
+        simulation.reporters.append(BodyStateReporter(tmp_path / "bodies.h5", 1, append=append))
+        simulation.step(2)
+        simulation.reporters[0].close()
+    with h5py.File(tmp_path / "bodies.h5") as file:
+        assert file["q"].shape == (4, 0, 3)
+        assert file["step"][:].tolist() == [1, 2, 1, 2]
 
 
 def test_named_bodies_may_be_frozen_as_wholes():

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import openmm
 import pytest
+from openmm import unit
 
 from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -140,3 +141,80 @@ def test_nothing_that_moves_has_no_temperature():
     empty = BodyState(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros((3, 3, 0)), np.zeros((3, 0)))
     for conserved in (True, False):
         assert np.isnan(list(itertools.chain(temperatures(none, empty, conserved)))).all()
+
+
+# --- domains ---
+
+#: Three atoms each; the two of a chain are joined by a point.
+TRIANGLE = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.05, 0.12, 0.0]])
+
+
+def domains(chains=4, field_of=0.0):
+    """Rigid triangles in pairs that a bead joins by bonds, and as many alone: System, positions in nm and bodies.
+
+    Args:
+        chains: number of pairs.
+        field_of: strength of a field, kJ/mol/nm^2, that takes up momentum; 0 for none.
+    """
+    bonds, system, positions, bodies = openmm.HarmonicBondForce(), openmm.System(), [], []
+
+    def triangle(x):
+        bodies.append([system.addParticle(mass) for mass in (30.0, 12.0, 16.0)])
+        positions.extend(TRIANGLE + np.array([x, 0, 0]))
+        return bodies[-1]
+
+    # Molecules do not interact, and begin on one place.
+    for _ in range(chains):
+        first = triangle(-0.35)
+        bead = system.addParticle(20.0)
+        positions.append([0, 0, 0])
+        second = triangle(0.2)
+        bonds.addBond(first[1], bead, 0.2, 2e3)
+        bonds.addBond(bead, second[0], 0.2, 2e3)
+        triangle(0)
+    system.addForce(bonds)
+    if field_of:
+        system.addForce(field(f"{field_of}*(x^2+y^2+z^2)", range(len(positions))))
+    else:
+        system.addForce(openmm.CMMotionRemover(1))
+    return system, np.array(positions), bodies
+
+
+@pytest.mark.parametrize("conserved", [True, False])
+def test_canonical_temperatures_of_domains_that_linkers_join(conserved):
+    """Means and fluctuations of translation, rotation and beads over a run in a bath.
+
+    Of d degrees of freedom the temperature has the mean T and the relative variance 2/d. With a friction of 50/ps
+    momenta are forgotten within 20 fs, so that samples every 60 fs are independent.
+    """
+    system, positions, bodies = domains(field_of=0.0 if conserved else 100.0)
+    integrator = SIERLangevinIntegrator(300, 50, 0.005, scheme=SIER2, bodies=bodies)
+    integrator.setRandomNumberSeed(3)
+    context = context_at(system, integrator, (positions, 0 * positions), steps=400)
+    found = []
+    for _ in range(600):
+        integrator.step(12)
+        found.append(integrator.computeTemperatures().in_kelvin())
+    assert integrator.conservesMomentum == conserved
+    dof = degrees_of_freedom(integrator.bodies, conserved)
+    if not conserved:
+        assert dof == (12 * 3, 12 * 3, 4 * 3)
+    assert sum(dof) == pytest.approx(12 * 6 + 4 * 3 - 3 * conserved, rel=1e-12)
+    found = np.array(found)
+    for temperatures_of, freedoms in zip(found.T, (sum(dof), *dof), strict=True):
+        # Four standard errors: of the mean, and of the variance of a chi-squared variable, whose kurtosis is 12/d.
+        error = 4 / math.sqrt(len(found))
+        assert temperatures_of.mean() == pytest.approx(300, rel=error * math.sqrt(2 / freedoms))
+        assert temperatures_of.var() == pytest.approx(2 * 300**2 / freedoms, rel=error * math.sqrt(2 + 12 / freedoms))
+    assert context.getStepCount() == 400 + 12 * 600
+
+
+def test_temperatures_are_quantities():
+    """`computeTemperatures` and `computeSystemTemperature` agree in value and unit; numbers are had by name."""
+    system, positions, bodies = domains(chains=1)
+    integrator = SIER2Integrator(0.001, bodies=bodies)
+    _context = started(system, integrator, positions)
+    found = integrator.computeTemperatures()
+    assert found.total == integrator.computeSystemTemperature()
+    assert all(each.unit == unit.kelvin for each in found)
+    assert found.in_kelvin().as_quantities() == found

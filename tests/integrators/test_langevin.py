@@ -23,6 +23,7 @@ from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, system_of
 from tests.support.seeded import seeded
+from tests.support.silence import silence
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, relaxed
 
@@ -199,17 +200,17 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     after_bath, at_end = [], []
     for _ in range(1000):
         integrator.step(1)
-        after_bath.append(integrator.computeTemperatures().flexible)
+        after_bath.append(integrator.computeTemperatures().in_kelvin().flexible)
         at_end.append(2 * energies(context)[1] / (6 * count * GAS_CONSTANT))
     # 600 degrees of freedom relax at 20/ps: 1000 steps are some 100 independent samples, and the error 1.7 K.
     assert np.mean(after_bath) == pytest.approx(300, abs=7)
     assert np.mean(at_end) - np.mean(after_bath) == pytest.approx(0.21 / 6 * 300, abs=3)
-    told = integrator.computeTemperatures()
+    told = integrator.computeTemperatures().in_kelvin()
     context.createCheckpoint()
-    assert integrator.computeTemperatures() == pytest.approx(told, nan_ok=True)
+    assert integrator.computeTemperatures().in_kelvin() == pytest.approx(told, nan_ok=True)
     # Whatever the user sets counts.
     context.setVelocities(np.zeros((2 * count, 3)))
-    assert integrator.computeTemperatures().flexible == 0
+    assert integrator.computeTemperatures().in_kelvin().flexible == 0
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
@@ -222,8 +223,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
     share = x / np.tan(x)
     integrator = seeded(SIERLangevinIntegrator(1, 20, h, SIER2, fastForceGroups={FAST}, engine=engine, substeps=6), 7)
     with pytest.warns(UserWarning, match=f"At 4 fs averages .*: slow forces .* by only {100 * share:.0f} % of what"):
-        context = context_at(system, integrator, (positions, 0 * positions))
-    integrator.step(100)
+        context = context_at(system, integrator, (positions, 0 * positions), steps=100)
     lengths = []
     for _ in range(200):
         integrator.step(2)
@@ -235,7 +235,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=".*slow forces stretch")
         shorter = SIERLangevinIntegrator(1, 20, 0.0015, SIER2, fastForceGroups={FAST}, engine=engine)
-        context_at(system, shorter, (positions, 0 * positions))
+        context_at(system, shorter, (positions, 0 * positions), steps=1)
 
 
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
@@ -243,8 +243,19 @@ def test_a_force_at_another_temperature_is_spoken_of(force):
     _, positions, system = periodic_system()
     system = with_forces(system, force)
     name = type(force).__name__
-    with pytest.warns(UserWarning, match=f"The {name} has 350 K and the heat bath of the integrator 300 K"):
-        context_at(system, SIERLangevinIntegrator(300, 1, 0.002, SIER2), (positions, 0 * positions))
+    point = positions, 0 * positions
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message=f"The {name}")
-        context_at(system, SIERLangevinIntegrator(350, 1, 0.002, SIER2), (positions, 0 * positions))
+        context_at(system, SIERLangevinIntegrator(350, 1, 0.002, SIER2), point, steps=1)
+        integrator = SIERLangevinIntegrator(300, 1, 0.002, SIER2)
+        context = context_at(system, integrator, point)
+        # No step has been made at two temperatures yet, as where the System's Force gets the right one afterwards.
+        context.setParameter(type(force).Temperature(), 300)
+        integrator.step(1)
+    integrator.setTemperature(280)
+    with pytest.warns(UserWarning, match=f"The {name} has 300 K and the heat bath of the integrator 280 K") as told:
+        integrator.step(1)
+    assert len(told) == 1
+    integrator.setTemperature(270)
+    with silence():
+        integrator.step(1)

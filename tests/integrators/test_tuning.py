@@ -99,9 +99,9 @@ def bonded(mass, strength, **options):
 
 def test_steps_stay_below_what_a_bond_bears():
     """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
+    context = bonded(1.0, 2e4, scheme=SIER2)
     with pytest.warns(UserWarning, match="A step of 4 fs is long"):
-        context = bonded(1.0, 2e4, scheme=SIER2)
-    found = tune(context, 0.05, trials=10, samples=10)
+        found = tune(context, 0.05, trials=10, samples=10)
     refused = [each.step for each in found.steps if math.isinf(each.spread)]
     assert refused
     # What was refused is not tried again.

@@ -111,7 +111,7 @@ def test_without_an_equilibration_velocities_are_drawn(tethered):
     context = context_of(*tethered)
     prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, time=0)
     # 360 degrees of freedom, 7 % of scatter; four times that.
-    assert context.getIntegrator().computeTemperatures().total == pytest.approx(TEMPERATURE, rel=0.3)
+    assert context.getIntegrator().computeTemperatures().in_kelvin().total == pytest.approx(TEMPERATURE, rel=0.3)
 
 
 def test_it_is_decided_by_the_seed(tethered):

@@ -110,6 +110,13 @@ def context_at(system, integrator, point, name="Reference", steps=None):
     return context
 
 
+def judged(system, integrator):
+    """A Context whose step has been judged, as its first step would be."""
+    context = openmm.Context(system, integrator, platform())
+    integrator.binding.check_step()
+    return context
+
+
 def plain_context(system, positions, name="Reference"):
     """A Context at positions, of one of OpenMM's own integrators, for energies and forces."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform(name))

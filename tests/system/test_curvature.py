@@ -152,6 +152,97 @@ def test_a_stiff_restraint_is_refused_by_what_causes_it():
     assert context.getStepCount() == 0
 
 
+# --- collective variables ---
+
+
+def variable(energy, **variables):
+    force = openmm.CustomCVForce(energy)
+    for name, each in variables.items():
+        force.addCollectiveVariable(name, each)
+    return force
+
+
+def centroids(energy, *groups):
+    force = openmm.CustomCentroidBondForce(len(groups), energy)
+    for group in groups:
+        force.addGroup(group)
+    force.addBond(range(len(groups)), [])
+    return force
+
+
+#: Forces on three atoms of 1, 16 and 12 dalton in a right angle, and the square of the angular frequency.
+SPRINGS = {
+    "a distance": (variable("50000*(d-0.1)^2", d=bond("r")), K * (1 + 1 / 16)),
+    "two distances": (
+        variable("50000*((d-0.1)^2+4*(f-0.12)^2)", d=bond("r"), f=bond("r", (1, 2))),
+        # Of two springs at a right angle none knows of the other, and the second has 4 K (1/16 + 1/12).
+        K * (1 + 1 / 16),
+    ),
+    "nested": (variable("e", e=variable("50000*(d-0.1)^2", d=bond("r"))), K * (1 + 1 / 16)),
+    "centroids": (centroids("50000*(distance(g1,g2)-0.1)^2", [0], [1]), K * (1 + 1 / 16)),
+    "centroids as a variable": (
+        variable("50000*(d-0.1)^2", d=centroids("distance(g1,g2)", [0], [1])),
+        K * (1 + 1 / 16),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SPRINGS)
+def test_a_collective_variable_has_the_period_of_its_curvature(kind):
+    force, expected = SPRINGS[kind]
+    x = [[0.1, 0, 0], [0, 0, 0], [0, 0.12, 0]]
+    (found,) = measured(assembled([1.0, 16.0, 12.0], force), x)
+    # Displacements of 1e-5 nm, as above; transverse motions have no stiffness where springs have their lengths.
+    assert squares([found])[0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_rmsd_has_the_period_of_its_curvature():
+    """k N rmsd^2 / 2 pulls each atom to its place but for motions of the whole: k/m for equal masses."""
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(6, 3))
+    force = variable("3*100000*d^2", d=openmm.RMSDForce(x))
+    # At the reference the root has no derivative.
+    displaced = x + 1e-3 * rng.normal(size=x.shape)
+    (found,) = measured(assembled(6 * [16.0], force), displaced)
+    # The best turn changes with the displacement, of which a thousandth remains.
+    assert squares([found])[0] == pytest.approx(K / 16, rel=5e-3)
+
+
+def test_collective_variables_move_bodies_and_leave_constraints():
+    """A point of a body has the mass with which it can move; a distance that is held does not move."""
+    system = assembled([1.0, 16.0, 1.0], variable("50000*(d-0.1)^2", d=bond("r")))
+    x = np.array([[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0]])
+    named = RigidBodies.from_system(system, rigid=[[0, 1, 2]], positions=x)
+    assert measured(system, x, named) == []
+    partly = RigidBodies.from_system(system, rigid=[[1, 2]], positions=x)
+    # Along x the end of the body is turned about its centre: 1/M + r^2/I.
+    centre = 0.1 / 17
+    inertia = 16 * centre**2 + (0.1 - centre) ** 2
+    (found,) = measured(system, x, partly)
+    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 17 + centre**2 / inertia), rel=1e-5)
+    system.addConstraint(0, 1, 0.1)
+    assert measured(system, x) == []
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_a_bias_draws_no_word_and_a_stiff_one_is_refused(engine):
+    """Metadynamics begins with a table of zeros; at 9 fs its step is that of everything else."""
+    table = openmm.Continuous1DFunction(np.zeros(50), 0, 1)
+    bias = variable("table(d)", d=bond("r"))
+    bias.addTabulatedFunction("table", table)
+    x = np.array([[0.1, 0, 0], [0, 0, 0]])
+    with silence():
+        soft = SIERIntegrator(0.009, SIER2, engine=engine)
+        context_at(assembled([12.0, 12.0], bias), soft, (x, 0 * x), steps=1)
+    stiff = variable("231375*(d-0.1)^2", d=bond("r"))
+    stiff.setName("bias")
+    integrator = SIERIntegrator(0.009, SIER2, engine=engine)
+    context = context_at(assembled([1.0, 16.0], stiff), integrator, (x, 0 * x))
+    with pytest.raises(openmm.OpenMMException, match=r"the motion that bias causes of atom 0 .* a period of 8\.96 fs"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
     """Prepared, at 6 fs, it reached 2e15 kJ/mol in one step, and OpenMM crashed."""
@@ -171,8 +262,11 @@ def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
 
 
 def test_a_force_of_which_nothing_is_known_is_named_once():
-    force = openmm.CustomCVForce("50*d^2")
-    force.addCollectiveVariable("d", bond("r"))
+    """A collective variable of all pairs: to measure it would take as long as to compute all forces many times."""
+    pairs = openmm.CustomNonbondedForce("r")
+    pairs.addParticle([])
+    pairs.addParticle([])
+    force = variable("50*d^2", d=pairs)
     force.setName("bias")
     system = assembled([1.0, 1.0], force)
     x = np.array([[0, 0, 0], [0.1, 0, 0]])

@@ -22,8 +22,8 @@ from openmm_sier import (
 from openmm_sier.dynamics.stability import nested_is_stable
 from openmm_sier.system.vibrations import Vibrations
 from tests.support.silence import silence
-from tests.support.systems import assembled
-from tests.support.waters import cluster_system, context_at, phase_point, platform
+from tests.support.systems import assembled, field
+from tests.support.waters import cluster_system, context_at, judged, phase_point, platform
 
 #: Of O-H in OpenMM's flexible TIP3P, 462750.4 kJ/mol/nm^2.
 PERIOD = 2 * math.pi * math.sqrt(1 / (462750.4 * (1 / 1.008 + 1 / 15.99943)))
@@ -47,10 +47,10 @@ def limits(scheme, period):
 
 
 @pytest.mark.parametrize("make", [SIERIntegrator, lambda h, s: SIERLangevinIntegrator(297, 1, h, scheme=s)])
-def test_flexible_water_is_refused_when_it_is_bound(flexible, make):
+def test_flexible_water_is_refused(flexible, make):
     _, _, system = flexible
     with pytest.raises(openmm.OpenMMException) as caught:
-        openmm.Context(system, make(0.006, SIER4G), platform())
+        judged(system, make(0.006, SIER4G))
     message = str(caught.value)
     stable, accurate = limits(SIER4G, PERIOD)
     assert "A step of 6 fs is too long: the bond between atoms 0 and 1 " in message
@@ -79,7 +79,7 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
     integrator.setStepSize(0.001)
     integrator.step(1)
     with pytest.warns(UserWarning, match="is long"):
-        openmm.Context(system, SIER2Integrator(0.001), platform())
+        judged(system, SIER2Integrator(0.001))
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
@@ -115,7 +115,7 @@ def test_bonds_inside_bodies_do_not_count(flexible):
 def test_bonds_that_do_not_act_do_not_count():
     integrator = SIER2Integrator(0.006)
     integrator.setIntegrationForceGroups({0})
-    context = openmm.Context(diatomic(2e5, group=1), integrator, platform())
+    context = judged(diatomic(2e5, group=1), integrator)
     context.setPositions(np.array([[0, 0, 0], [0.1, 0, 0]]))
     integrator.step(1)
     integrator.setIntegrationForceGroups({0, 1})
@@ -130,9 +130,9 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
     inverse = sum(1 / mass for mass in masses if mass)
     period = 2 * math.pi / math.sqrt(1e5 * inverse)
     stable, _ = limits(SIER2, period)
-    openmm.Context(system, SIER2Integrator(0.999 * stable), platform())
+    judged(system, SIER2Integrator(0.999 * stable))
     with pytest.raises(openmm.OpenMMException, match=f"period of {1000 * period:.3g} fs"):
-        openmm.Context(system, SIER2Integrator(1.001 * stable), platform())
+        judged(system, SIER2Integrator(1.001 * stable))
 
 
 @pytest.mark.parametrize(
@@ -147,15 +147,101 @@ def test_remedies_are_those_that_help(masses, named, left_out):
     system = diatomic(4e5, masses)
     prepare_system(system)
     with pytest.raises(openmm.OpenMMException, match="is too long for the bond") as refused:
-        openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.03, substeps=40), platform())
+        judged(system, SIERLangevinIntegrator(300, 1, 0.03, substeps=40))
     for remedy in named:
         assert remedy in str(refused.value)
     assert left_out not in str(refused.value)
 
 
+def group_of_methyl():
+    """A carbon that heavy hydrogens have made as light as they are, bonded to nitrogen, in vacuum."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 1, 0.147, 2.8e5)
+    system = assembled([14.0, 4.0, 3.7, 3.7, 3.7], bonds, constraints=[(1, i, 0.109) for i in (2, 3, 4)])
+    return system, None, None
+
+
+def restrained():
+    """An atom that a field holds tightly."""
+    return assembled([12.0], field("k*x^2/2", [0], k=1e6)), None, np.zeros((1, 3))
+
+
+def coupled():
+    """A bond as a term of two atoms that is no bonded Force, so that inner steps cannot follow it."""
+    force = openmm.CustomCompoundBondForce(2, "2e5*(distance(p1,p2)-0.1)^2")
+    force.addBond([0, 1], [])
+    return assembled([12.0, 12.0], force), None, np.array([[0, 0, 0], [0.1, 0, 0]])
+
+
+def biased():
+    distance = openmm.CustomBondForce("r")
+    distance.addBond(0, 1)
+    force = openmm.CustomCVForce("2e5*(d-0.1)^2")
+    force.addCollectiveVariable("d", distance)
+    force.setName("bias")
+    return assembled([12.0, 12.0], force), None, np.array([[0, 0, 0], [0.1, 0, 0]])
+
+
+def between_bodies():
+    """Two rigid triangles that a stiff bond joins."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 3, 0.15, 4e5)
+    x = np.array([[0, 0, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.15, 0, 0], [0.25, 0.1, 0], [0.25, -0.1, 0]])
+    return assembled(6 * [12.0], bonds), [[0, 1, 2], [3, 4, 5]], x
+
+
+def beside_a_body():
+    """A stiff bond of two beads at a rigid triangle: constraints could not join it."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 3, 0.15, 2e3)
+    bonds.addBond(3, 4, 0.15, 4e5)
+    x = np.array([[0, 0, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.15, 0, 0], [0.3, 0, 0]])
+    return assembled(5 * [12.0], bonds), [[0, 1, 2]], x
+
+
+FAST, SLOW = "Call prepare_system(system)", "Take a shorter step, or"
+
+#: What limits a step, how the remedy begins, and what else it says or leaves out.
+ADVICE = {
+    "a bond to hydrogen": (lambda: (diatomic(4e5), None, None), FAST, "constraints=HBonds", "AllBonds"),
+    "a bond of light carbon": (group_of_methyl, FAST, "constraints=AllBonds", "HBonds"),
+    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "hold the bond"),
+    "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
+    "a collective variable": (biased, SLOW, "make bias softer", "hold the bond"),
+    "a bond of two bodies": (between_bodies, SLOW, "into one rigid body", "constraints="),
+    "a bond beside a body": (beside_a_body, SLOW, "into one rigid body", "constraints="),
+}
+
+
+@pytest.mark.parametrize("prepared", [False, True])
+@pytest.mark.parametrize("kind", ADVICE)
+def test_a_remedy_is_one_that_helps(kind, prepared):
+    """Inner steps for what they can follow, and no preparation where it was done or does nothing."""
+    make, begins, says, leaves_out = ADVICE[kind]
+    system, bodies, x = make()
+    if prepared:
+        prepare_system(system, bodies)
+        # What can be fast is judged by its kicks and inner steps then.
+        begins = SLOW if begins == SLOW else ""
+    integrator = SIERIntegrator(0.03, SIER4G, bodies=bodies, substeps=20)
+    context = openmm.Context(system, integrator, platform())
+    judge = integrator.binding.check_step
+    if x is not None:
+        context.setPositions(x)
+        judge = partial(integrator.step, 1)
+    with pytest.raises(openmm.OpenMMException, match="is too long") as refused:
+        judge()
+    message = str(refused.value)
+    assert begins in message
+    assert says in message
+    assert leaves_out not in message
+    if begins != FAST:
+        assert FAST not in message
+
+
 def test_bonds_without_strength_are_no_oscillators():
-    openmm.Context(diatomic(strength=0.0), SIER2Integrator(1.0), platform())
-    openmm.Context(diatomic(masses=(0.0, 0.0)), SIER2Integrator(1.0), platform())
+    judged(diatomic(strength=0.0), SIER2Integrator(1.0))
+    judged(diatomic(masses=(0.0, 0.0)), SIER2Integrator(1.0))
 
 
 def test_a_bond_at_a_body_moves_the_body(rng):
@@ -185,14 +271,14 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
     prepare_system(system)
     for h in (0.0045, 0.006, 0.009):
         with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
-            openmm.Context(system, SIERIntegrator(h, SIER4G, engine=engine, substeps=8), platform())
-    openmm.Context(system, SIERIntegrator(0.004, SIER4G, engine=engine, substeps=8), platform())
+            judged(system, SIERIntegrator(h, SIER4G, engine=engine, substeps=8))
+    judged(system, SIERIntegrator(0.004, SIER4G, engine=engine, substeps=8))
     # With a bath at 9 fs, 0.58 periods, bonds are shorter than in vacuum, and energies an eighth too high.
     prepare_system(system, hydrogenMass=4)
     refused = r"is too long for the bond between atoms \d and \d: .*More inner steps do not help"
     with silence(), pytest.raises(openmm.OpenMMException, match=refused):
-        openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.009, engine=engine), platform())
-    openmm.Context(system, SIERLangevinIntegrator(300, 1, 0.007, engine=engine), platform())
+        judged(system, SIERLangevinIntegrator(300, 1, 0.009, engine=engine))
+    judged(system, SIERLangevinIntegrator(300, 1, 0.007, engine=engine))
 
 
 @pytest.mark.parametrize(

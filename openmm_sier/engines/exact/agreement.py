@@ -14,6 +14,7 @@ from openmm_sier.engines.protocol import Clock, Flow
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.variables import DRAWS, HEAT, STATE_VARIABLES
 from openmm_sier.system import checks
+from openmm_sier.system.cut_molecules import IF_CUT, cut_molecules
 
 #: Points further than this from their constraints, in nm, are refused, since they are not the molecule that was meant.
 FARTHEST = 0.05
@@ -76,7 +77,7 @@ class Agreement:
         moved = known is None or not now.same_positions(before)
         if moved:
             moving.start_anew()
-            moving.settle_by(now.positions, flow)
+            moving.settle_by(now.positions)
         state = known
         if state is None or moved or not now.same_velocities(before):
             state = self._found(now, known, moved)
@@ -156,6 +157,13 @@ class Agreement:
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
         """
+        try:
+            return self._fitted(now, previous)
+        except RigidityError as error:
+            cut = cut_molecules(self._context.getSystem(), now.positions, now.box)
+            raise (RigidityError(cut) if cut else error) from None
+
+    def _fitted(self, now: Snapshot, previous: BodyState | None) -> tuple[np.ndarray, np.ndarray]:
         q, A, misfit = self._bodies.fit_with_misfit(now.positions, previous)
         if len(self._bodies.constraints.pairs):
             q, moved = self._onto_constraints(q)
@@ -171,14 +179,13 @@ class Agreement:
             satisfied = constraints.satisfied(q)
             constraints.rank(satisfied)
         except ConstraintError as error:
-            raise RigidityError(f"the positions do not satisfy the constraints: {error}") from None
+            raise RigidityError(f"the positions do not satisfy the constraints: {error}. {IF_CUT}") from None
         moved = np.linalg.norm(satisfied - q, axis=0)
         if not moved.max() <= FARTHEST:
             worst = int(np.where(np.isfinite(moved), moved, np.inf).argmax())
             raise RigidityError(
                 f"{self._bodies.describe(worst)} is {moved[worst]:.4f} nm from where its constraints want it, at most "
-                f"{FARTHEST} nm can be mended. Is the molecule whole (not cut by the periodic boundary)? "
-                "context.applyConstraints(1e-6) may mend it"
+                f"{FARTHEST} nm can be mended. {IF_CUT}. Otherwise context.applyConstraints(1e-6) may mend it"
             )
         return satisfied, moved
 

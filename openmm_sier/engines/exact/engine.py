@@ -51,7 +51,7 @@ class ExactEngine(Engine):
             bodies: as users give them, see `find_bodies.known_or_planned`.
 
         Raises:
-            RigidityError, openmm.OpenMMException: the System or the step is refused, as the message says.
+            RigidityError, openmm.OpenMMException: the System is refused, as the message says.
         """
         super().__init__(context, flow)
         system = context.getSystem()
@@ -75,7 +75,7 @@ class ExactEngine(Engine):
     @property
     def movers(self) -> Movers:  # type: ignore[override]
         if not self._moving.is_settled:
-            self._moving.settle_by(Snapshot(self._context).positions, self._flow)
+            self._moving.settle_by(Snapshot(self._context).positions)
         return self._moving.movers
 
     @property
@@ -178,6 +178,10 @@ class ExactEngine(Engine):
         finally:
             plain.setStepSize(integrator, native_step)
             integrator.setGlobalVariableByName(PART, 0)
+
+    def check_step(self, flow: Flow) -> None:
+        if self._moving.is_settled:
+            self._moving.check_step(flow, self._integrator.getIntegrationForceGroups())
 
     # --- between flows ---
 

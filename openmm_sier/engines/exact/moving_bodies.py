@@ -44,7 +44,7 @@ class MovingBodies:
             flow: what will be followed.
 
         Raises:
-            openmm.OpenMMException: the System or the step is refused.
+            openmm.OpenMMException: the System is refused.
         """
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
@@ -54,11 +54,11 @@ class MovingBodies:
         self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
         self._plan = found if isinstance(found, BodyPlan) else None
         if not isinstance(found, BodyPlan):
-            self._settle(found, flow)
+            self._settle(found)
 
     # --- their life ---
 
-    def settle_by(self, positions: np.ndarray, flow: Flow) -> None:
+    def settle_by(self, positions: np.ndarray) -> None:
         """Settle planned bodies with the geometry that the Context carries or, the first time, that of positions.
 
         Raises:
@@ -69,15 +69,14 @@ class MovingBodies:
         integrator = self._context.getIntegrator()
         sites = np.array(integrator.getPerDofVariableByName(SITES))
         if not (self.is_settled and np.array_equal(packing.sites(self.movers.bodies), sites)):
-            self._settle(self._plan.bodies(positions, sites), flow)
+            self._settle(self._plan.bodies(positions, sites))
             integrator.setPerDofVariableByName(SITES, packing.sites(self.movers.bodies))
 
-    def _settle(self, bodies: RigidBodies, flow: Flow) -> None:
+    def _settle(self, bodies: RigidBodies) -> None:
         context = self._context
         system = context.getSystem()
         checks.refuse_constrained_lines(system, bodies)
         self.check_step = StepCheck(system, bodies, inner_step)
-        self.check_step(flow, context.getIntegrator().getIntegrationForceGroups())
         checks.refuse_deforming_barostats(system, context.getMolecules(), bodies)
         if self.moves_volume:
             checks.refuse_constant_pressure(system, bodies)

@@ -27,6 +27,7 @@ from openmm_sier.engines.temperature import Temperatures, temperature, temperatu
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
+from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
@@ -92,7 +93,6 @@ class NativeEngine(Engine):
             self._found = error
         rigid = () if isinstance(self._found, RigidityError) else self._found.species
         self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following), rigid)
-        self._check_step(flow, integrator.getIntegrationForceGroups())
         self._potential: float | None = None
         self._environment: Any = None
         self._is_box_new = False
@@ -209,6 +209,9 @@ class NativeEngine(Engine):
         self._follows_bath = self._follows_bath or steps > 0
         self.evaluations += steps * self._flow.scheme.force_evaluations
 
+    def check_step(self, flow: Flow) -> None:
+        self._check_step(flow, self._integrator.getIntegrationForceGroups())
+
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
         if self._is_guarded:
@@ -240,7 +243,7 @@ class NativeEngine(Engine):
         """Move atoms and velocities onto the constraints; those that satisfy them are unchanged, bit for bit.
 
         Raises:
-            RigidityError: OpenMM cannot satisfy them.
+            RigidityError: OpenMM cannot satisfy them, or would pull together what the periodic boundary cuts.
             openmm.OpenMMException: it never could, see `SolverTrial`.
         """
         if not len(self._constraints.pairs):
@@ -249,6 +252,7 @@ class NativeEngine(Engine):
         context, tolerance = self._context, self._integrator.getConstraintTolerance()
         errors, speeds = self._constraint_errors()
         if not errors.max() <= OFF:
+            self._refuse_cut_molecules()
             context.applyConstraints(tolerance)
             errors, speeds = self._constraint_errors()
             worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
@@ -257,7 +261,7 @@ class NativeEngine(Engine):
                 raise RigidityError(
                     f"the constraint of atoms {i} and {j} wants them {self._constraints.lengths[worst]:.4f} nm apart, "
                     f"and OpenMM could move them no nearer to that than {errors[worst]:.2g} nm: give positions that "
-                    "satisfy the constraints"
+                    f"satisfy the constraints. {IF_CUT}"
                 )
         if not speeds.max() <= OFF:
             context.applyVelocityConstraints(tolerance)

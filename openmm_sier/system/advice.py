@@ -1,0 +1,64 @@
+"""What to do about a step that is too long for a motion: the remedies that help that motion."""
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import working_terms
+from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
+from openmm_sier.system.hydrogens import hydrogens
+
+#: Remedies, for messages.
+PREPARE = "Call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step"
+SHORTER_STEP = "Take a shorter step"
+MORE_SUBSTEPS = "Take more substeps or a shorter step"
+HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
+HEAVIER = f"for averages only, make all hydrogens heavy by {HEAVY}"
+CONSTRAIN = (
+    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
+    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
+)
+CONSTRAIN_HEAVY = (
+    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
+    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
+)
+ONE_BODY = "hold the bond: put all atoms of both ends into one rigid body of `bodies`"
+KEEP_HEAVY = f"; if createSystem made hydrogens heavy, call {HEAVY}, which leaves other atoms heavier"
+
+#: Dalton. Hydrogens up to this have not been made heavy.
+LIGHT = 2.0
+
+
+class Remedies:
+    """What helps a System's motions, by their atoms."""
+
+    def __init__(self, system: openmm.System, bodies: RigidBodies):
+        """From a System and what moves in it."""
+        self._owner, self._points = bodies.owners.copy(), bodies.point_particles
+        # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
+        rigid = bodies.molecules[bodies.moments.any(axis=0)]
+        self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
+        # Terms between frozen atoms do no work, like those inside one body.
+        self._owner[tables.frozen_atoms(system)] = bodies.n
+        self._masses = tables.masses(system)
+        self._hydrogens = {atom for found in hydrogens(system).values() for atom in found}
+
+    def can_be_fast(self, force: openmm.Force) -> bool:
+        """Tell whether `prepare_system` would let a Force act within drifts: it is bonded and acts on points alone."""
+        terms = working_terms(force, self._owner)
+        return bool(len(terms) and self._points[terms].all())
+
+    def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:
+        """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
+        return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
+
+    def hold(self, atoms: tuple[int, ...]) -> str:
+        """How to hold a bond."""
+        if self.has_hydrogen(atoms):
+            return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN + KEEP_HEAVY
+        return ONE_BODY if self._beside_bodies[list(atoms)].any() else CONSTRAIN_HEAVY
+
+    def heavier(self, atoms: np.ndarray) -> bool:
+        """Tell whether heavier hydrogens would make the motion of some atoms slower."""
+        return self.has_hydrogen(tuple(atoms.tolist()), LIGHT)
