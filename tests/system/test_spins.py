@@ -29,10 +29,14 @@ def moment(degrees):
 
 
 def made(system, integrator, silently=True):
+    """A Context, whose step is judged as before the first step."""
+    context = openmm.Context(system, integrator, platform())
     if silently:
         with silence():
-            return openmm.Context(system, integrator, platform())
-    return openmm.Context(system, integrator, platform())
+            integrator.binding.check_step()
+    else:
+        integrator.binding.check_step()
+    return context
 
 
 @pytest.mark.parametrize("engine", ENGINES)

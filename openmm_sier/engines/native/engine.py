@@ -93,6 +93,7 @@ class NativeEngine(Engine):
             self._found = error
         rigid = () if isinstance(self._found, RigidityError) else self._found.species
         self._check_step = StepCheck(system, points, lambda following, _: self.inner_step(following), rigid)
+        self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: float | None = None
         self._environment: Any = None
         self._is_box_new = False
@@ -178,11 +179,15 @@ class NativeEngine(Engine):
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
-        count, done = min(steps, AT_ONCE), self._context.getStepCount()
+        count, start = min(steps, AT_ONCE), self.clock
         try:
             self._native_steps(count)
         finally:
-            self._completed(self._context.getStepCount() - done)
+            made = self._context.getStepCount() - start.steps
+            self._completed(made)
+            # On the CPU and Reference platforms OpenMM's own clock takes the step that the Context was created with.
+            if self._flow.step != self._step_at_first:
+                self.clock = Clock(start.time + made * self._flow.step, start.steps + made)
         return count
 
     def _divided_step(self, _: int) -> int:
