@@ -10,6 +10,7 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
   atoms were moved, which the native engine would not notice by itself.
 - `Context.setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where
   OpenMM's solvers cannot satisfy the constraints.
+- `Context.setPeriodicBoxVectors` tells the integrator too: OpenMM would take the forces of the old box for valid.
 - `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
   continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
 - `updateParametersInContext` of every Force tells the integrator that forces have changed.
@@ -47,6 +48,7 @@ def install() -> None:
     _replace(openmm.Context, "setVelocitiesToTemperature", _draw_velocities)
     _replace(openmm.Context, "applyConstraints", functools.partial(_satisfy, False))
     _replace(openmm.Context, "applyVelocityConstraints", functools.partial(_satisfy, True))
+    _replace(openmm.Context, "setPeriodicBoxVectors", functools.partial(_pass_on, Binding.box_changed))
     _replace(openmm.Context, "loadCheckpoint", functools.partial(_pass_on, Binding.take_over))
     _replace(openmm.Context, "createCheckpoint", functools.partial(_pass_on, Binding.start_anew))
     _replace(openmm.XmlSerializer, "serialize", _write_restart_point)

@@ -11,16 +11,71 @@ import numpy as np
 from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
 from openmm_sier.dynamics.noise import generator
 
-#: Largest change of ln V, times the square root of the number of molecules. In these units ln V fluctuates by 1 in an
-#: ideal gas and by 0.25 in water, where half of the moves are accepted.
-LARGEST_MOVE = 0.5
+#: Largest change of ln V at the beginning, times the square root of the number of molecules. In these units ln V
+#: fluctuates by 1 in an ideal gas and by 0.25 in water, where half of the moves are accepted.
+FIRST_SIZE = 0.5
+
+#: Largest change of ln V that is ever tried.
+LARGEST_SIZE = 0.3
+
+#: The size stays if so large a part of the moves is accepted, as in OpenMM's MonteCarloBarostat.
+ACCEPTED = 0.25, 0.75
+
+#: The largest factor of one change of the size.
+LARGEST_CHANGE = 10.0
+
+#: After so many moves the size is judged by those since the last time, of which there are twice as many each time.
+#: After the last it is kept.
+JUDGED = 10, 30, 70, 150, 310, 630, 1270, 2550
+
+
+class MoveSize(NamedTuple):
+    """The size of volume moves, chosen from what the first of them do.
+
+    Moves of another size between them would break detailed balance. So the size changes ever more rarely, and not at
+    all where enough moves are accepted or after the last of `JUDGED`.
+
+    Attributes:
+        largest: largest change of ln V.
+        tried: number of moves so far.
+        accepted: sum of the probabilities to accept those since the size was judged.
+    """
+
+    largest: float
+    tried: int = 0
+    accepted: float = 0.0
+
+    @classmethod
+    def first(cls, molecules: int) -> MoveSize:
+        """Return the size with which a run begins."""
+        return cls(min(FIRST_SIZE / math.sqrt(molecules), LARGEST_SIZE))
+
+    def after(self, probability: float) -> MoveSize:
+        """Return the size after a move that was accepted with a probability."""
+        tried, accepted = self.tried + 1, self.accepted + probability
+        if tried not in JUDGED:
+            return MoveSize(self.largest, tried, accepted)
+        moves = (tried + JUDGED[0]) // 2
+        return MoveSize(min(self.largest * _change(accepted / moves), LARGEST_SIZE), tried)
+
+
+def _change(accepted: float) -> float:
+    """Return the factor on the size of moves of which a part was accepted, so that half of them will be.
+
+    The part that is accepted of large moves is as 1/size, and the part that is rejected of small ones as the size.
+    """
+    least, most = ACCEPTED
+    if accepted < least:
+        return max(2 * accepted, 1 / LARGEST_CHANGE)
+    if accepted > most:
+        return min(1 / max(2 * (1 - accepted), 1 / LARGEST_CHANGE), LARGEST_CHANGE)
+    return 1.0
 
 
 class MonteCarloVolumeMove(NamedTuple):
     """A move of the volume by the method of OpenMM's MonteCarloBarostat.
 
-    Unlike OpenMM's it remembers nothing of earlier ones: moves have a fixed largest size, and their random numbers are
-    a function of a seed and of the number of draws so far. So a restart is bit-identical.
+    Its random numbers are a function of a seed and of the number of draws so far, so that a restart is bit-identical.
 
     Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
 
@@ -35,18 +90,27 @@ class MonteCarloVolumeMove(NamedTuple):
     chance: float
 
     @classmethod
-    def drawn(cls, seed: int, draw: int, molecules: int) -> MonteCarloVolumeMove:
-        """A move to be tried; seed and draw fix the random numbers."""
+    def drawn(cls, seed: int, draw: int, molecules: int, largest: float) -> MonteCarloVolumeMove:
+        """Return a move to be tried, whose random numbers are fixed by seed and draw.
+
+        Args:
+            seed: of the run.
+            draw: number of draws so far.
+            molecules: number of molecules.
+            largest: change of ln V.
+        """
         place, chance = generator(seed, draw, stream=1).random(2)
-        return cls(molecules, LARGEST_MOVE / math.sqrt(molecules) * (2 * place - 1), chance)
+        return cls(molecules, largest * (2 * place - 1), chance)
 
     @property
     def factor(self) -> float:
         """By which edges of the box and centres of molecules are multiplied."""
         return math.exp(self.growth / 3)
 
-    def is_accepted(self, gain: float, pressure: float, volume: float, thermal: float) -> bool:
-        """The Metropolis rule for a move in ln V, in which the centres of n molecules are scaled with the box.
+    def probability(self, gain: float, pressure: float, volume: float, thermal: float) -> float:
+        """Return the probability by which a move in ln V is accepted, that of Metropolis.
+
+        The centres of n molecules are scaled with the box.
 
         Args:
             gain: change of the potential energy, kJ/mol.
@@ -56,7 +120,14 @@ class MonteCarloVolumeMove(NamedTuple):
         """
         work = pressure * volume * math.expm1(self.growth)
         cost = gain + work - (self.molecules + 1) * thermal * self.growth
-        return bool(cost <= -thermal * math.log(1 - self.chance))
+        if cost <= 0:
+            return 1.0
+        # An energy of overlapping atoms may not be a number.
+        return math.exp(-cost / thermal) if thermal and math.isfinite(cost) else 0.0
+
+    def is_accepted(self, probability: float) -> bool:
+        """Return whether a move with a probability to be accepted is so."""
+        return 1 - self.chance <= probability
 
 
 class MoleculeCentres:

@@ -3,11 +3,16 @@
 # Without this, annotations would import numpy.random, which is slow.
 from __future__ import annotations
 
+import threading
+
 import numpy as np
+
+#: For each thread one generator, whose state is set for each draw: to make a new one takes five times as long.
+_own = threading.local()
 
 
 def generator(seed: int, draw: int, stream: int = 0) -> np.random.Generator:
-    """A fresh generator for one draw.
+    """Return the generator of one draw, which is valid until the next call in the same thread.
 
     Args:
         seed: of the run, 0 <= seed < 2^128.
@@ -20,4 +25,19 @@ def generator(seed: int, draw: int, stream: int = 0) -> np.random.Generator:
     >>> bool(generator(1, 5).random() == generator(1, 6).random())
     False
     """
-    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, draw, stream]))
+    if not hasattr(_own, "generator"):
+        _own.philox = np.random.Philox(0)
+        _own.generator = np.random.Generator(_own.philox)
+    # As np.random.Philox(key=seed, counter=[0, 0, draw, stream]) begins.
+    _own.philox.state = {
+        "bit_generator": "Philox",
+        "state": {
+            "counter": np.array([0, 0, draw, stream], dtype=np.uint64),
+            "key": np.array([seed & 0xFFFFFFFFFFFFFFFF, seed >> 64], dtype=np.uint64),
+        },
+        "buffer": np.zeros(4, dtype=np.uint64),
+        "buffer_pos": 4,
+        "has_uint32": 0,
+        "uinteger": 0,
+    }
+    return _own.generator

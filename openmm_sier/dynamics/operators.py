@@ -51,15 +51,15 @@ class CachedForces:
         """Compute anew next time: the potential has changed."""
         self._q: np.ndarray | None = None
         self._A: np.ndarray | None = None
-        self._value: tuple[np.ndarray, ...] = ()
+        self._found: tuple[np.ndarray, ...] = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
             # Memory of the old ones is free before the new ones need it.
-            self._q, self._A, self._value = None, None, ()
-            self._value = self.at(state.q, state.A)
+            self._q, self._A, self._found = None, None, ()
+            self._found = self.at(state.q, state.A)
             self._q, self._A = state.q, state.A
-        return self._value
+        return self._found
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:
         """Forces and torques at other positions and attitudes, which are not kept.

@@ -18,11 +18,15 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.beginnings import refuse_hopeless_start
+from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
+
+# OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
+set_box = openmm.Context.setPeriodicBoxVectors
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -265,10 +269,10 @@ class Engine(ABC):
 
     def _box(self) -> Any:
         """Periodic box vectors, nm."""
-        return self._context.getState().getPeriodicBoxVectors().value_in_unit(unit.nanometer)
+        return box_of(self._context.getState())
 
     def _set_box(self, box: Any) -> None:
-        self._context.setPeriodicBoxVectors(*box)
+        set_box(self._context, *box)
 
     # --- what users ask ---
 
@@ -353,8 +357,10 @@ class Engine(ABC):
 
         Raises:
             RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
+            openmm.OpenMMException: it cannot begin where the atoms are.
         """
         self._refuse_cut_molecules()
+        refuse_hopeless_start(self._context)
         self._let_openmm_solve(by_openmm)
         self.atoms_moved()
 
@@ -366,6 +372,9 @@ class Engine(ABC):
 
     def atoms_moved(self) -> None:  # noqa: B027 - nothing to do where it is found out
         """Somebody set positions or velocities; an engine may find it out by itself."""
+
+    def box_changed(self) -> None:  # noqa: B027 - nothing to do where it is found out
+        """Somebody set the box; an engine may find it out by itself."""
 
     @abstractmethod
     def forces_changed(self) -> None:

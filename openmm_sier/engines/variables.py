@@ -43,9 +43,18 @@ class Record:
         for name in self._names:
             self[name] = 0.0
 
+    def values(self) -> dict[str, float]:
+        """Return the values of all by name, the seed among them."""
+        return {name: self[name] for name in (SEED, *self._names)}
+
+    def set(self, values: dict[str, float]) -> None:
+        """Set values by name."""
+        for name, value in values.items():
+            self[name] = value
+
     def keep(self) -> None:
         """Note the values that they have."""
-        self._known = {name: self[name] for name in (SEED, *self._names)}
+        self._known = self.values()
 
     def restore(self) -> None:
         """Restore the noted values if somebody wrote the variables of another integrator over ours.
@@ -53,5 +62,4 @@ class Record:
         openmmtools' ContextCache does so. Noise must not be used twice.
         """
         if self._known.get(SEED) and self[SEED] == 0:
-            for name, value in self._known.items():
-                self[name] = value
+            self.set(self._known)

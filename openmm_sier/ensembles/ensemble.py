@@ -9,12 +9,15 @@ from typing import ClassVar
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
-from openmm_sier.engines.variables import SEED, Record
+from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.system.arguments import quantity_to_float, whole_number
+
+#: Global variables of volume moves: the largest change of ln V, 0 before the first; and what else `MoveSize` has.
+SIZE, MOVES, ACCEPTED_MOVES = (PREFIX + name for name in ("volume_size", "volume_moves", "volume_accepted"))
 
 #: Does something for an ensemble.
 Action = Callable[..., None]
@@ -102,6 +105,7 @@ class ConstantTemperature(Ensemble):
     pressure: float | None = field(default=None, kw_only=True)
     interval: int = field(default=25, kw_only=True)
 
+    record: ClassVar[tuple[str, ...]] = (SIZE, MOVES, ACCEPTED_MOVES)
     is_random: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -122,8 +126,8 @@ class ConstantTemperature(Ensemble):
         at_volume = partial(self.advance_at_volume, engine, flow, record)
         if self.pressure is None:
             return at_volume(steps)
-        move = partial(_move_volume, engine, BAR * self.pressure, self.temperature, int(record[SEED]))
-        return advance_between(engine, steps, self.interval, move, at_volume)
+        move = partial(_move_volume, engine, record, BAR * self.pressure, self.temperature)
+        return advance_between(engine, record, steps, self.interval, move, at_volume)
 
     def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
         """What `advance` does at constant volume."""
@@ -151,13 +155,14 @@ def make_number(ensemble: Ensemble, field: str, name: str, symbol: str = "", lea
     object.__setattr__(ensemble, field, value)
 
 
-def advance_between(engine: Engine, steps: int, interval: int, act: Action, advance: Action) -> None:
+def advance_between(engine: Engine, record: Record, steps: int, interval: int, act: Action, advance: Action) -> None:
     """Advance by steps of the integrator, and do something before each whose number is a multiple of an interval.
 
     After an error both the step and what was done before it are undone.
 
     Args:
         engine: counts steps.
+        record: what is noted of what was done.
         steps: number of steps.
         interval: at least 1.
         act: what is done, a function without arguments.
@@ -168,27 +173,30 @@ def advance_between(engine: Engine, steps: int, interval: int, act: Action, adva
         if count:
             advance(count)
         else:
-            before, done = engine.remember(), engine.clock.steps
+            before, noted, done = engine.remember(), record.values(), engine.clock.steps
             try:
                 act()
                 advance(1)
             except BaseException:
                 if engine.clock.steps == done:
                     engine.go_back(before)
+                    record.set(noted)
                 raise
         steps -= count or 1
 
 
-def _move_volume(engine: Engine, pressure: float, temperature: float, seed: int) -> None:
+def _move_volume(engine: Engine, record: Record, pressure: float, temperature: float) -> None:
     """Try one move at a pressure in kJ/mol/nm^3 and a temperature in K.
 
-    It takes a draw of random numbers, and the energy that it gives is heat.
+    It takes a draw of random numbers, and the energy that it gives is heat. What it does is noted for the size of the
+    next.
 
     Raises:
         openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.
     """
-    before, sample = engine.potential_energy(), engine.remember()
-    move, volume = MonteCarloVolumeMove.drawn(seed, engine.draws, engine.movers.centres.count), engine.volume()
+    before, sample, volume = engine.potential_energy(), engine.remember(), engine.volume()
+    size = _move_size(engine, record)
+    move = MonteCarloVolumeMove.drawn(int(record[SEED]), engine.draws, engine.movers.centres.count, size.largest)
     try:
         engine.scale(move.factor)
         gain = engine.potential_energy() - before
@@ -200,8 +208,17 @@ def _move_volume(engine: Engine, pressure: float, temperature: float, seed: int)
                 f"{error} A larger box or a shorter cut-off would help. The Context is left at the last completed step"
             ) from error
         raise
-    if move.is_accepted(gain, pressure, volume, GAS_CONSTANT * temperature):
+    probability = move.probability(gain, pressure, volume, GAS_CONSTANT * temperature)
+    if move.is_accepted(probability):
         engine.add_heat(gain)
     else:
         engine.go_back(sample)
     engine.draws += 1
+    record[SIZE], record[MOVES], record[ACCEPTED_MOVES] = size.after(probability)
+
+
+def _move_size(engine: Engine, record: Record) -> MoveSize:
+    """Return the size of the next move, by what is noted of the earlier ones."""
+    if not record[SIZE]:
+        return MoveSize.first(engine.movers.centres.count)
+    return MoveSize(record[SIZE], int(record[MOVES]), record[ACCEPTED_MOVES])

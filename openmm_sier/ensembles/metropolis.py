@@ -45,7 +45,14 @@ class Metropolis(ConstantTemperature):
     friction: float | None
     steps_per_trial: int
 
-    record: ClassVar[tuple[str, ...]] = (TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL)
+    record: ClassVar[tuple[str, ...]] = (
+        *ConstantTemperature.record,
+        TRIALS,
+        ACCEPTED,
+        ERROR,
+        CHECKED_STEP,
+        REVERSAL,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

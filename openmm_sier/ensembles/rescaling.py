@@ -50,7 +50,7 @@ class VelocityRescaling(ConstantTemperature):
         if not self.rate:
             return engine.follow(steps)
         scale = partial(self._scale, engine, math.exp(-self.rate * self.every * flow.step), int(record[SEED]))
-        return advance_between(engine, steps, self.every, scale, engine.follow)
+        return advance_between(engine, record, steps, self.every, scale, engine.follow)
 
     def _scale(self, engine: Engine, kept: float, seed: int) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""

@@ -29,6 +29,7 @@ from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.system import checks
+from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
 from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
@@ -39,8 +40,8 @@ class Binding:
 
     `install` gives a new integrator its variables and program. `prepare` is called before its Context is created and
     `bind` after that, and again when the Context is reinitialized. `step` advances it. What happens to the Context from
-    outside is told by `moved`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and `start_anew`,
-    which do nothing without a Context. `change` replaces settings at any time.
+    outside is told by `moved`, `box_changed`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and
+    `start_anew`, which do nothing without a Context. `change` replaces settings at any time.
 
     Attributes:
         settings: all that the integrator was asked for.
@@ -137,8 +138,8 @@ class Binding:
             platform: that of the Context; None leaves it to OpenMM.
 
         Raises:
-            openmm.OpenMMException: the System has Drude particles, the integrator was given more computations, or its
-                Context is gone.
+            openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
+                integrator was given more computations, or its Context is gone.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
@@ -149,6 +150,7 @@ class Binding:
                 "integrators with their Contexts: make a new one"
             )
         checks.refuse_drude_particles(system)
+        checks.refuse_impossible_numbers(system)
         installation.refuse_additions(self._integrator, self._own_computations)
         given = self.settings
         if given.finds_fast_groups:
@@ -186,6 +188,7 @@ class Binding:
             self.record.clear()
         system, given = context.getSystem(), self.settings
         checks.tell_of_frozen_atoms_that_move(system)
+        tell_of_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
@@ -271,6 +274,11 @@ class Binding:
         else:
             self._engine.satisfy_positions(by_openmm)
 
+    def box_changed(self) -> None:
+        """Somebody set the box."""
+        if self._engine is not None:
+            self._engine.box_changed()
+
     def forces_changed(self) -> None:
         """Somebody changed the potential."""
         if self._engine is not None:
@@ -310,6 +318,7 @@ class Binding:
         """
         seed, draws = self.record[SEED], self.record[DRAWS]
         set_state()
+        self.box_changed()
         self.record[SEED], self.record[DRAWS] = seed, max(draws, self.record[DRAWS])
         self.take_over()
         is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise

@@ -17,7 +17,7 @@ from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refus
 from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.measure.forcefields import USUAL, Box, Interactions
 from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, named_atom, refusing
-from openmm_sier.system import tables
+from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
@@ -170,6 +170,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     path, found, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
         system = openmm.XmlSerializer.deserialize(topology.read_text())
+        checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):
             raise ForceFieldError(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
@@ -58,6 +59,27 @@ def refuse_drude_particles(system: openmm.System) -> None:
                 f"{part.name} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
                 "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
                 "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
+            )
+
+
+def refuse_impossible_numbers(system: openmm.System) -> None:
+    """Refuse masses and lengths of constraints that no motion can have; OpenMM takes them as they are.
+
+    Raises:
+        openmm.OpenMMException: a mass is negative or not finite, or a length is not positive or not finite.
+    """
+    masses = tables.masses(system)
+    if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
+        atom = int(wrong.argmax())
+        raise openmm.OpenMMException(
+            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
+            "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) does not"
+        )
+    for i, j, distance in map(system.getConstraintParameters, range(system.getNumConstraints())):
+        length = distance.value_in_unit(unit.nanometer)
+        if not 0 < length < math.inf:
+            raise openmm.OpenMMException(
+                f"The constraint of particles {i} and {j} has the length {length:g} nm: it must be positive"
             )
 
 

@@ -28,7 +28,8 @@ INTERVAL = 100
 #: time, up to `INTERVAL`.
 FIRST_LOOK = 5
 
-#: Fewer atoms with mass are not judged: a few ions that fall towards each other become as hot by Coulomb's law.
+#: The heat of fewer atoms with mass is not judged: a few ions that fall towards each other become as hot by Coulomb's
+#: law.
 FEWEST_ATOMS = 60
 
 #: The heat must also have grown by this factor, so that a user's own hot start is no runaway.
@@ -84,21 +85,25 @@ class RunawayWatch:
             bath: temperature of the heat bath, K; 0 without one.
 
         Raises:
-            RunawayError: the System is too hot.
+            RunawayError: the System is too hot, or a velocity is not finite.
         """
-        if self._atoms < FEWEST_ATOMS:
-            return make(steps)
         start = self._temperature(context) if self._start is None else self._start
         taken, pause = self._steps + steps, self._pause
         make(steps)
         # What the steps themselves set is no new start.
         self._start, self._steps, self._pause = start, taken, pause
         if taken < min(pause, INTERVAL):
-            return None
+            return
         # What a hot bath has heated may be cooled later.
         self._start = max(start, bath)
         self._steps, self._pause, now = 0, 2 * pause, self._temperature(context)
-        if not now <= hottest(self._start, self._freedoms):
+        if not math.isfinite(now):
+            raise RunawayError(
+                f"Steps of {1000 * step:.3g} fs have made velocities that are not finite. Is the step too long, or did "
+                "atoms overlap at the start? Take a shorter step, or minimize the energy first; with engine='native' "
+                "also try engine='exact', since OpenMM cannot satisfy all constraints"
+            )
+        if self._atoms >= FEWEST_ATOMS and now > hottest(self._start, self._freedoms):
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
@@ -106,7 +111,6 @@ class RunawayWatch:
                 "one another, of which it warns, need other positions. If none of this helps, print("
                 "check_forces(context)) tells which Force is not the gradient of its energy"
             )
-        return None
 
     def _temperature(self, context: openmm.Context) -> float:
         """Of all atoms, K. Bodies that no constraint holds have fewer degrees of freedom, and are hotter by that."""

@@ -340,6 +340,20 @@ def test_a_barostat_in_a_system_is_refused(capsys):
     assert "openmm-system.xml has a MonteCarloBarostat, in whose place the run has an ensemble: leave it out" in message
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda system: system.setParticleMass(4, -0.1), "The mass of particle 4 is -0.1 dalton"),
+        (lambda system: system.setParticleMass(4, float("nan")), "The mass of particle 4 is nan dalton"),
+        (lambda system: system.addConstraint(4, 5, -0.1), "The constraint of particles 4 and 5 has the length -0.1 nm"),
+    ],
+    ids=["negative mass", "mass", "constraint"],
+)
+def test_a_system_with_impossible_numbers_is_refused(capsys, change, message):
+    change_system(change)
+    assert f"openmm-system.xml as a System of OpenMM: {message}" in complaint(capsys, "info", *STATE.arguments)
+
+
 def test_without_a_box_there_is_no_cut_off(capsys):
     arguments = ["vacuum.inpcrd", "--topology", "vacuum.prmtop"]
     run("run", *arguments, *SMALL, "--steps", "1")

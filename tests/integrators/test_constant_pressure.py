@@ -6,11 +6,14 @@ import numpy as np
 import openmm
 import pytest
 from openmm import unit
+from scipy import stats
 
 from openmm_sier import SIER2, SIERLangevinIntegrator, SIERThermostatIntegrator
+from openmm_sier.dynamics.barostat import ACCEPTED, JUDGED, LARGEST_SIZE, MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.ensembles import VelocityRescaling
-from tests.support.restarts import assert_same, everything
+from openmm_sier.ensembles.ensemble import MOVES, SIZE
+from tests.support.restarts import after_ten_steps, assert_same, everything, simulation_of
 from tests.support.seeded import seeded
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, platform
@@ -67,6 +70,141 @@ def test_volume_is_that_of_openmms_barostat():
             found.append(context.getState().getPeriodicBoxVolume()._value)
         means.append(np.mean(found))
     assert means[0] == pytest.approx(means[1], rel=0.08)
+
+
+# --- the size of moves ------------------------------------------------------------------------------------------------
+
+
+def sizes(accepted, moves, molecules=100):
+    """The size after each of so many moves that are accepted with a probability."""
+    found = [MoveSize.first(molecules)]
+    for _ in range(moves):
+        found.append(found[-1].after(accepted))
+    return [size.largest for size in found]
+
+
+def test_a_size_at_which_enough_moves_are_accepted_stays():
+    for accepted in ACCEPTED:
+        assert len(set(sizes(accepted, 3000))) == 1
+
+
+@pytest.mark.parametrize(("accepted", "factor"), [(0.0, 0.1), (0.2, 0.4), (0.8, 2.5), (1.0, 10.0)])
+def test_the_size_changes_ever_more_rarely_and_not_for_ever(accepted, factor):
+    found = sizes(accepted, 6000, molecules=10**6)
+    changed = [moves for moves in range(1, 6001) if found[moves] != found[moves - 1]]
+    assert found[10] == pytest.approx(factor * found[0])
+    assert set(changed) <= set(JUDGED)
+    # No size is larger than the largest.
+    assert changed == list(JUDGED) or found[-1] == LARGEST_SIZE
+
+
+def test_the_volume_of_a_gas_has_its_distribution():
+    """Its moves are nearly all accepted at first, so that their size grows; the volume in units of kT/P is gamma.
+
+    Of 60,000 moves every 30th is taken. The correlation of ln V decays within some ten moves, so that these are
+    independent; a right sampler fails for one seed in a thousand.
+    """
+    molecules, volume, found = 20, 21.0, []
+    size = MoveSize(1e-3)
+    for draw in range(62000):
+        move = MonteCarloVolumeMove.drawn(5, draw, molecules, size.largest)
+        probability = move.probability(0.0, 1.0, volume, 1.0)
+        if move.is_accepted(probability):
+            volume *= move.factor**3
+        size = size.after(probability)
+        found.append(volume)
+    assert size.largest == LARGEST_SIZE
+    assert stats.kstest(found[2000::30], stats.gamma(molecules + 1).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("energy", [np.nan, np.inf])
+def test_a_move_to_an_energy_that_is_no_number_is_rejected(energy):
+    move = MonteCarloVolumeMove.drawn(1, 1, 10, 0.1)
+    assert not move.is_accepted(move.probability(energy, 1.0, 1.0, 1.0))
+
+
+def network(n=4, spacing=0.4):
+    """Beads on a lattice, each bound to its six neighbours and those of the next box: System and positions.
+
+    They are one molecule, which does not move with the box: a move strains the bonds that leave the box.
+    """
+    lattice = np.argwhere(np.ones((n, n, n)))
+    bonds = openmm.HarmonicBondForce()
+    bonds.setUsesPeriodicBoundaryConditions(True)
+    for i, place in enumerate(lattice):
+        for axis in np.eye(3, dtype=int):
+            bonds.addBond(i, int(np.ravel_multi_index((place + axis) % n, (n, n, n))), spacing, 20000.0)
+    system = assembled(n**3 * [40.0], bonds)
+    system.setDefaultPeriodicBoxVectors(*(n * spacing * np.eye(3)))
+    return system, spacing * lattice
+
+
+def moved_every_step(engine):
+    bath = VelocityRescaling(297.0, 5.0, 4, pressure=1000 * unit.bar, interval=1)
+    return seeded(SIERThermostatIntegrator(bath, 0.002, SIER2, engine=engine), 7)
+
+
+both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
+
+
+@both_engines
+def test_the_box_of_a_network_answers(engine):
+    """Of moves of the first size one in a hundred is accepted. In the end between 25 and 75 of 100 should be.
+
+    The standard error of 100 moves is 5, and 15 are allowed.
+    """
+    system, positions = network()
+    made = moved_every_step(engine)
+    context = context_at(system, made, (positions, 0 * positions))
+    context.setVelocitiesToTemperature(297.0, 1)
+    made.step(JUDGED[3])
+    moved = 0
+    for _ in range(100):
+        before = context.getState().getPeriodicBoxVolume()
+        made.step(1)
+        moved += context.getState().getPeriodicBoxVolume() != before
+    assert 10 <= moved <= 90
+
+
+@both_engines
+@pytest.mark.parametrize("way", ["Checkpoint", "State"])
+def test_a_restart_goes_on_with_the_size_of_moves(tmp_path, engine, way):
+    """Also where the size is judged only later, by moves from before the restart and after it."""
+    system, positions = network()
+    whole = simulation_of(None, system, moved_every_step(engine), point=(positions, 0 * positions))
+    whole.context.setVelocitiesToTemperature(297.0, 1)
+    whole.step(12)
+    load = after_ten_steps(whole, way, tmp_path / "saved")
+    continued = simulation_of(None, system, moved_every_step(engine), point=(positions, 0 * positions))
+    getattr(continued, load)(str(tmp_path / "saved"))
+    at_restart = whole.integrator.getGlobalVariableByName(SIZE)
+    assert at_restart < LARGEST_SIZE
+    for steps in (1, 19):
+        whole.step(steps)
+        continued.step(steps)
+        assert_same(everything(continued.context), everything(whole.context))
+    assert whole.integrator.getGlobalVariableByName(SIZE) != at_restart
+
+
+@both_engines
+def test_a_move_before_a_step_that_fails_is_not_counted(engine):
+    system, positions = network()
+    made = moved_every_step(engine)
+    context = context_at(system, made, (positions, 0 * positions))
+    context.setVelocitiesToTemperature(297.0, 1)
+    made.step(9)
+    before, follow = everything(context), made.binding.engine.follow
+
+    def failing(steps):
+        raise KeyboardInterrupt
+
+    made.binding.engine.follow = failing
+    with pytest.raises(KeyboardInterrupt):
+        made.step(1)
+    assert_same(everything(context), before)
+    made.binding.engine.follow = follow
+    made.step(1)
+    assert made.getGlobalVariableByName(MOVES) == 10
 
 
 # --- in a Context -----------------------------------------------------------------------------------------------------

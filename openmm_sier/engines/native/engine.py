@@ -15,12 +15,13 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
+from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
@@ -81,6 +82,7 @@ class NativeEngine(Engine):
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
         self._constraints = tables.constraints(system)
+        self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         points, itself = refusals.points(system), weakref.proxy(context)
         self.movers = Movers(points, lambda: itself.getMolecules())
         # The atom of each point: those of none come first.
@@ -94,6 +96,7 @@ class NativeEngine(Engine):
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: float | None = None
         self._environment: Any = None
+        self._is_box_new = False
         self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
         #: Whether velocities are those that the last step left.
@@ -148,11 +151,17 @@ class NativeEngine(Engine):
         set_variables(self._integrator, flow.bath, is_guarded=False)
         if self._potential is not None and self._environment_now() != self._environment:
             self._potential = None
+        if self._is_box_new:
+            # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
+            # they are the same, makes it compute them.
+            velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
+            set_velocities(self._context, velocities)
+            self._is_box_new = False
 
     def _environment_now(self) -> tuple[Any, dict[str, float]]:
         """Return box, nm, and parameters of the Context, on which the potential energy depends."""
         state = self._context.getState(parameters=True)
-        return state.getPeriodicBoxVectors().value_in_unit(unit.nanometer), dict(state.getParameters())
+        return box_of(state), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
         if self._flow.step == 0:
@@ -224,9 +233,13 @@ class NativeEngine(Engine):
         """After news from outside, make what follows depend on nothing but what the Context holds."""
         if not self._is_fresh:
             return
+        refuse_what_is_not_finite(Snapshot(self._context))
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         self._satisfy_constraints()
+        if self._has_sites:
+            # OpenMM places them at the end of a step, and the first needs forces before that.
+            self._context.computeVirtualSites()
         # Count the force that an earlier step would have left.
         self.evaluations += int(self._flow.scheme.reuses_force)
         self._is_fresh = False
@@ -270,9 +283,11 @@ class NativeEngine(Engine):
         return errors, np.abs((arms * velocities).sum(axis=1)) / self._constraints.lengths
 
     def forces_changed(self) -> None:
+        # OpenMM itself considers no force valid after that.
         self._potential = None
-        # After this OpenMM considers no force valid.
-        self._context.setPeriodicBoxVectors(*self._context.getState().getPeriodicBoxVectors())
+
+    def box_changed(self) -> None:
+        self._is_box_new = True
 
     def groups_changed(self) -> None:
         """OpenMM fixes the groups when it reads the program."""

@@ -1,0 +1,68 @@
+"""Molecules of a heavy atom and two hydrogens whose angle nothing holds, as rigid water that lost a constraint."""
+
+from itertools import combinations
+
+import numpy as np
+import openmm
+
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms, harmonic_bonds
+from openmm_sier.system.notices import notify
+
+#: Forces of which it is known whether they hold angles. Any other may do so by an expression.
+_KNOWN = (
+    *(*TERMS, *WITHOUT_FORCES, openmm.NonbondedForce, openmm.CustomNonbondedForce, openmm.CustomExternalForce),
+    *(openmm.GBSAOBCForce, openmm.CustomGBForce),
+)
+
+
+def tell_of_loose_hydrogens(system: openmm.System) -> None:
+    """Warn of molecules H-X-H that have two bonds or constraints, and nothing between their hydrogens.
+
+    Their charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins; any integrator
+    follows that as if it were meant.
+    """
+    if not all(isinstance(force, _KNOWN) for force in system.getForces()):
+        return
+    molecules = _hydrogens_on_one_atom(system)
+    loose = molecules[~_held(system, molecules)]
+    if len(loose):
+        first, centre, second = loose[0].tolist()
+        notify(
+            f"Nothing holds the angle of atoms {first}, {centre} and {second}, and of {len(loose) - 1} other "
+            "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
+            "constraints (rigidWater=True in createSystem), of which other programs may have written two"
+        )
+
+
+def _hydrogens_on_one_atom(system: openmm.System) -> np.ndarray:
+    """Return the molecules of one heavy atom with two hydrogens that are bound to nothing else, (m, 3), as H, X, H."""
+    bonds = [harmonic_bonds(force)[0] for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+    pairs = np.unique(np.sort(np.concatenate([tables.constraints(system).pairs, *bonds]), axis=1), axis=0)
+    masses = tables.masses(system)
+    is_hydrogen = (masses > 0) & (masses <= tables.HEAVIEST_HYDROGEN)
+    partners = np.bincount(pairs.ravel(), minlength=len(masses))
+    first, second = pairs.T
+    # Each bond as hydrogen and heavy atom.
+    hydrogen = np.where(is_hydrogen[first], first, second)
+    heavy = np.where(is_hydrogen[first], second, first)
+    fits = is_hydrogen[hydrogen] & ~is_hydrogen[heavy] & (partners[hydrogen] == 1) & (partners[heavy] == 2)
+    hydrogen, heavy = hydrogen[fits], heavy[fits]
+    order = np.argsort(heavy, kind="stable")
+    hydrogen, heavy = hydrogen[order], heavy[order]
+    starts = np.flatnonzero(heavy[1:] == heavy[:-1])
+    return np.stack([hydrogen[starts], heavy[starts], hydrogen[starts + 1]], axis=1)
+
+
+def _held(system: openmm.System, molecules: np.ndarray) -> np.ndarray:
+    """Return whether a bonded term acts on both hydrogens of each molecule, (m,)."""
+    held = np.zeros(len(molecules), bool)
+    if not len(molecules):
+        return held
+    owner = np.full(system.getNumParticles(), -1)
+    owner[molecules[:, 0]] = owner[molecules[:, 2]] = np.arange(len(molecules))
+    for force in filter(bonded_kind, system.getForces()):
+        for one, other in combinations(bonded_terms(force).T, 2):
+            same = (owner[one] == owner[other]) & (owner[one] >= 0) & (one != other)
+            held[owner[one[same]]] = True
+    return held

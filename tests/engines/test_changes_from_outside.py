@@ -1,0 +1,169 @@
+"""What somebody changes in a Context between steps acts from the next step on, and what cannot be is refused."""
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app
+
+from openmm_sier import SIER2, SIER4, SIERIntegrator
+from openmm_sier.system.runaway import RunawayError
+from tests.support.systems import assembled, field, with_forces
+from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
+
+both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
+
+#: nm. Two Contexts at the same place differ by rounding: the exact engine takes its bodies' momenta from the velocities
+#: of their atoms, which costs 1e-15, and this grows in a few steps no further. A wrong force displaces by 1e-4.
+SAME = 1e-11
+
+
+def stretched(context):
+    """A box that is larger by 2 %, in which atoms stay where they are."""
+    edges = 1.02 * np.array(context.getState().getPeriodicBoxVectors()._value)
+    context.setPeriodicBoxVectors(*edges)
+
+
+def sheared(context):
+    vectors = np.array(context.getState().getPeriodicBoxVectors()._value)
+    vectors[1, 0] = 0.02 * vectors[0, 0]
+    context.setPeriodicBoxVectors(*vectors)
+
+
+def a_state_without_positions(context):
+    """Which has a box nevertheless."""
+    other = openmm.Context(context.getSystem(), openmm.VerletIntegrator(0.001), platform())
+    other.setTime(context.getTime())
+    stretched(other)
+    context.setState(other.getState())
+
+
+def another_parameter(context):
+    context.setParameter("stiffness", 300.0)
+
+
+def other_charges(context):
+    force = force_of(context.getSystem())
+    for i in range(force.getNumParticles()):
+        charge, sigma, epsilon = force.getParticleParameters(i)
+        force.setParticleParameters(i, 0.9 * charge, sigma, epsilon)
+    force.updateParametersInContext(context)
+
+
+CHANGES = (stretched, sheared, a_state_without_positions, another_parameter, other_charges)
+
+
+@both_engines
+@pytest.mark.parametrize("scheme", [SIER2, SIER4], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_a_change_acts_from_the_next_step_on(box, engine, scheme, change):
+    """As in a Context that is new, and that has no forces of earlier steps."""
+    _, plain, point = box
+    ends = []
+    for is_new in (False, True):
+        system = with_forces(plain, field("stiffness*z^2", [0, 30], stiffness=1.0))
+        context = context_at(system, SIERIntegrator(0.002, scheme, engine=engine), point, steps=3)
+        if is_new:
+            context = context_at(system, SIERIntegrator(0.002, scheme, engine=engine), phase_point(context))
+        change(context)
+        context.getIntegrator().step(2)
+        ends.append(phase_point(context)[0])
+    assert np.abs(ends[0] - ends[1]).max() < SAME
+
+
+@both_engines
+def test_virtual_sites_need_not_be_placed(engine):
+    """Positions for atoms alone are enough, as files without virtual sites give them."""
+    _, system, (positions, velocities) = settled(*cluster_system(4, "tip4pew"))
+    sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
+    elsewhere = positions.copy()
+    elsewhere[sites] = 0.0
+    ends = [
+        phase_point(context_at(system, SIERIntegrator(0.002, SIER2, engine=engine), (start, velocities), steps=3))[0]
+        for start in (positions, elsewhere)
+    ]
+    # Positions in the fixture are rounded by the CPU platform, to 1e-7 nm, virtual sites among them.
+    assert np.abs(ends[0] - ends[1]).max() < 1e-6
+
+
+# --- what is not finite -----------------------------------------------------------------------------------------------
+
+
+@both_engines
+@pytest.mark.parametrize(("which", "value"), [(0, np.nan), (1, np.nan), (1, np.inf)])
+def test_positions_and_velocities_must_be_finite(cluster, engine, which, value):
+    _, system, point = cluster
+    context = context_at(system, SIERIntegrator(0.002, SIER2, engine=engine), point, steps=2)
+    vectors = phase_point(context)
+    vectors[which][4, 1] = value
+    context.setPositions(vectors[0])
+    context.setVelocities(vectors[1])
+    name = ("position", "velocit")[which]
+    with pytest.raises((openmm.OpenMMException, ValueError), match=rf"(?i){name}.*not finite"):
+        context.getIntegrator().step(1)
+    # With others the run goes on.
+    context.setPositions(point[0])
+    context.setVelocities(point[1])
+    context.getIntegrator().step(1)
+    assert np.isfinite(phase_point(context)[0]).all()
+
+
+@both_engines
+def test_a_run_that_ends_in_no_numbers_says_so(engine):
+    """Also one of few atoms, whose heat is not judged, and on the Reference platform, which computes on."""
+    system = assembled([16.0], field("100*sqrt(0.1 - x)", [0]))
+    made = SIERIntegrator(0.002, SIER2, engine=engine)
+    context = context_at(system, made, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
+    with pytest.raises((RunawayError, openmm.OpenMMException), match="not finite"):
+        context.getIntegrator().step(200)
+
+
+@both_engines
+@pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf])
+def test_impossible_masses_are_refused(engine, mass):
+    system = assembled([mass, 1.0])
+    with pytest.raises(openmm.OpenMMException, match=r"mass of particle 0 is .* must be positive, or 0"):
+        openmm.Context(system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
+
+
+@both_engines
+@pytest.mark.parametrize("length", [0.0, -0.1, np.nan, np.inf])
+def test_impossible_constraints_are_refused(engine, length):
+    system = assembled([1.0, 1.0, 1.0], constraints=((0, 1, 0.1), (1, 2, length)))
+    with pytest.raises(openmm.OpenMMException, match=r"constraint of particles 1 and 2 .* must be positive"):
+        openmm.Context(system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
+
+
+# --- where no minimization can begin ----------------------------------------------------------------------------------
+
+
+def on_its_neighbour(positions):
+    """The first molecule where the second is."""
+    positions[3:6] = positions[:3]
+
+
+def on_its_own_atom(positions):
+    """A hydrogen where its oxygen is, so that no direction is left for the constraint."""
+    positions[1] = positions[0]
+
+
+@both_engines
+@pytest.mark.parametrize(
+    ("overlap", "named"),
+    [
+        (on_its_neighbour, r"energy is .* atom 0 \(0 nm from atom 3\)"),
+        (on_its_own_atom, r"constraints of atom 0 \(0 nm"),
+    ],
+    ids=["molecules", "atoms of a molecule"],
+)
+def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap, named):
+    """OpenMM's minimizer goes on for ever where the energy is no number."""
+    topology, system, point = cluster
+    simulation = app.Simulation(topology, system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
+    positions = point[0].copy()
+    overlap(positions)
+    simulation.context.setPositions(positions)
+    with pytest.raises(openmm.OpenMMException, match=named):
+        simulation.minimizeEnergy(maxIterations=1)
+    assert np.array_equal(phase_point(simulation.context)[0], positions)
+    simulation.context.setPositions(point[0])
+    simulation.minimizeEnergy(maxIterations=1)
