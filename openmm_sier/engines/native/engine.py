@@ -49,6 +49,7 @@ NOT_CONVERGED = 1e-4
 
 # OpenMM's methods before `hooks` replaces them: after them forces and energy are still known.
 set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
+constrain_velocities = openmm.Context.applyVelocityConstraints
 
 
 #: What `remember` gives: the Context, the potential energy if it is known, heat and draws.
@@ -173,9 +174,14 @@ class NativeEngine(Engine):
             self._settle()
         self._potential = None
         advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
-        while steps:
-            steps -= advance(steps)
-            act_on_pending()
+        try:
+            while steps:
+                steps -= advance(steps)
+                act_on_pending()
+        finally:
+            if not self._program.ends_constrained:
+                # By OpenMM's own method, since nobody has to be told of it.
+                constrain_velocities(self._context, self._integrator.getConstraintTolerance())
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
