@@ -138,7 +138,9 @@ class Simulated:
             friction = plan.friction or None
             made = SIERHMCIntegrator(plan.temperature, step, scheme, plan.steps_per_trial, friction, **shared)
         else:
-            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, **shared)
+            # The log has the conserved energy, on every platform.
+            heat = {"countsHeat": True}
+            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, **shared, **heat)
         made.setRandomNumberSeed(plan.seed)
         return made
 
