@@ -25,9 +25,9 @@ from openmm import unit
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.starts import make_context
 from studies import boxes, records, style
 from studies.command import BoxSettings, RunsSettings, chosen, command
 from studies.methods import REVERSIBLE

@@ -47,7 +47,7 @@ class Command:
 #: What to do in place of what earlier versions had, by words of argparse's message about it.
 REMOVED = {
     "choice: 'ensemble'": "a loop of the shell over seeds",
-    "choice: 'properties'": "MDTraj or, for means of a log, mean_and_error of openmm_sier.measure.statistics",
+    "choice: 'properties'": "MDTraj or, for means of a log, mean_and_error of openmm_sier.analysis.statistics",
     "arguments: --bodies": "BodyStateReporter in a script",
 }
 

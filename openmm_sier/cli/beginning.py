@@ -15,13 +15,13 @@ from openmm_sier.cli.options import RECOMMENDED
 from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.inputs.forcefields import describe
+from openmm_sier.inputs.inputs import fingerprints, read_input
+from openmm_sier.inputs.pdb_files import first_line
+from openmm_sier.inputs.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.measure.forcefields import describe
-from openmm_sier.measure.inputs import fingerprints, read_input
-from openmm_sier.measure.pdb_files import first_line
-from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import stock
 from openmm_sier.prepare.preparation import prepare_system
 

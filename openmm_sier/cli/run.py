@@ -22,7 +22,7 @@ from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.engines.temperature import degrees_of_freedom
-from openmm_sier.measure.pdb_files import first_line
+from openmm_sier.inputs.pdb_files import first_line
 from openmm_sier.observe import conservation, stock
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 import numpy as np
 import openmm
 
+from openmm_sier.analysis.observables import energy_error_within_1_ps
+from openmm_sier.analysis.statistics import rms
 from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.temperature import DegreesOfFreedom
-from openmm_sier.measure.observables import energy_error_within_1_ps
-from openmm_sier.measure.statistics import rms
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 from openmm_sier.system.runaway import RunawayError, hottest
 

@@ -12,7 +12,7 @@ from openmm_sier.cli import main, runaway, summary
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.engines.temperature import DegreesOfFreedom, Temperatures
-from openmm_sier.measure import starts
+from openmm_sier.inputs import starts
 from openmm_sier.observe import conservation
 from openmm_sier.system.runaway import HOTTEST, RunawayError
 from tests.support.commands import SMALL, complaint, frames, log

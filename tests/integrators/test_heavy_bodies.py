@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER4GIntegrator, SIERLangevinIntegrator
-from openmm_sier.measure.observables import energy_error
+from openmm_sier.analysis.observables import energy_error
 from openmm_sier.system.vibrations import mobilities
 from tests.support.cages import cage
 from tests.support.seeded import seeded

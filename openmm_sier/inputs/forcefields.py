@@ -12,9 +12,9 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.file_kinds import PDB, kind_of
-from openmm_sier.measure.listed_bonds import tell_stale_bonds
-from openmm_sier.measure.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.inputs.file_kinds import PDB, kind_of
+from openmm_sier.inputs.listed_bonds import tell_stale_bonds
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.measure.forcefields import ForceFieldError, read_box
+from openmm_sier.inputs.forcefields import ForceFieldError, read_box
 from tests.support.commands import write_lattice
 from tests.support.inputs import FILES, positions, write_pdb
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier.measure.observables import energy_error, energy_error_within_1_ps, energy_walk
+from openmm_sier.analysis.observables import energy_error, energy_error_within_1_ps, energy_walk
 
 TIME = np.arange(0.01, 10.005, 0.01)
 POTENTIAL = np.sin(7.0 * TIME)

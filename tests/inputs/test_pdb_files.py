@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.measure.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, describe, read_box
-from openmm_sier.measure.inputs import read_input
-from openmm_sier.measure.pdb_files import box_vectors, extent
+from openmm_sier.inputs.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, describe, read_box
+from openmm_sier.inputs.inputs import read_input
+from openmm_sier.inputs.pdb_files import box_vectors, extent
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.inputs import write_pdb
 from tests.support.waters import force_of

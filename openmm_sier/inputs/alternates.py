@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from openmm_sier.measure.file_kinds import MMCIF, PDB
+from openmm_sier.inputs.file_kinds import MMCIF, PDB
 
 #: A value of an mmCIF file. A quotation ends with its mark and a blank.
 _VALUE = re.compile(r"""'.*?'(?=\s|$)|".*?"(?=\s|$)|\S+""")
@@ -60,7 +60,7 @@ def find_alternates(path: str | Path, kind: str) -> list[Alternates]:
 
     Args:
         path: of the file.
-        kind: of the file, see `openmm_sier.measure.file_kinds`.
+        kind: of the file, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
         OSError: it cannot be read.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from openmm_sier.measure import transport
-from openmm_sier.measure.statistics import Estimate
+from openmm_sier.analysis import transport
+from openmm_sier.analysis.statistics import Estimate
 from tests.support.series import stresses
 
 

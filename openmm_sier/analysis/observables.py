@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from openmm_sier.measure.statistics import rms
+from openmm_sier.analysis.statistics import rms
 
 #: Length in ps of the blocks whose means show how far the energy walks. It is far above the periods of librations and
 #: of hydrogen bonds, with which the energy of a step oscillates.

@@ -9,8 +9,8 @@ from openmm import unit
 
 from openmm_sier import SIER4G, SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.measure import forcefields, starts
-from openmm_sier.measure.starts import EquilibrationWarning, equilibrate, prepare
+from openmm_sier.inputs import forcefields, starts
+from openmm_sier.inputs.starts import EquilibrationWarning, equilibrate, prepare
 from tests.support import solutes
 from tests.support.commands import write_lattice
 from tests.support.reports import Told

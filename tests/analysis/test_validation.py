@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from openmm_sier.measure.validation import ensemble_data, kinetic_data
+from openmm_sier.analysis.validation import ensemble_data, kinetic_data
 from tests.support.canonical import DOF, ROWS, P, T, log
 
 package = pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.measure.forcefields import ForceFieldError
-from openmm_sier.measure.pdb_files import read_pdb
+from openmm_sier.inputs.forcefields import ForceFieldError
+from openmm_sier.inputs.pdb_files import read_pdb
 from tests.support import inputs
 from tests.support.commands import write_lattice
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from openmm import app
 from openmm.unit import Quantity
 
-from openmm_sier.measure.pdb_files import ForceFieldError
+from openmm_sier.inputs.pdb_files import ForceFieldError
 
 #: What OpenMM's messages call a residue that has no template, by its index.
 _RESIDUE = re.compile(r"residue (\d+) \(")

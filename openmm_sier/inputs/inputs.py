@@ -12,11 +12,11 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.coordinates import Coordinates, read_coordinates, refuse_other_atoms
-from openmm_sier.measure.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
-from openmm_sier.measure.forcefields import USUAL, Box, Interactions
-from openmm_sier.measure.pdb_files import ForceFieldError, check_positions, named_atom, refusing
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse_other_atoms
+from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
+from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
+from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
 from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.hydrogens import hydrogens
@@ -47,12 +47,12 @@ def read_input(
     """Read coordinates and build the System for them.
 
     Args:
-        path: of the coordinates, see `openmm_sier.measure.coordinates.read_coordinates`.
+        path: of the coordinates, see `openmm_sier.inputs.coordinates.read_coordinates`.
         topology: a prmtop file of AMBER, a top file of GROMACS, a psf file of CHARMM, or a System of OpenMM in XML;
             None for a PDB or PDBx/mmCIF file with a force field of OpenMM.
         files: of the force field. For a psf file its parameter, topology and stream files; for a PDB or PDBx/mmCIF file
-            see `openmm_sier.measure.forcefields.read_box`.
-        constraints, interactions: see `openmm_sier.measure.forcefields.pme_system`.
+            see `openmm_sier.inputs.forcefields.read_box`.
+        constraints, interactions: see `openmm_sier.inputs.forcefields.pme_system`.
         edges: of a rectangular periodic box, nm, where the file of the coordinates has none.
 
     Raises:
@@ -74,7 +74,7 @@ def read_input(
 
 
 def topology_kind(path: str | Path) -> str:
-    """The kind of a topology, see `openmm_sier.measure.file_kinds`.
+    """The kind of a topology, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
         ForceFieldError: it is none.

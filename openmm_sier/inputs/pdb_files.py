@@ -10,8 +10,8 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.measure.alternates import find_alternates
-from openmm_sier.measure.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.inputs.alternates import find_alternates
+from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.system.notices import notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.

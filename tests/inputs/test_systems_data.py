@@ -9,7 +9,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from tests.support.commands import SYSTEMS, make
 from tests.support.waters import plain_context
 

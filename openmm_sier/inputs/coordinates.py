@@ -9,8 +9,8 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.measure.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
-from openmm_sier.measure.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
+from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
 _LETTERS = "HCNOPS"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier.measure.statistics import (
+from openmm_sier.analysis.statistics import (
     FEWEST,
     Estimate,
     jackknife,
