@@ -1,1 +1,5 @@
-"""Turns finished runs into numbers: means with errors, viscosity and diffusion, data for validation."""
+"""Turns finished runs into numbers: logs, means with errors, viscosity and diffusion, data for validation."""
+
+from openmm_sier.analysis.logs import read_log
+
+__all__ = ["read_log"]

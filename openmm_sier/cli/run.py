@@ -10,13 +10,13 @@ from typing import Any
 import openmm
 from openmm import unit
 
+from openmm_sier.analysis import read_log
 from openmm_sier.cli import runaway, summary
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
-from openmm_sier.cli.files.records import read_log
 from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform

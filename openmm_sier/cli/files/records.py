@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from openmm_sier.observe.conservation import csv_line
 
 #: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
@@ -188,19 +186,3 @@ class Log(GrowingFile):
 
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())
-
-
-def read_log(path: Path) -> dict[str, np.ndarray]:
-    """All rows of a `Log`, by column.
-
-    Raises:
-        OSError: the file cannot be read.
-        RecordError: a row has no numbers, or not as many as the heading has names.
-    """
-    with open(path) as file:
-        columns = file.readline().rstrip().split(",")
-        try:
-            rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
-        except ValueError as error:
-            raise RecordError(f"{path} below its heading: {error}") from error
-    return dict(zip(columns, rows.T, strict=True))
