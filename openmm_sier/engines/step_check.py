@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.system.spins import ROOM_TEMPERATURE, Spins
 from openmm_sier.system.vibrations import Vibrations
 

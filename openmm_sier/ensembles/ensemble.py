@@ -11,8 +11,9 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 
 

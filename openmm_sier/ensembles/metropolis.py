@@ -8,11 +8,12 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.metropolis import is_accepted
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES

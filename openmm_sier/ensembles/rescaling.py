@@ -11,8 +11,9 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import SEED, Record
 from openmm_sier.ensembles.ensemble import ConstantTemperature, advance_between, make_number
 

@@ -15,13 +15,14 @@ from openmm import unit
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.exact import in_place_of_openmm
 from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
-from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.temperature import Temperatures, temperatures
 from openmm_sier.engines.variables import PART

@@ -12,6 +12,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
@@ -20,7 +21,7 @@ from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program
-from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies

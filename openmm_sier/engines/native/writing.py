@@ -4,9 +4,9 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.program import Program, leapfrog_steps, write
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 from openmm_sier.system.vibrations import Vibrations
