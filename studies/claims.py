@@ -251,7 +251,7 @@ TESTED = (
     ),
     Tested(
         "Rigid molecules of any kind move as their peers do in OpenMM, and reports count their degrees of freedom.",
-        ("tests/engines/test_body_kinds.py", "tests/engines/test_temperature.py"),
+        ("tests/engines/test_body_kinds.py", "tests/system/test_temperature.py"),
     ),
     Tested(
         "Averages of harmonic motion around a bath, and the temperatures that reports show, have no error of the step.",

@@ -19,12 +19,12 @@ from openmm_sier.analysis.statistics import slope_and_error
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from openmm_sier.inputs.starts import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
+from openmm_sier.system.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from studies import boxes
 from studies.command import BoxSettings, RunsSettings
 from studies.methods import Method
@@ -290,7 +290,7 @@ def sample(
         Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn apart.
     """
     integrator = context.getIntegrator()
-    conserved = MomentumConservation(context.getSystem(), bodies).holds(integrator)
+    conserved = _conserves_momentum(context, bodies)
     rows = []
     for done in range(every, steps + 1, every):
         integrator.step(every)
@@ -303,6 +303,15 @@ def sample(
         if progress is not None:
             progress(done)
     return Series(*np.array(rows).T)
+
+
+def _conserves_momentum(context: openmm.Context, bodies: RigidBodies) -> bool:
+    """Tell whether a Context with one of `studies.methods` conserves the total momentum."""
+    integrator = context.getIntegrator()
+    if isinstance(integrator, SIERIntegrator):
+        return integrator.conservesMomentum
+    has_friction = isinstance(integrator, openmm.LangevinMiddleIntegrator)
+    return MomentumConservation(context.getSystem(), bodies).holds(integrator.getIntegrationForceGroups(), has_friction)
 
 
 class Sample(NamedTuple):

@@ -1,6 +1,6 @@
 """Energy conservation of a run: its error, defined once. The drift is `statistics.slope_and_error`.
 
-Temperatures are in `openmm_sier.engines.temperature`, since integrators report them too.
+Temperatures are in `openmm_sier.system.temperature`, since integrators report them too.
 """
 
 import math

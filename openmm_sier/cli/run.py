@@ -21,9 +21,9 @@ from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
-from openmm_sier.engines.temperature import degrees_of_freedom
 from openmm_sier.inputs.pdb_files import first_line
 from openmm_sier.observe import conservation, stock
+from openmm_sier.system.temperature import degrees_of_freedom
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5

@@ -16,9 +16,9 @@ from openmm_sier.analysis.statistics import rms
 from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
-from openmm_sier.engines.temperature import DegreesOfFreedom
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 from openmm_sier.system.runaway import RunawayError, hottest
+from openmm_sier.system.temperature import DegreesOfFreedom
 
 #: Exit code of a run that was stopped for this reason.
 EXIT_CODE = 3

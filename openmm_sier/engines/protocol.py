@@ -18,10 +18,10 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot, box_of
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 
 # OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
 set_box = openmm.Context.setPeriodicBoxVectors
@@ -278,8 +278,8 @@ class Engine(ABC):
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
     @abstractmethod
-    def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `engines.temperature`."""
+    def temperatures(self, conserved: bool) -> Temperatures:
+        """Return temperatures in K, see `system.temperature`; `conserved` is what `conserves_momentum` tells."""
 
     @cached_property
     def _momentum(self) -> MomentumConservation:
@@ -290,13 +290,21 @@ class Engine(ABC):
         """Whether the System has a CMMotionRemover."""
         return self._momentum.removed
 
-    def conserves_momentum(self) -> bool:
-        """Whether the total momentum is conserved, see `MomentumConservation`."""
-        return self._momentum.holds(self._integrator)
+    def conserves_momentum(self, has_friction: bool) -> bool:
+        """Tell whether the total momentum is conserved, see `MomentumConservation`.
 
-    def degrees_of_freedom(self) -> float:
-        """Number of degrees of freedom that share the heat, see `engines.temperature`."""
-        return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
+        Args:
+            has_friction: of the ensemble, see `Ensemble.has_friction`.
+        """
+        return self._momentum.holds(self._integrator.getIntegrationForceGroups(), has_friction)
+
+    def degrees_of_freedom(self, conserved: bool) -> float:
+        """Return the number of degrees of freedom that share the heat, see `system.temperature`.
+
+        Args:
+            conserved: what `conserves_momentum` tells.
+        """
+        return sum(degrees_of_freedom(self.bodies, conserved))
 
     # --- what OpenMM does in the Context, and cannot do for all constraints ---
 

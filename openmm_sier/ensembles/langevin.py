@@ -34,6 +34,11 @@ class Langevin(ConstantTemperature):
         """Friction of rotation, 1/ps."""
         return self.friction if self.rotational_friction is None else self.rotational_friction
 
+    @property
+    def has_friction(self) -> bool:
+        """That of rotation alone leaves the total momentum as it is."""
+        return self.friction > 0
+
     def suited(self, scheme: Scheme) -> Scheme:
         return scheme.with_bath()
 

@@ -74,6 +74,11 @@ class Metropolis(ConstantTemperature):
         """OpenMM alone would accept every trial."""
         return True
 
+    @property
+    def has_friction(self) -> bool:
+        """Momenta are drawn anew, in part or all of them."""
+        return True
+
     def suited(self, scheme: Scheme) -> Scheme:
         if BATH in scheme.operators:
             raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")

@@ -55,9 +55,10 @@ class VelocityRescaling(ConstantTemperature):
 
     def _scale(self, engine: Engine, kept: float, seed: int) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
-        centre = engine.centre_velocity() if engine.conserves_momentum() else np.zeros(3)
+        conserved = engine.conserves_momentum(self.has_friction)
+        centre = engine.centre_velocity() if conserved else np.zeros(3)
         kinetic = engine.kinetic_energy() - 0.5 * engine.movers.bodies.mass * float(centre @ centre)
-        freedoms = engine.degrees_of_freedom()
+        freedoms = engine.degrees_of_freedom(conserved)
         if freedoms > 0:
             factor = self._factor(kinetic, freedoms, kept, generator(seed, engine.draws))
             engine.scale_velocities(factor)

@@ -13,12 +13,12 @@ from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.inputs.report import SILENT, Advance, Report
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.spins import Spins
+from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 from openmm_sier.system.vibrations import Vibrations
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as

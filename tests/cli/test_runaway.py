@@ -11,10 +11,10 @@ import pytest
 from openmm_sier.cli import main, runaway, summary
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
-from openmm_sier.engines.temperature import DegreesOfFreedom, Temperatures
 from openmm_sier.inputs import starts
 from openmm_sier.observe import conservation
 from openmm_sier.system.runaway import HOTTEST, RunawayError
+from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
 from tests.support.commands import SMALL, complaint, frames, log
 
 

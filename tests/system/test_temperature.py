@@ -8,9 +8,18 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, BodyState, RigidBodies, SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier import (
+    SIER2,
+    BodyState,
+    RigidBodies,
+    SIER2Integrator,
+    SIERHMCIntegrator,
+    SIERLangevinIntegrator,
+    SIERThermostatIntegrator,
+)
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.engines.temperature import degrees_of_freedom, temperatures
+from openmm_sier.ensembles import Langevin, VelocityRescaling
+from openmm_sier.system.temperature import degrees_of_freedom, temperatures
 from tests.support.flexible_systems import started
 from tests.support.molecules import GEOMETRIES, ION, ensemble, scattered
 from tests.support.systems import assembled, field, with_forces
@@ -28,8 +37,8 @@ def nve():
     return SIER2Integrator(0.001)
 
 
-def langevin(friction=1.0):
-    return SIERLangevinIntegrator(300, friction, 0.001, scheme=SIER2)
+def langevin(friction=1.0, **options):
+    return SIERLangevinIntegrator(300, friction, 0.001, scheme=SIER2, **options)
 
 
 def external(group=0):
@@ -56,6 +65,14 @@ CASES = {
     "constant energy, motion removed": (nve, [openmm.CMMotionRemover()], 3),
     "constant energy, barostat": (nve, [openmm.MonteCarloBarostat(1, 300)], 3),
     "bath": (langevin, [], 0),
+    "bath of an ensemble": (lambda: SIERThermostatIntegrator(Langevin(300, 1), 0.001, scheme=SIER2), [], 0),
+    "bath of rotation alone": (lambda: langevin(0, rotationalFriction=1), [], 3),
+    "momenta that are drawn": (lambda: SIERHMCIntegrator(300, 0.001, SIER2), [], 0),
+    "one factor on all velocities": (
+        lambda: SIERThermostatIntegrator(VelocityRescaling(300, 1), 0.001, scheme=SIER2),
+        [],
+        3,
+    ),
     "bath without friction": (lambda: langevin(0), [], 3),
     "bath, motion removed": (langevin, [openmm.CMMotionRemover()], 3),
     "Andersen's bath": (nve, [openmm.AndersenThermostat(300, 1)], 0),

@@ -96,19 +96,16 @@ class MomentumConservation:
         self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
         self._external_groups = sum({1 << part.group for part in parts(system) if _is_external(part.force)})
 
-    def holds(self, integrator: openmm.Integrator) -> bool:
-        """Whether an integrator, with its force groups and its present friction, conserves the total momentum."""
+    def holds(self, groups: int, has_friction: bool) -> bool:
+        """Tell whether the total momentum is conserved.
+
+        Args:
+            groups: force groups that move the bodies, a bit mask.
+            has_friction: whether the integrator's heat bath kicks each momentum by itself, with a friction above zero.
+        """
         if self.removed:
             return True
-        groups = integrator.getIntegrationForceGroups() & ALL_GROUPS
-        return not (self._changes or self._external_groups & groups or _has_friction(integrator))
-
-
-def _has_friction(integrator: openmm.Integrator) -> bool:
-    if not hasattr(integrator, "getFriction"):
-        return False
-    friction = integrator.getFriction()
-    return (friction.value_in_unit(unit.picosecond**-1) if unit.is_quantity(friction) else friction) > 0
+        return not (self._changes or self._external_groups & groups & ALL_GROUPS or has_friction)
 
 
 def _is_external(force: openmm.Force) -> bool:
