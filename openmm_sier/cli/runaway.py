@@ -17,7 +17,7 @@ from openmm_sier.cli.plan import Plan
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
-from openmm_sier.system.runaway import RunawayError, hottest
+from openmm_sier.stability.runaway import RunawayError, hottest
 from openmm_sier.system.temperature import DegreesOfFreedom
 
 #: Exit code of a run that was stopped for this reason.

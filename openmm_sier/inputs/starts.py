@@ -16,10 +16,10 @@ from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.inputs.report import SILENT, Advance, Report
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.stability.spins import Spins
+from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system import tables
-from openmm_sier.system.spins import Spins
 from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
-from openmm_sier.system.vibrations import Vibrations
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
 #: which it grows. Among 512 molecules of water at 297 K the largest is 1000 to 2200.

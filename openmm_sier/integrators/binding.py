@@ -29,10 +29,10 @@ from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, Record
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
+from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
 from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
-from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
 
 

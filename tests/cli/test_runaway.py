@@ -13,7 +13,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.inputs import starts
 from openmm_sier.observe import conservation
-from openmm_sier.system.runaway import HOTTEST, RunawayError
+from openmm_sier.stability.runaway import HOTTEST, RunawayError
 from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
 from tests.support.commands import SMALL, complaint, frames, log
 

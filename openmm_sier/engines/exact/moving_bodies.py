@@ -13,8 +13,8 @@ from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.protocol import Movers
-from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.variables import SITES
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 from openmm_sier.system.find_bodies import BodyPlan
 

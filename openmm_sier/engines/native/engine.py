@@ -23,8 +23,8 @@ from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
-from openmm_sier.engines.step_check import StepCheck
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.cut_molecules import IF_CUT

@@ -7,9 +7,9 @@ import openmm
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.program import Program, leapfrog_steps, write
+from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
-from openmm_sier.system.vibrations import Vibrations
 
 
 def general_program(flow: Flow) -> Program:

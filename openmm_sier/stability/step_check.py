@@ -7,8 +7,8 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.species import Species
-from openmm_sier.system.spins import ROOM_TEMPERATURE, Spins
-from openmm_sier.system.vibrations import Vibrations
+from openmm_sier.stability.spins import ROOM_TEMPERATURE, Spins
+from openmm_sier.stability.vibrations import Vibrations
 
 
 class StepCheck:

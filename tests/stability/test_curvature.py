@@ -8,7 +8,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
-from openmm_sier.system.vibrations import Vibrations
+from openmm_sier.stability.vibrations import Vibrations
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, platform

@@ -14,7 +14,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.system.vibrations import HOPELESS, Vibrations
+from openmm_sier.stability.vibrations import HOPELESS, Vibrations
 from tests.support.silence import silence
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, judged

@@ -12,8 +12,8 @@ from openmm import unit
 
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.stability.curvature import EXPRESSIONS, FAR, Vibration
 from openmm_sier.system.bonded_terms import TERMS
-from openmm_sier.system.curvature import EXPRESSIONS, FAR, Vibration
 
 #: Forces that are measured here, besides CustomCVForces of these and of Forces with terms.
 COLLECTIVE = (openmm.CustomCentroidBondForce, openmm.RMSDForce)

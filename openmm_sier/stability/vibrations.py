@@ -18,14 +18,15 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stability import nested_is_stable
-from openmm_sier.system import advice, tables
+from openmm_sier.stability import advice
+from openmm_sier.stability.collective import fastest_motion, is_collective
+from openmm_sier.stability.curvature import EXPRESSIONS, Vibration, fastest_vibration
+from openmm_sier.stability.surroundings import holding, slow_share
+from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
-from openmm_sier.system.collective import fastest_motion, is_collective
-from openmm_sier.system.curvature import EXPRESSIONS, Vibration, fastest_vibration
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.notices import notify
-from openmm_sier.system.surroundings import holding, slow_share
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45

@@ -20,7 +20,7 @@ from openmm_sier import (
     prepare_system,
 )
 from openmm_sier.dynamics.stability import nested_is_stable
-from openmm_sier.system.vibrations import Vibrations
+from openmm_sier.stability.vibrations import Vibrations
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, judged, phase_point, platform
