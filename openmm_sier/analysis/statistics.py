@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.statistics import inefficiency, is_constant
+from openmm_sier.dynamics.correlation import inefficiency, is_constant
 
 #: Independent samples below which an error means little. A series so short does not show how long it remembers.
 FEWEST = 20

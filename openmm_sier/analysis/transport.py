@@ -6,7 +6,7 @@ import numpy as np
 
 from openmm_sier.analysis.statistics import Estimate, mean_and_error, of_independent
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
-from openmm_sier.dynamics.statistics import mean_products
+from openmm_sier.dynamics.correlation import mean_products
 
 #: 1 nm^2/ps in 10^-9 m^2/s, and kJ/mol/(nm^3) ps in mPa s.
 NM2_PER_PS, KJ_PER_NM3_PS = 1e3, 1.66053907e-3

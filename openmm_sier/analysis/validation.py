@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.statistics import inefficiency
+from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.observe.conservation import TEMPERATURES
 
 #: Columns of the log by the group whose temperature they are.

@@ -6,7 +6,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.cli import runaway
+from openmm_sier.cli import run_checks
 from openmm_sier.cli.console import REPORT, note
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.info import rigid_bodies
@@ -170,8 +170,8 @@ class Simulated:
         try:
             found = prepare(context, positions, plan.temperature, plan.seed, time, minimize, REPORT)
         except openmm.OpenMMException as error:
-            if not runaway.is_runaway(error):
+            if not run_checks.is_runaway(error):
                 raise
-            raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
+            raise run_checks.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
         if found.doubtful:
             self.unsettled = found.described

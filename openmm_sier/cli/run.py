@@ -11,7 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import runaway, summary
+from openmm_sier.cli import run_checks, summary
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
@@ -91,7 +91,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
         if found:
             note(cuts.describe(found, plan, checkpoint, notes["step"]))
     outputs.open(simulated, context, notes)
-    bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
+    bounds = run_checks.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
     _report(plan, cost, simulated.unsettled)
@@ -104,7 +104,7 @@ def _length(plan: Plan, steps: int) -> str:
 
 def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     log = read_log(plan.report)
-    warning = runaway.fluctuation_warning(plan, log)
+    warning = run_checks.fluctuation_warning(plan, log)
     rows = summary.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
@@ -163,7 +163,7 @@ def _refuse_other_inputs(simulated: Simulated, noted: Mapping[str, str]) -> None
 
 
 def _advance(
-    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds, requests: StopRequests
+    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: run_checks.Bounds, requests: StopRequests
 ) -> list[tuple[str, str]]:
     """Run from the Context's step to the last one of the plan, or to a signal, writing what is due.
 
@@ -203,19 +203,19 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
     try:
         yield
     except openmm.OpenMMException as error:
-        if not runaway.is_runaway(error):
+        if not run_checks.is_runaway(error):
             raise
-        where, cause = _length(plan, context.getStepCount()), runaway.likely_cause(plan)
+        where, cause = _length(plan, context.getStepCount()), run_checks.likely_cause(plan)
         kept = _kept(outputs, "--start begins a new run from it")
-        raise runaway.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
+        raise run_checks.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
     except OSError as error:
         where, kept = _length(plan, context.getStepCount()), _kept(outputs, "--restart goes on from it")
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds) -> None:
+def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: run_checks.Bounds) -> None:
     """Check the bounds, then write the files that are due."""
-    runaway.check(context, bounds)
+    run_checks.check(context, bounds)
     values = {}
     if "log" in due or "checkpoint" in due:
         values = dict(zip(conservation.columns(context.getIntegrator()), conservation.row(context), strict=True))

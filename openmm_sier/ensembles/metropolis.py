@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.acceptance import is_accepted
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.metropolis import is_accepted
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -34,7 +34,7 @@ REVERSIBLE = 1e-4
 class Metropolis(ConstantTemperature):
     """The canonical ensemble without time-step error.
 
-    The ends of trials are samples, see `dynamics.metropolis`. Everything that a step does is undone where it cannot be
+    The ends of trials are samples, see `dynamics.acceptance`. Everything that a step does is undone where it cannot be
     completed, so that the Context is at a sample at any time.
 
     Attributes:

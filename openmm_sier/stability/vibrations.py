@@ -17,7 +17,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stability import nested_is_stable
+from openmm_sier.dynamics.step_limits import nested_is_stable
 from openmm_sier.stability import advice
 from openmm_sier.stability.collective import fastest_motion, is_collective
 from openmm_sier.stability.curvature import EXPRESSIONS, Vibration, fastest_vibration

@@ -19,7 +19,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     prepare_system,
 )
-from openmm_sier.dynamics.stability import nested_is_stable
+from openmm_sier.dynamics.step_limits import nested_is_stable
 from openmm_sier.stability.vibrations import Vibrations
 from tests.support.silence import silence
 from tests.support.systems import assembled, field

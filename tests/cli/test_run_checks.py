@@ -8,7 +8,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import main, runaway, summary
+from openmm_sier.cli import main, run_checks, summary
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.inputs import starts
@@ -25,7 +25,7 @@ def plan(ensemble="nve", **options):
 def looked_at(dof, *temperatures):
     """Hold temperatures of translation, rotation and flexible molecules against the bounds of a run at 297 K."""
     integrator = SimpleNamespace(computeTemperatures=Temperatures(math.nan, *temperatures).as_quantities)
-    runaway.check(SimpleNamespace(getIntegrator=lambda: integrator), runaway.bounds(plan(), dof))
+    run_checks.check(SimpleNamespace(getIntegrator=lambda: integrator), run_checks.bounds(plan(), dof))
 
 
 # --- the bounds ---
@@ -55,7 +55,7 @@ def test_few_degrees_of_freedom_may_be_hot_by_chance():
 
 def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     long = ["run", box, *SMALL, "--scheme", "sier2", "--dt", "20", "--time", "20", "--checkpoint-every", "0.02"]
-    message = complaint(capsys, *long, code=runaway.EXIT_CODE)
+    message = complaint(capsys, *long, code=run_checks.EXIT_CODE)
     assert "ran away at step" in message
     assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
     rows, (_, notes) = log("box.csv"), checkpoints.read_checkpoint(Path("box.chk"))
@@ -76,8 +76,8 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
         if context.getStepCount() >= 50:
             raise RunawayError("too hot")
 
-    monkeypatch.setattr(runaway, "check", run_away)
-    message = complaint(capsys, "run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4", code=runaway.EXIT_CODE)
+    monkeypatch.setattr(run_checks, "check", run_away)
+    message = complaint(capsys, "run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4", code=run_checks.EXIT_CODE)
     assert "of step 25" in message
     assert "4 fs is not above the 4 fs that is usual for SIER4G" in message
     _, notes = checkpoints.read_checkpoint(Path("box.chk"))
@@ -90,7 +90,7 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
     monkeypatch.setattr(starts, "STEP", 0.034)
     monkeypatch.setattr(starts, "SHARE_OF_LONGEST", 10.0)
-    message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=runaway.EXIT_CODE)
+    message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=run_checks.EXIT_CODE)
     assert "the equilibration broke down" in message
     assert not list(Path().iterdir())
 
@@ -133,8 +133,8 @@ def fluctuating(rms, time=10.0, drift=0.0, interval=0.04):
     ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "sparse drift", "few rows"],
 )
 def test_fluctuations_that_are_warned_about(scheme, log, warns):
-    assert (runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
-    assert runaway.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="nvt"), log) is None
+    assert (run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
+    assert run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="nvt"), log) is None
 
 
 def test_table_of_a_bath():

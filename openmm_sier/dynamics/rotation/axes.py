@@ -1,4 +1,4 @@
-"""Arguments of the free-rotation maps, and the order of the principal axes in which the maps work."""
+"""The order of the principal axes in which the free-rotation maps work, and the check of their arguments."""
 
 import math
 from dataclasses import dataclass

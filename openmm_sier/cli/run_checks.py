@@ -1,9 +1,9 @@
 """When a run stops because its temperature runs away, and when its table warns of a long step.
 
-The temperatures of translation, rotation and flexible molecules are held against the bounds of `system.runaway` before
-anything is written, also with OpenMM's integrators. What a bath takes up, or what has not yet become hot, shows in the
-fluctuation of the conserved energy H, the total energy less the heat that a heat bath and moves of the volume have
-added.
+The temperatures of translation, rotation and flexible molecules are held against the bounds of `stability.runaway`
+before anything is written, also with OpenMM's integrators. What a bath takes up, or what has not yet become hot, shows
+in the fluctuation of the conserved energy H, the total energy less the heat that a heat bath and moves of the volume
+have added.
 """
 
 from collections.abc import Mapping

@@ -10,7 +10,7 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE, alternating
 from openmm_sier.dynamics.species import Species
-from openmm_sier.dynamics.stability import INEQUALITY
+from openmm_sier.dynamics.step_limits import INEQUALITY
 
 every_scheme = pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE.keys())
 POSITION_VERLET = Scheme("position Verlet", (("drift", 0.5), ("kick", 1.0), ("drift", 0.5)))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics.statistics import inefficiency, inefficiency_and_error
+from openmm_sier.dynamics.correlation import inefficiency, inefficiency_and_error
 from tests.support.series import correlated
 
 
