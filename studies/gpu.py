@@ -27,10 +27,10 @@ import pandas as pd
 from openmm import unit
 
 from openmm_sier import SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import gpu_boxes, records
