@@ -139,8 +139,7 @@ class Simulated:
             made = SIERHMCIntegrator(plan.temperature, step, scheme, plan.steps_per_trial, friction, **shared)
         else:
             # The log has the conserved energy, on every platform.
-            heat = {"countsHeat": True}
-            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, **shared, **heat)
+            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, countsHeat=True, **shared)
         made.setRandomNumberSeed(plan.seed)
         return made
 
