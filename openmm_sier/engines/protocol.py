@@ -226,6 +226,11 @@ class Engine(ABC):
     def go_back(self, memory: Any, reverse: bool = False) -> None:
         """Restore what was remembered; `reverse` reverses all momenta."""
 
+    def undo(self, memory: Any) -> None:
+        """After an error: restore what was remembered. What follows depends on nothing that was tried since."""
+        self.start_anew()
+        self.go_back(memory)
+
     def prepare_for_volume_moves(self) -> None:
         """Check that the volume can be changed.
 

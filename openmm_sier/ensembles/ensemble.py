@@ -185,7 +185,7 @@ def advance_between(engine: Engine, record: Record, steps: int, interval: int, a
                 advance(1)
             except BaseException:
                 if engine.clock.steps == done:
-                    engine.go_back(before)
+                    engine.undo(before)
                     record.set(noted)
                 raise
         steps -= count or 1
@@ -207,7 +207,7 @@ def _move_volume(engine: Engine, record: Record, pressure: float, temperature: f
         engine.scale(move.factor)
         gain = engine.potential_energy() - before
     except BaseException as error:
-        engine.go_back(sample)
+        engine.undo(sample)
         if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
             raise openmm.OpenMMException(
                 f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "

@@ -104,7 +104,7 @@ class Metropolis(ConstantTemperature):
             try:
                 self._trial(engine, flow, record)
             except BaseException:
-                engine.go_back(sample)
+                engine.undo(sample)
                 raise
 
     def _trial(self, engine: Engine, flow: Flow, record: Record) -> None:

@@ -5,7 +5,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -20,10 +20,11 @@ from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
+from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
-from openmm_sier.engines.variables import DRAWS, HEAT, Record
+from openmm_sier.engines.variables import DRAWS, HEAT, PART, Record
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
@@ -53,8 +54,28 @@ set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.s
 constrain_velocities = openmm.Context.applyVelocityConstraints
 
 
-#: What `remember` gives: the Context, the potential energy if it is known, heat and draws.
-Memory = tuple[Snapshot, float | None, float, int]
+#: Box, nm, and parameters of a Context, on which the potential energy depends.
+Environment = tuple[Any, dict[str, float]]
+
+
+class Memory(NamedTuple):
+    """What `remember` gives.
+
+    Attributes:
+        positions, velocities: (N, 3), nm and nm/ps.
+        box: periodic box vectors, nm.
+        clock: time and step count.
+        potential: potential energy, kJ/mol; None if it is not known.
+        heat, draws: so far.
+    """
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    box: Any
+    clock: Clock
+    potential: float | None
+    heat: float
+    draws: int
 
 
 class NativeEngine(Engine):
@@ -101,11 +122,14 @@ class NativeEngine(Engine):
         self._is_box_new = False
         self._is_guarded = bool(self._variables[EXACT_ONLY])
         self._is_fresh = True
+        #: Whether OpenMM still has the forces of the end of the last step.
+        self._has_force = False
         #: Whether velocities are those that the last step left.
         self._follows_bath = False
         self.evaluations = 0
         platform = context.getPlatform()
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
+        self._known = KnownAtoms(context, is_single=precision == "single")
         if precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
@@ -158,12 +182,11 @@ class NativeEngine(Engine):
             # they are the same, makes it compute them.
             velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
             set_velocities(self._context, velocities)
-            self._is_box_new = False
+            self._is_box_new = self._has_force = False
+        self._known.keep()
 
-    def _environment_now(self) -> tuple[Any, dict[str, float]]:
-        """Return box, nm, and parameters of the Context, on which the potential energy depends."""
-        state = self._context.getState(parameters=True)
-        return box_of(state), dict(state.getParameters())
+    def _environment_now(self) -> Environment:
+        return _environment_of(self._context.getState(parameters=True))
 
     def follow(self, steps: int) -> None:
         if self._flow.step == 0:
@@ -171,9 +194,14 @@ class NativeEngine(Engine):
             time, count = self.clock
             self.clock = Clock(time, count + steps)
             return
-        if steps:
-            self._settle()
+        if not steps:
+            return
+        self._settle()
+        if not self._has_force:
+            self.evaluations += int(self._flow.scheme.reuses_force)
+            self._has_force = True
         self._potential = None
+        self._known.forget()
         advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
         try:
             while steps:
@@ -213,6 +241,8 @@ class NativeEngine(Engine):
         try:
             openmm.CustomIntegrator.step(self._integrator, number)
         except openmm.OpenMMException as error:
+            # What follows begins with the first part of a step.
+            self._variables[PART] = 0.0
             if "nan" in str(error).lower():
                 raise TrajectoryError(str(error)) from error
             raise
@@ -226,14 +256,16 @@ class NativeEngine(Engine):
 
     def _publish(self) -> None:
         """Close the program to anyone else; the Context has the state at any time."""
+        self._known.release()
         if self._is_guarded:
             self._variables[EXACT_ONLY] = 1.0
 
     def start_anew(self) -> None:
-        self._is_fresh, self._potential = True, None
+        self._is_fresh, self._has_force, self._potential = True, False, None
 
     def atoms_moved(self) -> None:
         self.start_anew()
+        self._known.forget()
         self._follows_bath = False
 
     def _settle(self) -> None:
@@ -247,8 +279,7 @@ class NativeEngine(Engine):
         if self._has_sites:
             # OpenMM places them at the end of a step, and the first needs forces before that.
             self._context.computeVirtualSites()
-        # Count the force that an earlier step would have left.
-        self.evaluations += int(self._flow.scheme.reuses_force)
+        self._known.forget()
         self._is_fresh = False
 
     def _satisfy_constraints(self) -> None:
@@ -306,57 +337,89 @@ class NativeEngine(Engine):
         self._settle()
         if self._potential is None:
             groups = self._integrator.getIntegrationForceGroups()
-            state = self._context.getState(energy=True, groups=groups)
+            state = self._context.getState(energy=True, parameters=True, groups=groups)
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-            self._environment = self._environment_now()
+            self._environment = _environment_of(state)
         return self._potential
 
     @property
     def point(self) -> BodyState:
-        now, points = Snapshot(self._context), self.movers.bodies
-        q, v = now.positions[self._atoms].T, now.velocities[self._atoms].T
+        points, (positions, velocities) = self.movers.bodies, self._known.both
+        q, v = positions[self._atoms].T, velocities[self._atoms].T
         A = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, points.n))
         return BodyState(q, points.masses * v, A, np.zeros_like(q), self._variables[HEAT], self.draws)
 
     def change(self, operation: Callable[[BodyState], BodyState]) -> None:
-        context, old = self._context, self.point
-        new, now = operation(old), Snapshot(context)
+        old = self.point
+        new = operation(old)
         if new.q is not old.q:
-            now.positions[self._atoms] = new.q.T
-            context.setPositions(now.positions)
-            context.computeVirtualSites()
+            positions = self._known.positions.copy()
+            positions[self._atoms] = new.q.T
+            self._known.write_positions(positions)
+            self._context.computeVirtualSites()
+            self.atoms_moved()
         if new.p is not old.p:
-            now.velocities[self._atoms] = (new.p / self.movers.bodies.masses).T
-            set_velocities(context, now.velocities)
+            velocities = self._known.velocities.copy()
+            velocities[self._atoms] = (new.p / self.movers.bodies.masses).T
+            self._write_velocities(velocities)
         self._variables[HEAT], self.draws = new.heat, new.draws
 
+    def _write_velocities(self, velocities: np.ndarray) -> None:
+        self._known.write_velocities(velocities)
+        # OpenMM considers no force valid after that.
+        self._has_force = False
+
+    def add_heat(self, energy: float) -> None:
+        self._variables[HEAT] += energy
+
+    def kinetic_energy(self) -> float:
+        return self._known.kinetic_energy()
+
+    def centre_velocity(self) -> np.ndarray:
+        return self._known.centre_velocity()
+
+    def shift_velocities(self, velocity: np.ndarray) -> None:
+        gained = self.movers.bodies.mass * float((self.centre_velocity() + 0.5 * velocity) @ velocity)
+        self._known.shift(velocity)
+        self._has_force = False
+        self.add_heat(gained)
+
     def positions(self) -> np.ndarray:
-        return Snapshot(self._context).positions
+        return self._known.positions
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         self._settle()
-        context, now = self._context, Snapshot(self._context)
-        before = self.kinetic_energy()
+        known, before = self._known, self.kinetic_energy()
+        old = known.velocities
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
-        draw_velocities(context, bath.temperature, seed)
+        known.forget_velocities()
+        draw_velocities(self._context, bath.temperature, seed)
+        self._has_force = False
         kept = math.exp(-bath.friction * time)
-        set_velocities(context, kept * now.velocities + math.sqrt(1 - kept**2) * Snapshot(context).velocities)
+        if kept:
+            known.write_velocities(kept * old + math.sqrt(1 - kept**2) * known.velocities)
         self.add_heat(self.kinetic_energy() - before)
         self.draws += 1
 
     def remember(self) -> Memory:
-        return Snapshot(self._context), self._potential, self._variables[HEAT], self.draws
+        positions, velocities = self._known.both
+        heat = self._variables[HEAT]
+        return Memory(positions, velocities, self._box(), self.clock, self._potential, heat, self.draws)
 
     def go_back(self, memory: Memory, reverse: bool = False) -> None:
-        context, (now, potential, heat, draws) = self._context, memory
-        if now.box != self._box():
-            self._set_box(now.box)
-        context.setPositions(now.positions)
-        context.setVelocities(-now.velocities if reverse else now.velocities)
-        self.clock = Clock(now.time, now.steps)
-        self._potential, self._variables[HEAT], self.draws = potential, heat, draws
+        if memory.box != self._box():
+            self._set_box(memory.box)
+        self._known.write_positions(memory.positions)
+        self._write_velocities(-memory.velocities if reverse else memory.velocities)
+        self._follows_bath = False
+        self.clock, self._potential = memory.clock, memory.potential
+        self._variables[HEAT], self.draws = memory.heat, memory.draws
+
+    def _set_box(self, box: Any) -> None:
+        super()._set_box(box)
+        self._known.forget()
 
     # --- what users ask ---
 
@@ -403,3 +466,7 @@ class NativeEngine(Engine):
         if not isinstance(self._found, RigidityError):
             return super().degrees_of_freedom(conserved)
         return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if conserved else 0)
+
+
+def _environment_of(state: openmm.State) -> Environment:
+    return box_of(state), dict(state.getParameters())
