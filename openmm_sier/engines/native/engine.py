@@ -406,7 +406,7 @@ class NativeEngine(Engine):
     def remember(self) -> Memory:
         positions, velocities = self._known.both
         heat = self._variables[HEAT]
-        return Memory(positions, velocities, self._box(), self.clock, self._potential, heat, self.draws)
+        return Memory(positions, velocities, self._known.box, self.clock, self._potential, heat, self.draws)
 
     def go_back(self, memory: Memory, reverse: bool = False) -> None:
         if memory.box != self._box():
@@ -416,6 +416,9 @@ class NativeEngine(Engine):
         self._follows_bath = False
         self.clock, self._potential = memory.clock, memory.potential
         self._variables[HEAT], self.draws = memory.heat, memory.draws
+
+    def _box(self) -> Any:
+        return self._known.box
 
     def _set_box(self, box: Any) -> None:
         super()._set_box(box)
