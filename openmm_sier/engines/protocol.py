@@ -133,8 +133,13 @@ class Engine(ABC):
         """Take over what was changed in the Context from outside, and check that the flow can be followed."""
 
     @abstractmethod
-    def follow(self, steps: int) -> None:
+    def follow(self, steps: int, wants_energy: bool = False) -> None:
         """Advance by steps of the scheme, and the clock with them.
+
+        Args:
+            steps: number of steps.
+            wants_energy: whether the potential energy of their end will be asked for. An engine may compute it with
+                the last force then.
 
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.

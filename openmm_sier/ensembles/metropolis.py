@@ -119,7 +119,7 @@ class Metropolis(ConstantTemperature):
             )
         self._check_reversal(engine, flow, record)
         try:
-            engine.follow(self.steps_per_trial)
+            engine.follow(self.steps_per_trial, wants_energy=True)
             error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
         except TrajectoryError:
             error = math.inf

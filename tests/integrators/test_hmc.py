@@ -12,9 +12,9 @@ from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
 from tests.support.methanols import positions_of, system_of
-from tests.support.samplers import KT, counted, sampler
+from tests.support.samplers import KT, counted, sampler, states_asked
 from tests.support.strangers import fails_as_stranger
-from tests.support.systems import assembled, field
+from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
 #: Settings of either engine. Two equal substeps are short enough for SETTLE at the steps of these tests.
@@ -246,6 +246,58 @@ def test_forces_that_are_not_finite_reject_a_trial(engine):
     with pytest.raises(openmm.OpenMMException, match=r"In step 201 .* energy is nan"):
         integrator.step(1)
     assert context.getStepCount() == 200
+
+
+def test_a_trial_that_failed_in_mid_step_leaves_nothing_to_the_next():
+    """Virtual sites divide a step into four of OpenMM, and the CPU platform stops within one where atoms are nowhere.
+
+    In one call of `step` and in many the trials are the same.
+    """
+    points, places, failed = np.zeros((3, 3)), [], 0
+    for calls in (1, 60):
+        system = assembled([1.0, 1.0, 0.0], field("sqrt(0.09-x^2)-0.3", [0]))
+        system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
+        integrator = sampler(0.02, 3, SIER4G, seed=6, engine="native")
+        context = context_at(system, integrator, (points, points), "CPU")
+        for _ in range(calls):
+            integrator.step(60 // calls)
+            failed += math.isinf(integrator.lastEnergyError)
+        places.append(phase_point(context)[0])
+    assert failed > 2
+    assert np.array_equal(*places)
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+@PARTS_KEPT
+def test_a_trial_reads_what_it_must(cluster, monkeypatch, options, at_rest):
+    """On GPUs each reading of positions or velocities waits for the device, and takes longer than the host's work."""
+    system = with_forces(cluster[0], openmm.CMMotionRemover()) if at_rest else cluster[0]
+    integrator = sampler(engine="native", substeps=2, **options)
+    _context = context_at(system, integrator, cluster[1], steps=5)
+    # The watch for runaways reads velocities now and then.
+    integrator.binding.watch.advance = lambda make, steps, *_: make(steps)
+    asked, accepted = states_asked(monkeypatch), integrator.accepted
+    for _ in range(30):
+        integrator.step(1)
+    # Rejected trials are undone, and need no more.
+    assert 0 < integrator.accepted - accepted < 30
+    reads = [sum(bool(kinds & kind) for kinds in asked) for kind in (openmm.State.Positions, openmm.State.Velocities)]
+    # One position, and velocities before and after momenta are drawn and at the end.
+    assert reads == [30, 90]
+    # The energy of the start is that of the last end.
+    assert sum(bool(kinds & openmm.State.Energy) for kinds in asked) == 30
+
+
+def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
+    """A trial of the exact engine has no evaluation for its energy alone."""
+    for scheme in (SIER2, SIER4G):
+        integrator = sampler(scheme=scheme, engine="exact")
+        _context = context_at(cluster[0], integrator, cluster[1], steps=2)
+        asked = states_asked(monkeypatch)
+        integrator.step(10)
+        energies = [kinds for kinds in asked if kinds & openmm.State.Energy]
+        assert len(energies) == 10
+        assert all(kinds & openmm.State.Forces for kinds in energies)
 
 
 @ENGINES

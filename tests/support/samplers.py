@@ -3,7 +3,6 @@
 import openmm
 
 from openmm_sier import SIER2, SIERHMCIntegrator
-from openmm_sier.engines.exact.forces import BodyForces
 from tests.support.restarts import everything
 from tests.support.seeded import seeded
 
@@ -21,14 +20,14 @@ def counted(context):
     return (*everything(context), integrator.trials, integrator.accepted, integrator.lastEnergyError)
 
 
-def energies_computed(monkeypatch):
-    """A list that grows with each State of a Context: whether its energy was computed."""
-    computed, get = [], openmm.Context.getState
+def states_asked(monkeypatch):
+    """Return a list that grows with each State of a Context, by the kinds of data that it was asked for, a bit mask."""
+    asked, get = [], openmm.openmm._openmm.Context_getState
 
-    def counting(self, *args, **kwargs):
-        computed.append(kwargs.get("energy", False))
-        return get(self, *args, **kwargs)
+    def counting(context, kinds, *args):
+        asked.append(kinds)
+        return get(context, kinds, *args)
 
-    monkeypatch.setattr(openmm.Context, "getState", counting)
-    monkeypatch.setattr(BodyForces, "get_state", staticmethod(counting))
-    return computed
+    # Below all methods of Python, whoever has replaced them.
+    monkeypatch.setattr(openmm.openmm._openmm, "Context_getState", counting)
+    return asked

@@ -16,6 +16,7 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.stages import KICK
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.exact import in_place_of_openmm
@@ -95,13 +96,16 @@ class ExactEngine(Engine):
         self.state()
         self._moving.check_step(flow, self._integrator.getIntegrationForceGroups(), self._context)
 
-    def follow(self, steps: int) -> None:
+    def follow(self, steps: int, wants_energy: bool = False) -> None:
         flow = self._flow
         moves = self._moving.motion.operators(flow, self.inner_step(flow))
         step = operators.stepper(flow.scheme, moves, flow.step)
         if steps:
             self._moving.forget_past()
-        for _ in range(steps):
+        for remaining in range(steps, 0, -1):
+            if wants_energy and remaining == 1 and flow.scheme.stages[-1].operator == KICK:
+                # The last force of the step is that at its end.
+                self.forces.take_energy(with_evaluation=self.evaluations + flow.scheme.force_evaluations)
             if flow.updates_context and self._is_updated:
                 self._step_after_update(step)
             else:

@@ -43,6 +43,8 @@ class BodyForces:
         self.evaluations = self.step = 0
         # The last two, for the start and the end of a trajectory.
         self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
+        #: The number of the evaluation with which the energy is computed.
+        self._with_energy = 0
 
     def select(self, groups: int, fast_groups: int) -> None:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
@@ -95,11 +97,20 @@ class BodyForces:
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:
             self.place(q, A)
-            computed = self.get_state(self._context, energy=True, groups=self._groups)
-            energy = computed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-            found = (q, A, energy)
-        self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
+            found = (q, A, self._energy_of(self._groups))
+        self._keep_energy(found)
         return found[2]
+
+    def _energy_of(self, groups: int) -> float:
+        """Return the potential energy of some groups where the Context is, kJ/mol."""
+        return _potential(self.get_state(self._context, energy=True, groups=groups))
+
+    def _keep_energy(self, found: tuple[np.ndarray, np.ndarray, float]) -> None:
+        self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
+
+    def take_energy(self, with_evaluation: int) -> None:
+        """Compute the energy too with the evaluation of this number, for a tenth of what it costs alone."""
+        self._with_energy = with_evaluation
 
     def forget_energies(self) -> None:
         """Compute energies anew next time: positions, box, parameters or the potential were changed."""
@@ -108,7 +119,12 @@ class BodyForces:
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.evaluations += 1
         self.place(q, A)
-        found = self.get_state(self._context, forces=True, groups=groups)
+        if self.evaluations == self._with_energy:
+            found = self.get_state(self._context, forces=True, energy=True, groups=groups)
+            others = self._groups & ~groups
+            self._keep_energy((q, A, _potential(found) + (self._energy_of(others) if others else 0.0)))
+        else:
+            found = self.get_state(self._context, forces=True, groups=groups)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:
@@ -121,3 +137,8 @@ class BodyForces:
             f"The {what} {self.bodies.describe(error.body)} is not finite in step {self.step}. Is the step size too "
             "long, or do atoms overlap? The Context is left at the last completed step."
         )
+
+
+def _potential(state: openmm.State) -> float:
+    """Return the potential energy of a State, kJ/mol."""
+    return state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)

@@ -188,7 +188,7 @@ class NativeEngine(Engine):
     def _environment_now(self) -> Environment:
         return _environment_of(self._context.getState(parameters=True))
 
-    def follow(self, steps: int) -> None:
+    def follow(self, steps: int, wants_energy: bool = False) -> None:
         if self._flow.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
             time, count = self.clock
