@@ -22,14 +22,13 @@ has a SIER integrator, and exactly what OpenMM's do if it has another:
 """
 
 import functools
-import inspect
 import weakref
 from collections.abc import Callable
 from typing import Any
 
 import openmm
 
-from openmm_sier.engines.overlaps import tell_of_overlaps
+from openmm_sier.engines.own_methods import mark_as_replaced, own_method
 from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -69,13 +68,13 @@ def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
     if name not in vars(cls):
         return
     static = isinstance(vars(cls)[name], staticmethod)
-    method = inspect.unwrap(getattr(cls, name), stop=lambda function: not hasattr(function, "_of_openmm_sier"))
+    method = own_method(cls, name)
 
     @functools.wraps(method)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         return instead(method, *args, **kwargs)
 
-    wrapper._of_openmm_sier = True  # type: ignore[attr-defined]
+    mark_as_replaced(wrapper)
     setattr(cls, name, staticmethod(wrapper) if static else wrapper)
 
 
@@ -223,7 +222,6 @@ def _keep_bodies(
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if binding := _binding_of(context):
-        binding.engine.minimize(by_openmm, tolerance, maxIterations, reporter)
-        tell_of_overlaps(context, binding.engine.bodies)
+        binding.minimize(by_openmm, tolerance, maxIterations, reporter)
     else:
         by_openmm()

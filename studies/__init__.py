@@ -12,6 +12,7 @@ STUDIES = {
     "studies.equipartition": "",
     "studies.defaults": "13 min, as two commands with one thread each",
     "studies.speed": "20 min of one core of a busy machine",
+    "studies.gpu": "4 min of an H200",
     "studies.mesh": "7 min of one core of a busy machine",
     "studies.bench.accuracy": "15 min of one core of a busy machine",
     "studies.acceptance": "1 to 2 h of one core",
