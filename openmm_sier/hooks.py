@@ -11,19 +11,20 @@ call OpenMM's own (`engines.own_methods`). Each stands beside what goes wrong wi
 - `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature`, `setPeriodicBoxVectors`, `loadCheckpoint`: tell
   the integrator. *Without*: the native engine goes on with forces and constraints of before, and a hot start of the
   user's counts as a runaway. A comparison before each call of `step` would read all atoms from a GPU.
-- `Context.setVelocitiesToTemperature`, `applyConstraints`, `applyVelocityConstraints`: are this package's where OpenMM's
-  solvers cannot satisfy the constraints. *Without*: these give velocities of 1e33 nm/ps, and positions that are NaN.
+- `Context.setVelocitiesToTemperature`, `applyConstraints`, `applyVelocityConstraints`: are this package's where
+  OpenMM's solvers cannot satisfy the constraints. *Without*: these give velocities of 1e33 nm/ps, and positions that
+  are NaN.
 - `Context.createCheckpoint`, `XmlSerializer.serialize` of a State with the integrator's parameters: make the run go on
   exactly as a restart from their result would. `Context.getState` marks such a State. *Without*: restarts on one thread
   of the CPU platform are not bit-identical, since forces there depend on a list of neighbours that no file holds.
 - `updateParametersInContext` of every Force: tells the integrator. *Without*: kicks use the forces of before.
 - `System.setParticleMass`, `setConstraintParameters`, `removeForce`, `Force.setForceGroup`, `setPMEParameters` of every
-  Force: are counted. *Without*: a System that was changed too late is compared whole at each call of `step`, which takes
-  5 to 10 us for each Force, or goes unnoticed.
+  Force: are counted. *Without*: a System that was changed too late goes unnoticed, or all of it is compared at each
+  call of `step`, which takes 5 to 10 us for each Force.
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
   warns of overlaps that it leaves. *Without*: it tears them apart.
-- `XmlSerializer.deserialize`, `XmlSerializer.clone`: give back the SIER integrator that was stored. *Without*: they give
-  a CustomIntegrator whose steps are not those of the scheme.
+- `XmlSerializer.deserialize`, `XmlSerializer.clone`: give back the SIER integrator that was stored. *Without*: they
+  give a CustomIntegrator whose steps are not those of the scheme.
 """
 
 import functools
