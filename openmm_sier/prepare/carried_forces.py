@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES
 from openmm_sier.system.inner_forces import Part, parts
 
 #: Name of the parameter by which custom Forces tell atoms, for which it is 1, from added particles.
 IS_ATOM = "openmm_sier_is_atom"
+
+#: Of the radius of a particle by which a GBSAOBCForce takes volume from others; it must be positive.
+LEAST_SCALE = 1e-9
 
 #: Forces that name their particles, and those that need none.
 UNCHANGED = (
@@ -87,8 +91,8 @@ def _born_radii(part: Part, force: openmm.GBSAOBCForce, added: Added) -> None:
             "its energy of the surface area has no parameter by which a particle has no surface",
             "Create the System with gbsaModel=None, or call setSurfaceAreaEnergy(0)",
         )
-    # Without charge it has no energy, and with the scale 0 it takes no place from others.
-    _entries(0.0, 0.1, 0.0)(part, force, added)
+    # Without charge it has no energy, and with a scale that rounding hides it takes no place from others.
+    _entries(0.0, 0.1, LEAST_SCALE)(part, force, added)
 
 
 def _drude(part: Part, force: openmm.DrudeForce, added: Added) -> None:
@@ -106,8 +110,7 @@ def _chosen(part: Part, force: Any, added: Added) -> None:
 
 def _referred(part: Part, force: Any, added: Added) -> None:
     _chosen(part, force, added)
-    known = [openmm.Vec3(*place) for place in force.getReferencePositions(asNumpy=True)._value.tolist()]
-    force.setReferencePositions([*known, *(openmm.Vec3(0, 0, 0) for _ in added.models)])
+    force.setReferencePositions([*force.getReferencePositions().value_in_unit(unit.nanometer), *(openmm.Vec3(0, 0, 0) for _ in added.models)])
 
 
 def _centroids(part: Part, force: openmm.CustomCentroidBondForce, added: Added) -> None:

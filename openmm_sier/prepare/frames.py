@@ -25,6 +25,9 @@ from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
 from openmm_sier.system.molecules import Bonds
 from openmm_sier.system.solver_trial import SolverTrial
 
+#: Constraints between all of more atoms are redundant.
+MOST_HELD = 4
+
 
 class Frame(NamedTuple):
     """The frame of one body.
@@ -301,18 +304,14 @@ def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) 
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of such a body."""
+    if len(species.masses) > MOST_HELD:
+        return False
     alone = openmm.System()
     for mass in species.masses.tolist():
         alone.addParticle(mass)
-    if len(species.masses) > MOST_HELD:
-        return False
     for i, j in combinations(range(len(species.masses)), 2):
         alone.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
     return SolverTrial(alone).unsolved() is None
-
-
-#: Constraints between all of more atoms are redundant.
-MOST_HELD = 4
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.RigidBodies) -> dict[int, list[int]]:
@@ -343,12 +342,9 @@ def _owner(site: openmm.VirtualSite, owners: np.ndarray) -> int:
 
 def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
     """Return positions (N, 3) with virtual sites where their particles have them."""
-    alone = openmm.System()
-    alone.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
-    for i, mass in enumerate(tables.masses(system).tolist()):
-        alone.addParticle(mass)
-        if system.isVirtualSite(i):
-            alone.setVirtualSite(i, copy.copy(system.getVirtualSite(i)))
+    alone = _copied(system)
+    for number in reversed(range(alone.getNumForces())):
+        alone.removeForce(number)
     reference = openmm.Platform.getPlatformByName("Reference")
     context = openmm.Context(alone, openmm.VerletIntegrator(0.001), reference)
     context.setPositions(x)
