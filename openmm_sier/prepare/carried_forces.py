@@ -110,7 +110,9 @@ def _chosen(part: Part, force: Any, added: Added) -> None:
 
 def _referred(part: Part, force: Any, added: Added) -> None:
     _chosen(part, force, added)
-    force.setReferencePositions([*force.getReferencePositions().value_in_unit(unit.nanometer), *(openmm.Vec3(0, 0, 0) for _ in added.models)])
+    force.setReferencePositions(
+        [*force.getReferencePositions().value_in_unit(unit.nanometer), *(openmm.Vec3(0, 0, 0) for _ in added.models)]
+    )
 
 
 def _centroids(part: Part, force: openmm.CustomCentroidBondForce, added: Added) -> None:

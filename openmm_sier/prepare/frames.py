@@ -64,7 +64,7 @@ class FramedSystem:
     system: openmm.System
     topology: app.Topology | None
     positions: np.ndarray
-    bodies: RigidBodies
+    bodies: dynamics.RigidBodies
     frames: tuple[Frame, ...]
 
     @property
@@ -171,7 +171,7 @@ class FramedSystem:
 
     @staticmethod
     def _turned(bodies: dynamics.RigidBodies, x: np.ndarray, v: np.ndarray) -> _Turned:
-        q, A = bodies.fit(x)
+        _, A = bodies.fit(x)
         p, L = bodies.momenta(v, A)
         spin = np.einsum("axn,an,ayn,yn->xn", A, bodies.inverse_moments, A, L)
         return _Turned(p / bodies.masses, A, spin)
@@ -235,6 +235,7 @@ def with_frames(
     x = checked_positions(positions, system.getNumParticles())
     checks.refuse_impossible_numbers(system)
     checks.refuse_scaled_atoms(system)
+    known: dynamics.RigidBodies
     if isinstance(bodies, dynamics.RigidBodies):
         known = linked(system, bodies)
     else:

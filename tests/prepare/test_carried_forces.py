@@ -243,9 +243,9 @@ def test_a_particle_of_a_frame_may_be_where_an_atom_of_another_body_is(build):
     system, positions, bodies = pair_of_bodies(build)
     framed = with_frames(system, positions, bodies)
     x = framed.positions.copy()
-    corner = x[framed.frames[0].particles[0]]
     atom = system.getNumParticles() - 1
-    x[atom] = corner + [1e-4, 0, 0]
+    x[atom] = x[framed.frames[0].particles[0]]
+    x[atom, 0] += 1e-4
     for name in ("Reference", "CPU"):
         energy, _, forces = energy_and_forces(framed.system, x, name)
         expected, _, alone = energy_and_forces(system, x[: framed.numAtoms], name)

@@ -37,7 +37,9 @@ def test_mass_and_degrees_of_freedom_are_those_of_the_bodies():
     framed = with_frames(system, positions, bodies)
     masses = [framed.system.getParticleMass(i)._value for i in range(framed.system.getNumParticles())]
     assert not any(masses[: framed.numAtoms])
-    assert sum(masses) == pytest.approx(sum(SHAPES[name][0].sum() for name in ("36 beads", "benzene", "carbon dioxide")))
+    assert sum(masses) == pytest.approx(
+        sum(SHAPES[name][0].sum() for name in ("36 beads", "benzene", "carbon dioxide"))
+    )
     assert (len(masses) - framed.numAtoms, framed.system.getNumConstraints()) == (4 + 3 + 2, 6 + 3 + 1)
     original = [system.getParticleMass(i)._value for i in range(system.getNumParticles())]
     assert all(original)
@@ -108,7 +110,7 @@ def test_a_cluster_of_tip4p_is_one_body_with_its_sites():
 
 
 def test_bodies_that_openmm_can_hold_stay_as_they_are():
-    topology, positions, system = cluster_system(2)
+    _, positions, system = cluster_system(2)
     with pytest.raises(ValueError, match=r"no body needs a frame.*2 rigid of 3 atoms"):
         with_frames(system, positions)
     # Ten constraints, of which one is redundant, are too many for OpenMM's solver.
@@ -222,7 +224,7 @@ def test_bad_input_is_refused():
     system, positions, bodies = system_of("36 beads", "benzene")
     with pytest.raises(ValueError, match=r"shape \(48, 3\)"):
         with_frames(system, positions[:-1], bodies)
-    with pytest.raises(TypeError, match="must be an openmm.System"):
+    with pytest.raises(TypeError, match=r"must be an openmm\.System"):
         with_frames(topology_of(bodies), positions, bodies)
     with pytest.raises(ValueError, match="no body needs a frame"):
         with_frames(system, positions)
