@@ -99,7 +99,7 @@ def four_atoms(masses: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.n
     """Masses (4,) and positions (4, 3) from the centre of mass, by the script's rule.
 
     Raises:
-        ValueError: four atoms that are tried before others lie in a plane, where the script stops, or none can have them.
+        ValueError: four atoms that are tried lie in a plane, where the script stops, or no four can have them.
     """
     arms = places - masses @ places / masses.sum()
     distances = np.linalg.norm(arms, axis=1)

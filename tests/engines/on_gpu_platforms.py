@@ -196,9 +196,9 @@ def framed():
     return found, phase_point(context), bodies
 
 
-@pytest.mark.parametrize(("precision", "error"), [("double", 1e-9), ("mixed", 2e-6)])
+@pytest.mark.parametrize(("precision", "error"), [("double", 2e-8), ("mixed", 2e-6)])
 def test_bodies_with_frames_move_as_on_reference(gpu, framed, precision, error):
-    """By Verlet; forces of mixed precision are good to 1e-6, constraints to the same tolerance."""
+    """By Verlet; forces of mixed precision are good to 1e-6, and SETTLE, which holds benzene, to 5e-9 nm."""
     made, point, _ = framed
     found = []
     for name in ("Reference", gpu):
@@ -218,19 +218,19 @@ def test_bodies_with_frames_in_a_bath_and_under_pressure(gpu, framed):
     made, point, bodies = framed
     system = openmm.XmlSerializer.clone(made.system)
     system.setDefaultPeriodicBoxVectors([12, 0, 0], [0, 12, 0], [0, 0, 12])
-    system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.PME)
+    system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     system.addForce(seeded(openmm.MonteCarloBarostat(50.0, 300, 5), 3))
     integrator = seeded(openmm.LangevinMiddleIntegrator(300, 20.0, 0.004), 2)
     context = gpu_context(gpu, "mixed", system, integrator, point)
     kinetic, volumes = [], set()
-    for _ in range(150):
+    for _ in range(60):
         integrator.step(20)
         state = context.getState(energy=True)
         kinetic.append(state.getKineticEnergy()._value)
         volumes.add(state.getPeriodicBoxVolume()._value)
     assert len(volumes) > 10
-    # 23 freedoms; the bath makes samples independent, so that the mean is good to sqrt(2/(23 150)).
-    assert np.mean(kinetic) == pytest.approx(23 / 2 * GAS_CONSTANT * 300, rel=4 * math.sqrt(2 / (23 * 150)))
+    # 23 freedoms; the bath makes samples independent, so that the mean is good to sqrt(2/(23 60)).
+    assert np.mean(kinetic) == pytest.approx(23 / 2 * GAS_CONSTANT * 300, rel=4 * math.sqrt(2 / (23 * 60)))
     x = made.getAtomPositions(context.getState(positions=True))
     for atoms in bodies[:3]:
         shapes = [np.linalg.norm(each[atoms][:, None] - each[atoms][None], axis=2) for each in (x, point[0])]
