@@ -16,6 +16,9 @@ from openmm_sier.system.inner_forces import Part, parts
 #: Name of the parameter by which custom Forces tell atoms, for which it is 1, from added particles.
 IS_ATOM = "openmm_sier_is_atom"
 
+#: Unit of the energy of a surface.
+SURFACE_TENSION = unit.kilojoule_per_mole / unit.nanometer**2
+
 #: Of the radius of a particle by which a GBSAOBCForce takes volume from others; it must be positive.
 LEAST_SCALE = 1e-9
 
@@ -85,7 +88,7 @@ def _entries(*parameters: Any) -> Callable:
 
 
 def _born_radii(part: Part, force: openmm.GBSAOBCForce, added: Added) -> None:
-    if force.getSurfaceAreaEnergy()._value != 0:
+    if force.getSurfaceAreaEnergy().value_in_unit(SURFACE_TENSION) != 0:
         raise _refusal(
             part,
             "its energy of the surface area has no parameter by which a particle has no surface",

@@ -64,7 +64,7 @@ class FramedSystem:
     system: openmm.System
     topology: app.Topology | None
     positions: np.ndarray
-    bodies: dynamics.RigidBodies
+    bodies: RigidBodies
     frames: tuple[Frame, ...]
 
     @property
@@ -192,7 +192,7 @@ class _Turned(NamedTuple):
 def with_frames(
     system: openmm.System,
     positions: Any,
-    bodies: dynamics.RigidBodies | Rigid = None,
+    bodies: RigidBodies | Rigid = None,
     topology: app.Topology | None = None,
 ) -> FramedSystem:
     """Copy a System with a frame for each rigid body, so that OpenMM's own integrators keep bodies of any size rigid.
@@ -235,8 +235,7 @@ def with_frames(
     x = checked_positions(positions, system.getNumParticles())
     checks.refuse_impossible_numbers(system)
     checks.refuse_scaled_atoms(system)
-    known: dynamics.RigidBodies
-    if isinstance(bodies, dynamics.RigidBodies):
+    if isinstance(bodies, RigidBodies):
         known = linked(system, bodies)
     else:
         known = RigidBodies.from_system(system, topology, bodies, x)
