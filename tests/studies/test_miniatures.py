@@ -17,6 +17,7 @@ from studies import (
     acceptance,
     defaults,
     equipartition,
+    frames,
     gpu,
     heat_bath,
     mesh,
@@ -54,7 +55,8 @@ MINIATURES: dict[str, Miniature] = {}
 DRAWN = {"acceptance", "bench", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "mesh", "native-program", "speed", "water"}
+MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "mesh", "native-program"}
+MADE_AT_ONCE |= {"speed", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -188,6 +190,18 @@ def meshes(found):
     assert len(known)
     assert (known["best_error"] <= known["error"]).all()
     assert known["ratio"].notna().all()
+
+
+@miniature("frames", frames, "--verlet 10 --sier4g 30 --time 0.3")
+def framed(found):
+    moments, energies = found["moments"], found["energies"]
+    assert list(moments["atoms"]) == [12, 60, 36, 200]
+    # Rounding beside large errors, in per cent; the script bears no planes.
+    assert (moments["frame"] < 1e-10).all()
+    assert (moments["script"].dropna() > 1).all()
+    assert list(moments["script"].isna()) == [True, True, False, False]
+    verlet, sier4g = energies["percent"]
+    assert 0 < sier4g < 0.2 * verlet
 
 
 @miniature("native-program", counts, "--schemes sier2 sier4g")
