@@ -76,18 +76,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
             TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
                 have the wrong type.
         """
-        ensemble = ensemble or ConstantEnergy()
         given = Settings(
             kind=place_of(type(self)),
-            scheme=ensemble.suited(arguments.checked_scheme(scheme)),
-            step=arguments.step_size(stepSize),
+            scheme=arguments.checked_scheme(scheme),
+            step=stepSize,
             engine=engine,
-            substeps=None if substeps is None else arguments.whole_number("substeps", substeps),
+            substeps=substeps,
             fast_groups=arguments.group_mask("fastForceGroups", fastForceGroups),
             finds_fast_groups=fastForceGroups is None,
-            bodies=arguments.checked_bodies(bodies),
+            bodies=bodies,
             rotation=rotation,
-            ensemble=ensemble,
+            ensemble=ConstantEnergy() if ensemble is None else ensemble,
         )
         super().__init__(given.step)
         self.binding = Binding(self, given)

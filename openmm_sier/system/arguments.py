@@ -103,6 +103,8 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         raise wrong
     try:
         value = float(value)
+    except OverflowError:
+        value = math.inf
     except (TypeError, ValueError):
         raise wrong from None
     if not math.isfinite(value):
@@ -111,9 +113,13 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) -> int:
-    """A nonnegative integer within bounds, from an int or a float without a fraction."""
+    """Return a nonnegative integer within bounds, from an int or a float without a fraction.
+
+    Raises:
+        ValueError: it is something else, True and False included, or out of bounds.
+    """
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
-    if not whole or value < 0:
+    if not whole or isinstance(value, bool) or value < 0:
         raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")

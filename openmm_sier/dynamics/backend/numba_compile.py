@@ -80,8 +80,9 @@ def _tell_of_no_cache(error: Exception) -> None:
 @contextmanager
 def _cache_directory() -> Iterator[None]:
     """Let Numba choose the user's cache directory for the functions that are made meanwhile."""
-    from numba import config
+    import numba
 
+    config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = before or str(_user_cache() / "openmm_sier")
     try:
