@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import openmm
@@ -17,7 +16,7 @@ from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding, unpickled
 from openmm_sier.integrators.settings import Settings, place_of
 from openmm_sier.system import arguments
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 from openmm_sier.system.temperature import Temperatures
 
 
@@ -38,13 +37,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __init__(
         self,
-        stepSize: Any,
+        stepSize: Quantity,
         scheme: Scheme | str = SIER4G,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups: Iterable[int] | int | None = None,
+        fastForceGroups: ForceGroups | None = None,
         ensemble: Ensemble | None = None,
     ):
         """
@@ -152,7 +151,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""
         return self.binding.settings.step * self.binding.ensemble.steps * unit.picosecond
 
-    def setStepSize(self, size: Any) -> None:
+    def setStepSize(self, size: Quantity) -> None:
         """Set the time by which `step(1)` advances the Context, a time quantity or a number in ps."""
         self.binding.change(step=arguments.step_size(size) / self.binding.ensemble.steps)
 
@@ -220,7 +219,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self.binding.engine.forces_changed()
 
-    def setIntegrationForceGroups(self, groups: Iterable[int] | int) -> None:
+    def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
         super().setIntegrationForceGroups(groups)
         self.binding.groups_changed()

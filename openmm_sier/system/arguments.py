@@ -16,6 +16,12 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 #: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
+#: Values of the argument `fastForceGroups` of integrators: numbers of groups, or a bit mask.
+ForceGroups = Iterable[int] | int
+
+#: A quantity of OpenMM, or a number in the unit that the argument names.
+Quantity = unit.Quantity | float
+
 #: OpenMM has this many force groups.
 GROUPS = 32
 
@@ -128,7 +134,7 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
     return int(value)
 
 
-def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
+def group_mask(name: str, groups: ForceGroups | None) -> int:
     """Force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
 
     Raises:
