@@ -44,13 +44,6 @@ class Command:
     epilog: str = ""
 
 
-#: What to do in place of what earlier versions had, by words of argparse's message about it.
-REMOVED = {
-    "choice: 'ensemble'": "a loop of the shell over seeds",
-    "choice: 'properties'": "MDTraj or, for means of a log, mean_and_error of openmm_sier.analysis.statistics",
-    "arguments: --bodies": "BodyStateReporter in a script",
-}
-
 COMMANDS = {
     "run": Command(
         "simulate molecules",
@@ -85,8 +78,7 @@ class Parser(argparse.ArgumentParser):
     """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        instead = "".join(f". Take {other} instead" for words, other in REMOVED.items() if words in message)
-        self.exit(MISUSED, f"{self.prog}: {message}{instead} (see {self.prog} --help)\n")
+        self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -78,8 +78,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
         outputs.refuse_existing()
     if notes:
         found = _cuts(plan, outputs, notes, may_lose=bool(options.overwrite))
-        # Checkpoints of earlier versions say nothing of it.
-        simulated.unsettled = notes.get("unsettled")
+        simulated.unsettled = notes["unsettled"]
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()

@@ -196,12 +196,11 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
 
 
 def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
-    """As one of format 3, whose run may have written body states, which this version would not go on with."""
     shutil.copy(whole_run / "whole.chk", "old.chk")
-    rewrite_notes("old.chk", lambda notes: notes.update(format=3, bodies={"size": 8, "count": 1, "fingerprint": ""}))
+    rewrite_notes("old.chk", lambda notes: notes.update(format=7))
     for use in ("--restart", "--start"):
         message = complaint(capsys, "run", box, use, "old.chk", "--time", "1")
-        assert "old.chk was written by another version of openmm-sier, in format 3 in place of 4: finish" in message
+        assert "old.chk was written by another version of openmm-sier, in format 7 in place of 1: finish" in message
 
 
 def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
