@@ -226,8 +226,6 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
 def test_bad_arguments_are_refused_in_one_line(box, capsys):
     for arguments in ("run a.pdb --dt fast", "run a.pdb --steps 5 --time 1", "run a.pdb --scheme sier3", "fly", ""):
         complaint(capsys, *arguments.split(), code=main.MISUSED)
-    for arguments, instead in (("ensemble a.toml", "seeds"), ("properties a", "MDTraj"), ("run a --bodies b", "Body")):
-        assert instead in complaint(capsys, *arguments.split(), code=main.MISUSED)
 
 
 def test_missing_rich_names_the_extra(box, capsys, monkeypatch):
