@@ -48,7 +48,7 @@ class Method(NamedTuple):
     make: Callable[[], openmm.Integrator]
     kind: str = "CustomIntegrator"
     is_prepared: bool = True
-    calls: int = 10
+    calls: int = 6
     steps: int = 10
 
 
@@ -76,7 +76,7 @@ METHODS = {
     "hmc": Method(
         "hybrid Monte Carlo, a trial of 10 steps of 9 fs",
         lambda: SIERHMCIntegrator(TEMPERATURE, 0.009, engine="native"),
-        calls=4,
+        calls=3,
         steps=2,
     ),
 }

@@ -31,7 +31,7 @@ LIMIT = 3000
 FIRST = 2
 
 #: Calls of many steps.
-LONG_CALLS = 6
+LONG_CALLS = 3
 
 #: Kernels of OpenMM by what they do: the first pattern that has the beginning of a name.
 KINDS = {
@@ -46,6 +46,7 @@ KINDS = {
     "atoms": r"computePerDof|integrate|timeShift",
     "noise": r"generateRandomNumbers",
     "centre of mass": r"calcCenterOfMass|removeCenterOfMass",
+    "energies": r"computeKineticEnergy|compute(Float|Double)Sum|reduceEnergy|copy(Float|Double)Buffer",
 }
 
 #: All other kernels.
