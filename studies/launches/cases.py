@@ -16,7 +16,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     prepare_system,
 )
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
 
 #: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
