@@ -62,7 +62,7 @@ def tasks(settings: LaunchesSettings) -> Iterator[Task]:
     names = settings.methods or tuple(cases.METHODS)
     chosen(names, cases.METHODS, "method")
     chosen(settings.boxes, dict.fromkeys(cases.BOXES), "box")
-    for box, precision, name in product(settings.boxes, settings.precisions, names):
+    for precision, box, name in product(settings.precisions, settings.boxes, names):
         yield Task(settings, {"box": box, "precision": precision, "name": name})
 
 
