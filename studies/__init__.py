@@ -26,6 +26,7 @@ STUDIES = {
     "studies.native.accuracy": "",
     "studies.native.cost": "",
     "studies.native.program": "seconds",
+    "studies.launches": "half an hour of two cores of a busy machine",
     "studies.checks.kill_loop": "",
     "studies.checks.two_commands": "6 min with --times 10 on a busy machine",
     "studies.checks.interrupts": "10 min of one core",
