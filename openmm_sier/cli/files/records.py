@@ -24,6 +24,9 @@ WINDOW = 2**16
 #: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
 CHANGING = 48
 
+#: What the heading of every table of a run begins with, and more bytes than a heading and a row have.
+FIRST_COLUMNS, LONGEST_BEGINNING = b"Step,Time (ps),", 2**13
+
 
 class RecordError(ValueError):
     """A file of a run is missing or damaged, or belongs to another run."""
@@ -109,6 +112,15 @@ class GrowingFile(ABC):
             OSError: it cannot be read.
         """
 
+    @staticmethod
+    @abstractmethod
+    def is_beginning(path: Path) -> bool:
+        """Return whether a file holds no more than a run writes before its first checkpoint.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
 
@@ -186,12 +198,24 @@ class Log(GrowingFile):
             file.seek(size)
             return sum(1 for _ in file)
 
+    @staticmethod
+    def is_beginning(path: Path) -> bool:
+        with naming(path), open(path, "rb") as file:
+            heading, _, later = file.read(LONGEST_BEGINNING).partition(b"\n")
+        # The heading may have been cut off too.
+        begins = heading.startswith(FIRST_COLUMNS) or FIRST_COLUMNS.startswith(heading)
+        return begins and later.count(b"\n") <= 1 and len(later) + len(heading) + 1 < LONGEST_BEGINNING
+
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())
 
 
-def read_log(path: Path) -> dict[str, np.ndarray]:
+def read_log(path: Path, whole_lines: bool = False) -> dict[str, np.ndarray]:
     """All rows of a `Log`, by column.
+
+    Args:
+        path: of the file.
+        whole_lines: whether a last line without its end, as a killed run leaves, is left out.
 
     Raises:
         OSError: the file cannot be read.
@@ -199,8 +223,9 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
     """
     with open(path) as file:
         columns = file.readline().rstrip().split(",")
+        lines = (line for line in file if line.endswith("\n")) if whole_lines else file
         try:
-            rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
+            rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, len(columns))
         except ValueError as error:
             raise RecordError(f"{path} below its heading: {error}") from error
     return dict(zip(columns, rows.T, strict=True))
