@@ -1,4 +1,4 @@
-"""Logs of finished runs, of one or of several that differ in their seeds: read, compared, and cut where they settled."""
+"""Logs of a run, or of several that differ in their seeds: read, compared, and cut where they settled."""
 
 from __future__ import annotations
 
@@ -224,7 +224,8 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
     _warn_of_differences(found)
     runs = Runs(found)
     if skip is None:
-        return runs._replace(**_settling(runs))
+        begin, moving = _settling(runs)
+        return runs._replace(begin=begin, moving=moving)
     if skip >= runs.length:
         raise RunError(f"--skip {skip:g} leaves nothing: the shortest run has {runs.length:g} {runs.unit}")
     return runs._replace(begin=skip)
@@ -277,8 +278,8 @@ def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> n
     return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
 
 
-def _settling(runs: Runs) -> dict[str, object]:
-    """The fields of `Runs` that say where the means over all runs settled, and what was the last to."""
+def _settling(runs: Runs) -> tuple[float, tuple[str, ...]]:
+    """Return where the means over all runs settled, and the names of what moved before."""
     rows = min(len(run.clock) for run in runs.runs)
     count = min(rows - 1, BINS)
     width = runs.length / count
@@ -289,5 +290,4 @@ def _settling(runs: Runs) -> dict[str, object]:
         series = np.mean([binned(run.clock, run.log[column], width, count) for run in runs.runs], axis=0)
         if np.isfinite(series).all() and (index := settled_from(series)):
             found[name] = index * width
-    begin = max(found.values(), default=0.0)
-    return {"begin": begin, "moving": tuple(found)}
+    return max(found.values(), default=0.0), tuple(found)

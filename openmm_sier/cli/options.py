@@ -233,7 +233,7 @@ class Options:
         restart="not noted",
     )
     plot: Path | None = _option(
-        PICTURE, "draw the log at the end, as `plot` does", otherwise="none", restart="not noted"
+        PICTURE, "draw the log at the end, as `plot` does", otherwise="no picture", restart="not noted"
     )
     overwrite: bool | None = _option(
         SWITCH,

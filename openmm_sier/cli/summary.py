@@ -61,29 +61,24 @@ def _check_json(path: Path, logs: list[Path]) -> None:
 
 
 def _rows(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> list[list[str]]:
-    rows = []
-    for over_all, each in means:
-        values = {run.path: _number(mine) for run, mine in zip(runs.runs, each, strict=True)}
-        known = {path: value for path, value in values.items() if math.isfinite(value)}
-        extremes = ["-", "-"]
-        if known and len(runs.runs) > 1:
-            digits = _digits(over_all)
-            extremes = [
-                f"{known[path]:{digits}}, {path.stem}"
-                for path in (min(known, key=known.get), max(known, key=known.get))
-            ]
-        rows.append([over_all.name, str(over_all), *extremes])
+    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
+    if not runs.settled:
+        rows.append(["WARNING: not settled", f"in {runs.length:.4g} {runs.unit}: {', '.join(runs.moving)}", "", ""])
     if runs.begin:
-        told = f"{', '.join(runs.moving)}: the first {runs.begin:.4g} {runs.unit} are left out of all means"
-        if not runs.settled:
-            told = f"WARNING: not settled in {runs.length:.4g} {runs.unit}; {told}"
-        rows.append(["settled late" if runs.moving else "left out", told.removeprefix(": "), "", ""])
-    rows += [
-        ["WARNING: not equilibrated", f"{run.path.stem}: after {run.unsettled}", "", ""]
-        for run in runs.runs
-        if run.unsettled
-    ]
-    return rows
+        reason = f", as {', '.join(runs.moving)} had not settled" if runs.moving else ""
+        rows.append(["left out", f"the first {runs.begin:.4g} {runs.unit}{reason}", "", ""])
+    doubtful = [run for run in runs.runs if run.unsettled]
+    return rows + [["WARNING: not equilibrated", f"{run.path.stem}: after {run.unsettled}", "", ""] for run in doubtful]
+
+
+def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:
+    """Return the least and the greatest value of single runs with the names of their logs."""
+    named = [(_number(mine), run.path.stem) for run, mine in zip(runs.runs, each, strict=True)]
+    known = [(value, name) for value, name in named if math.isfinite(value)]
+    if not known or len(runs.runs) == 1:
+        return ["-", "-"]
+    digits = _digits(over_all)
+    return [f"{value:{digits}} ({name})" for value, name in (min(known), max(known))]
 
 
 def _number(quantity: Quantity) -> float:

@@ -15,7 +15,7 @@ from openmm_sier.cli.pictures import canvas, series
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
 from openmm_sier.cli.results import DENSITY
 from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.statistics import FEWEST, Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.measure.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TOLD = 3.0
 
 #: Letters in a line of a title.
-LINE_OF_TITLE, LINE_OF_PANEL, LINE_OF_CAPTION = 66, 80, 110
+LINE_OF_TITLE, LINE_OF_PANEL, LINE_OF_CAPTION = 62, 66, 105
 
 ENERGY = Look(BLUE)
 KINDS = {
@@ -59,7 +59,8 @@ def draw(runs: Runs, path: Path) -> None:
         for each, panel in zip(axes, found, strict=True):
             panel.draw(each)
             series.shade_unsettled(each, runs)
-            each.set_title(textwrap.fill(panel.finding, LINE_OF_PANEL))
+            # As on the axes, a minus is no hyphen.
+            each.set_title(textwrap.fill(panel.finding, LINE_OF_PANEL).replace(" -", " −"))
             each.set(ylabel=panel.label, xlim=(0, runs.length))
         axes[-1].set_xlabel("trials" if runs.unit == "trials" else "time (ps)")
 
@@ -90,16 +91,18 @@ def title_of(runs: Runs) -> str:
         return f"Settled after {begin}: {moving}. Means are of what follows"
     if runs.begin:
         return f"The first {begin} are left out of all means"
-    return f"Settled from the start to the end at {length}"
+    return f"No trend shows in {length}: means are of all of it"
 
 
 def caption_of(runs: Runs, found: list[Panel]) -> str:
     """What was simulated, and what lines and bands are."""
-    width = f"{series.round_width(runs):g} {runs.unit}"
-    if len(runs.runs) == 1:
-        drawn = f"Lines: means over {width}; bands: ± rms within. "
+    width, rows = series.width_of_means(runs)
+    over = f"means over {width:.3g} {runs.unit}" if rows > 1 else "rows of the log"
+    if len(runs.runs) > 1:
+        band = ", with a band of ± its standard error" if len(runs.runs) >= ENOUGH_RUNS else ""
+        drawn = f"Thin lines: {over} of each run; thick: their mean{band}. "
     else:
-        drawn = f"Thin lines: means over {width} of each run; thick: their mean, with a band of ± its standard error. "
+        drawn = f"Lines: {over}{'; bands: ± rms within' if rows >= series.FEWEST_IN_A_BAND else ''}. "
     dashed = "Black: mean with its standard error. " if runs.settled else ""
     few = f"≥: from fewer than {FEWEST} independent values. " if any("≥" in panel.finding for panel in found) else ""
     return f"{runs.title}. {drawn}{dashed}{few}"
@@ -125,13 +128,13 @@ def conserved_energy(runs: Runs) -> Panel:
     drift = _over(runs, lambda run, log: slope_and_error(log["Time (ps)"], log[CONSERVED]))
     error = _over(runs, lambda run, log: 100 * energy_error(log[CONSERVED], log[POTENTIAL]))
     spread = float(np.mean([rms(run.log[POTENTIAL]) for run in runs.runs]))
-    share = f"{error.value:.2g} % of the potential energy's rms"
+    share = f"{error.value:.2g} % of rms(V)"
     if not math.isfinite(drift.error):
-        finding = f"The energy keeps to {share}; too short for a drift"
+        finding = f"The energy is held to {share}; the run is too short to tell a drift"
     elif _is_told(drift):
         finding = f"The energy drifts by {drift} kJ/mol/ps; its error is {share}"
     else:
-        finding = f"The energy keeps to {share}, without a drift: {drift} kJ/mol/ps"
+        finding = f"The energy is held to {share}; no drift shows: {drift} kJ/mol/ps"
 
     def draw(axes: Axes) -> None:
         axes.axhline(0, color="0.35", lw=1)
@@ -143,7 +146,7 @@ def conserved_energy(runs: Runs) -> Panel:
 
 def potential_energy(runs: Runs) -> Panel:
     """The potential energy with its mean."""
-    found = _over(runs, lambda run, log: mean_and_error(log[POTENTIAL]))
+    found = _over(runs, _mean_of(POTENTIAL))
     tells = "The potential energy still drifts, around" if _moving(runs, POTENTIAL) else "The potential energy is"
 
     def draw(axes: Axes) -> None:
@@ -174,7 +177,7 @@ def heat(runs: Runs) -> Panel:
 def temperatures(runs: Runs) -> Panel:
     """The temperatures by kind, with the bath's, or against that of translation."""
     present = [name for name in KINDS if np.isfinite(runs.first.log[name]).all()]
-    found = {name: _over(runs, lambda run, log, name=name: mean_and_error(log[name])) for name in present}
+    found = {name: _over(runs, _mean_of(name)) for name in present}
     plan = runs.first.plan
     bath = plan.temperature if plan and plan.ensemble != "nve" else None
 
@@ -213,11 +216,20 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
         names = [KINDS[name][0] for name in off]
         text = " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
         has = "has" if len(names) == 1 else "have"
-        return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}, within errors"
+        return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}, within three errors"
     warmer = "warmer" if off[worst].value > 0 else "colder"
     by = off[worst].times(math.copysign(1, off[worst].value))
     verb = "is" if kind != "flexible molecules" else "are"
     return f"{kind[0].upper()}{kind[1:]} {verb} {warmer} than {other} by {by} K"
+
+
+def _mean_of(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
+    """Return what gives the mean of a column."""
+
+    def mean(run: Run, log: dict[str, np.ndarray]) -> Estimate:
+        return mean_and_error(log[name])
+
+    return mean
 
 
 def _difference(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
@@ -232,7 +244,7 @@ def _difference(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
 
 def density(runs: Runs) -> Panel:
     """The density with its mean."""
-    found = _over(runs, lambda run, log: mean_and_error(log[DENSITY]))
+    found = _over(runs, _mean_of(DENSITY))
     tells = "The density still drifts, around" if _moving(runs, DENSITY) else "The density is"
 
     def draw(axes: Axes) -> None:

@@ -1,4 +1,4 @@
-"""Series of runs in means over equal times, and how they are drawn: one run with its scatter, several with their error."""
+"""Series in means over equal times, and how they are drawn: one run with its scatter, several with their error."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 #: Most means of a series that are drawn.
 MOST_MEANS = 60
+
+#: Fewest rows whose scatter is drawn as a band.
+FEWEST_IN_A_BAND = 4
 
 #: Lengths over which means are taken, in powers of ten.
 ROUND = (1.0, 2.0, 5.0)
@@ -38,12 +41,12 @@ class Means(NamedTuple):
     Attributes:
         middles: of these times, (n,).
         values: of each run, (runs, n).
-        scatter: standard deviation within each time, (runs, n).
+        scatter: standard deviation within each time, (runs, n); None where there are too few rows.
     """
 
     middles: np.ndarray
     values: np.ndarray
-    scatter: np.ndarray
+    scatter: np.ndarray | None
 
     @property
     def mean(self) -> np.ndarray:
@@ -57,11 +60,19 @@ class Means(NamedTuple):
         return self.values.std(axis=0, ddof=1) / math.sqrt(number) if number >= ENOUGH_RUNS else None
 
 
-def round_width(runs: Runs) -> float:
-    """The least round length over which means are taken that gives no more than `MOST_MEANS` of them."""
-    least = max(runs.length / MOST_MEANS, max(float(np.diff(run.clock).max()) for run in runs.runs))
+def width_of_means(runs: Runs) -> tuple[float, int]:
+    """Return over how long means are taken, and over how many rows of the log with the fewest.
+
+    It is a whole number of rows near a round time, so that there are no more than `MOST_MEANS` or little more.
+    """
+    interval = max(float(np.diff(run.clock).max()) for run in runs.runs)
+    if runs.length <= MOST_MEANS * interval:
+        return interval, 1
+    least = runs.length / MOST_MEANS
     power = 10.0 ** math.floor(math.log10(least))
-    return next(power * step for step in (*ROUND, 10.0) if power * step >= least * (1 - 1e-6))
+    width = next(power * step for step in (*ROUND, 10.0) if power * step >= least)
+    rows = round(width / interval)
+    return rows * interval, rows
 
 
 def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = False) -> Means:
@@ -73,7 +84,7 @@ def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = Fa
         factor: by which values are multiplied.
         about_mean: whether the mean of each run is taken off.
     """
-    width = round_width(runs)
+    width, rows = width_of_means(runs)
     count = max(1, math.floor(runs.length / width * (1 + 1e-6)))
     values, squares = [], []
     for run in runs.runs:
@@ -84,7 +95,8 @@ def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = Fa
         values.append(factor * (means + middle))
         variance = binned(run.clock, (series - middle) ** 2, width, count) - means**2
         squares.append(factor * np.sqrt(np.maximum(variance, 0)))
-    return Means(width * (np.arange(count) + 0.5), np.array(values), np.array(squares))
+    scatter = np.array(squares) if rows >= FEWEST_IN_A_BAND else None
+    return Means(width * (np.arange(count) + 0.5), np.array(values), scatter)
 
 
 def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = True) -> None:
@@ -103,7 +115,9 @@ def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = 
     at, several = means.middles, len(means.values) > 1
     if several and scatter:
         axes.plot(at, means.values.T, color=look.colour, lw=0.8, alpha=0.4)
-    error = means.error if several else (means.scatter[0] if scatter else None)
+    error = means.error
+    if not several and scatter and means.scatter is not None:
+        error = means.scatter[0]
     if error is not None:
         axes.fill_between(at, means.mean - error, means.mean + error, color=look.colour, alpha=0.3, lw=0)
     every = max(1, len(at) // 15)
@@ -126,7 +140,7 @@ def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
         return
     error = found.error if math.isfinite(found.error) else 0.0
     ends = [runs.begin, runs.length]
-    axes.fill_between(ends, found.value - error, found.value + error, color=BLACK, alpha=0.35, lw=0)
+    axes.fill_between(ends, found.value - error, found.value + error, color=BLACK, alpha=0.22, lw=0)
     axes.plot(ends, [found.value] * 2, color=BLACK, lw=1.3, ls="--")
 
 
