@@ -128,7 +128,8 @@ def settled_from(series: np.ndarray) -> int:
     """Return the index from which on a series (n,) fluctuates about one mean; 0 where its beginning is no other.
 
     It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
-    by `UNSETTLED` standard errors.
+    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled but, if at all, in its last
+    part, after `LONGEST_BEGINNING`.
 
     Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
     """
@@ -139,13 +140,34 @@ def settled_from(series: np.ndarray) -> int:
     begins = np.unique(np.linspace(0, LONGEST_BEGINNING * n, BEGINNINGS).astype(int))
     memories = np.array([inefficiency(values[begin:]) for begin in begins])
     best = int(np.argmax((n - begins) / memories))
-    begin, memory, rest = int(begins[best]), memories[best], values[begins[best] :]
-    if not begin:
-        return 0
+    begin = int(begins[best])
+    if not (begin and _begins_elsewhere(values, begin, memories[best])):
+        begin = 0
+    return int(begins[-1]) if _has_trend(values[begin:]) else begin
+
+
+def _begins_elsewhere(values: np.ndarray, begin: int, memory: float) -> bool:
+    """Return whether the mean before an index differs from that of the rest, which has this statistical inefficiency."""
+    rest = values[begin:]
     samples = max(1.0, len(rest) / memory)
     error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
-    least = UNSETTLED * error * (1 + FEW_SETTLED / samples)
-    return begin if abs(values[:begin].mean() - rest.mean()) > least else 0
+    return _is_told(abs(values[:begin].mean() - rest.mean()), error, samples)
+
+
+def _has_trend(values: np.ndarray) -> bool:
+    """Return whether a straight line through a series rises or falls by more than chance gives it."""
+    if len(values) < FEWEST:
+        return False
+    places = np.linspace(-0.5, 0.5, len(values))
+    line = np.polyval(np.polyfit(places, values, 1), places)
+    samples = len(values) / inefficiency(values - line)
+    # Of the difference between the ends of a line through so many independent values.
+    error = rms(values - line) * math.sqrt(12 / samples)
+    return _is_told(abs(line[-1] - line[0]), error, samples)
+
+
+def _is_told(difference: float, error: float, samples: float) -> bool:
+    return difference > UNSETTLED * error * (1 + FEW_SETTLED / samples)
 
 
 # --- slopes ---

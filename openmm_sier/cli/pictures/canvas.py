@@ -93,6 +93,7 @@ def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[A
     with mpl.rc_context(RC):
         size = WIDTH, HEIGHT_OF_PANEL * number + HEIGHT_OF_HEADINGS
         made = Figure(figsize=size, layout="constrained")
+        made.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
         made.suptitle(title, x=0.01, ha="left", fontsize=TITLE, fontweight="bold")
         made.supxlabel(caption, x=0.01, ha="left", fontsize=SMALL, color="0.25")
         axes = list(made.subplots(number, 1, squeeze=False, sharex=True).flat)

@@ -91,7 +91,8 @@ def title_of(runs: Runs) -> str:
         return f"Settled after {begin}: {moving}. Means are of what follows"
     if runs.begin:
         return f"The first {begin} are left out of all means"
-    return f"No trend shows in {length}: means are of all of it"
+    steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
+    return f"{length} without a trend of potential {steady}"
 
 
 def caption_of(runs: Runs, found: list[Panel]) -> str:
@@ -132,7 +133,7 @@ def conserved_energy(runs: Runs) -> Panel:
     if not math.isfinite(drift.error):
         finding = f"The energy is held to {share}; the run is too short to tell a drift"
     elif _is_told(drift):
-        finding = f"The energy drifts by {drift} kJ/mol/ps; its error is {share}"
+        finding = f"The energy is held to {share}; it drifts by {drift} kJ/mol/ps"
     else:
         finding = f"The energy is held to {share}; no drift shows: {drift} kJ/mol/ps"
 
