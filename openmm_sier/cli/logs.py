@@ -114,11 +114,13 @@ class Runs(NamedTuple):
         runs: at least one.
         begin: time of their clocks from which on means are taken.
         moving: names of what had not settled before.
+        settled: whether all that moved settled before the middle; if not, means are those of the last half.
     """
 
     runs: list[Run]
     begin: float = 0.0
     moving: tuple[str, ...] = ()
+    settled: bool = True
 
     @property
     def first(self) -> Run:
@@ -134,11 +136,6 @@ class Runs(NamedTuple):
     def length(self) -> float:
         """How far all runs go."""
         return min(float(run.clock[-1]) for run in self.runs)
-
-    @property
-    def settled(self) -> bool:
-        """Whether what had not settled is the smaller part."""
-        return not self.moving or self.begin <= LATE * self.length
 
     @property
     def title(self) -> str:
@@ -224,8 +221,7 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
     _warn_of_differences(found)
     runs = Runs(found)
     if skip is None:
-        begin, moving = _settling(runs)
-        return runs._replace(begin=begin, moving=moving)
+        return _with_settling(runs)
     if skip >= runs.length:
         raise RunError(f"--skip {skip:g} leaves nothing: the shortest run has {runs.length:g} {runs.unit}")
     return runs._replace(begin=skip)
@@ -278,8 +274,8 @@ def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> n
     return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
 
 
-def _settling(runs: Runs) -> tuple[float, tuple[str, ...]]:
-    """Return where the means over all runs settled, and the names of what moved before."""
+def _with_settling(runs: Runs) -> Runs:
+    """Return runs with where the means over all of them settled."""
     rows = min(len(run.clock) for run in runs.runs)
     count = min(rows - 1, BINS)
     width = runs.length / count
@@ -290,4 +286,5 @@ def _settling(runs: Runs) -> tuple[float, tuple[str, ...]]:
         series = np.mean([binned(run.clock, run.log[column], width, count) for run in runs.runs], axis=0)
         if np.isfinite(series).all() and (index := settled_from(series)):
             found[name] = index * width
-    return max(found.values(), default=0.0), tuple(found)
+    begin, middle = max(found.values(), default=0.0), LATE * runs.length
+    return runs._replace(begin=min(begin, middle), moving=tuple(found), settled=begin <= middle)

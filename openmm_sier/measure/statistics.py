@@ -25,9 +25,8 @@ BEGINNINGS, LONGEST_BEGINNING = 50, 0.9
 
 #: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
 #: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
-#: and less scatter than they have. Of series without a trend one in a hundred then seems to have one, of those with
-#: only eight independent values one in eleven.
-UNSETTLED, FEW_SETTLED = 4.0, 10
+#: and less scatter than they have. Of series without a trend fewer than one in forty then seems to have one.
+UNSETTLED, FEW_SETTLED = 3.5, 10
 
 
 class Estimate(NamedTuple):
@@ -141,29 +140,36 @@ def settled_from(series: np.ndarray) -> int:
     memories = np.array([inefficiency(values[begin:]) for begin in begins])
     best = int(np.argmax((n - begins) / memories))
     begin = int(begins[best])
-    if not (begin and _begins_elsewhere(values, begin, memories[best])):
+    if not (begin and _begins_elsewhere(values, begin)):
         begin = 0
     return int(begins[-1]) if _has_trend(values[begin:]) else begin
 
 
-def _begins_elsewhere(values: np.ndarray, begin: int, memory: float) -> bool:
-    """Return whether the mean before an index differs from that of the rest, which has this statistical inefficiency."""
-    rest = values[begin:]
+def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
+    """Return whether the mean before an index differs from that of the rest by more than chance gives it."""
+    first, rest = values[:begin], values[begin:]
+    # The rest alone may be too short to show how long it remembers.
+    memory = inefficiency(np.concatenate([first - _line(first), rest - rest.mean()]))
     samples = max(1.0, len(rest) / memory)
     error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
-    return _is_told(abs(values[:begin].mean() - rest.mean()), error, samples)
+    return _is_told(abs(first.mean() - rest.mean()), error, samples)
 
 
 def _has_trend(values: np.ndarray) -> bool:
     """Return whether a straight line through a series rises or falls by more than chance gives it."""
     if len(values) < FEWEST:
         return False
-    places = np.linspace(-0.5, 0.5, len(values))
-    line = np.polyval(np.polyfit(places, values, 1), places)
+    line = _line(values)
     samples = len(values) / inefficiency(values - line)
     # Of the difference between the ends of a line through so many independent values.
     error = rms(values - line) * math.sqrt(12 / samples)
     return _is_told(abs(line[-1] - line[0]), error, samples)
+
+
+def _line(values: np.ndarray) -> np.ndarray:
+    """Return the straight line through a series (n,), or the mean of fewer than three values."""
+    places = np.linspace(-0.5, 0.5, len(values))
+    return np.polyval(np.polyfit(places, values, 1 if len(values) > 2 else 0), places)
 
 
 def _is_told(difference: float, error: float, samples: float) -> bool:

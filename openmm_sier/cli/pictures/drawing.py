@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
@@ -59,10 +60,15 @@ def draw(runs: Runs, path: Path) -> None:
         for each, panel in zip(axes, found, strict=True):
             panel.draw(each)
             series.shade_unsettled(each, runs)
-            # As on the axes, a minus is no hyphen.
-            each.set_title(textwrap.fill(panel.finding, LINE_OF_PANEL).replace(" -", " −"))
+            each.set_title(textwrap.fill(typeset(panel.finding), LINE_OF_PANEL))
             each.set(ylabel=panel.label, xlim=(0, runs.length))
         axes[-1].set_xlabel("trials" if runs.unit == "trials" else "time (ps)")
+
+
+def typeset(text: str) -> str:
+    """Return a text in which no line ends within a number with its error and unit, and a minus is no hyphen."""
+    joined = re.sub(r" (?=±|%|K\b|kT\b|ps\b|kJ/mol|g/ml)|(?<=±) ", "\N{NO-BREAK SPACE}", text)
+    return re.sub(r"(?<=\s)-(?=[\d.])", "\N{MINUS SIGN}", joined)
 
 
 def panels(runs: Runs) -> list[Panel]:
@@ -86,7 +92,7 @@ def title_of(runs: Runs) -> str:
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length, runs.begin))
     moving = ", ".join(runs.moving)
     if not runs.settled:
-        return f"Not settled after {length}: {moving}"
+        return f"Not settled after {length}: {moving}. Means are of the last half"
     if runs.moving:
         return f"Settled after {begin}: {moving}. Means are of what follows"
     if runs.begin:
@@ -104,9 +110,12 @@ def caption_of(runs: Runs, found: list[Panel]) -> str:
         drawn = f"Thin lines: {over} of each run; thick: their mean{band}. "
     else:
         drawn = f"Lines: {over}{'; bands: ± rms within' if rows >= series.FEWEST_IN_A_BAND else ''}. "
-    dashed = "Black: mean with its standard error. " if runs.settled else ""
+    dashed = "Black: mean with its standard error. "
+    plan = runs.first.plan
+    dotted = "Dotted: temperature of the bath. " if plan and plan.ensemble != "nve" else ""
+    left_out = "Hatched: left out of means. " if runs.begin else ""
     few = f"≥: from fewer than {FEWEST} independent values. " if any("≥" in panel.finding for panel in found) else ""
-    return f"{runs.title}. {drawn}{dashed}{few}"
+    return f"{runs.title}. {drawn}{dashed}{dotted}{left_out}{few}"
 
 
 def _over(runs: Runs, estimate: Callable[[Run, dict[str, np.ndarray]], Estimate | float]) -> Estimate:
@@ -166,7 +175,7 @@ def heat(runs: Runs) -> Panel:
         verb = "heat" if found.value > 0 else "cool"
         finding = f"The steps {verb} by {found.times(math.copysign(1, found.value))} kJ/mol/ps, which the bath balances"
     else:
-        finding = f"The steps give no heat that is told from none: {found} kJ/mol/ps"
+        finding = f"No heat of the steps shows: {found} kJ/mol/ps"
 
     def draw(axes: Axes) -> None:
         axes.axhline(0, color="0.35", lw=1)
@@ -184,14 +193,14 @@ def temperatures(runs: Runs) -> Panel:
 
     def draw(axes: Axes) -> None:
         if bath is not None:
-            axes.axhline(bath, color="0.35", lw=1.5, ls=":", label=f"bath {bath:g} K")
+            axes.axhline(bath, color="0.2", lw=2, ls=":")
         for name in present:
             kind, look = KINDS[name]
             means = series.means_of(runs, name)
             series.draw(axes, means, look, f"{kind} {found[name]} K", scatter=False)
         # Above the lines there is room for the legend.
         least, most = axes.get_ylim()
-        axes.set_ylim(least, most + 0.35 * (most - least))
+        axes.set_ylim(least, most + (0.25 if len(present) < 3 else 0.45) * (most - least))
         axes.legend(loc="upper left", ncols=2, columnspacing=1.2, handlelength=2.6, borderaxespad=0.1)
 
     return Panel(_of_temperatures(runs, found, bath), "T (K)", draw)
@@ -203,7 +212,7 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
         return "Temperatures have not settled"
     if bath is not None:
         off = {name: each._replace(value=each.value - bath) for name, each in found.items()}
-        other = f"the bath of {bath:g} K"
+        other = f"the bath, {bath:g} K"
     else:
         off = {name: _over(runs, _difference(name)) for name in list(found)[1:]}
         other = KINDS[next(iter(found))][0]
@@ -217,7 +226,7 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
         names = [KINDS[name][0] for name in off]
         text = " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
         has = "has" if len(names) == 1 else "have"
-        return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}, within three errors"
+        return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}"
     warmer = "warmer" if off[worst].value > 0 else "colder"
     by = off[worst].times(math.copysign(1, off[worst].value))
     verb = "is" if kind != "flexible molecules" else "are"

@@ -136,7 +136,7 @@ def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = 
 
 def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
     """Draw a mean with its standard error, over the part that it was taken from."""
-    if not math.isfinite(found.value) or not runs.settled:
+    if not math.isfinite(found.value):
         return
     error = found.error if math.isfinite(found.error) else 0.0
     ends = [runs.begin, runs.length]
@@ -147,4 +147,4 @@ def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
 def shade_unsettled(axes: Axes, runs: Runs) -> None:
     """Shade what means leave out."""
     if runs.begin:
-        axes.axvspan(0, runs.begin, facecolor="0.9", edgecolor="0.65", hatch="//", lw=0, zorder=0)
+        axes.axvspan(0, runs.begin, facecolor="0.94", edgecolor="0.8", hatch="//", lw=0, zorder=0)
