@@ -22,12 +22,12 @@ import openmm
 import pandas as pd
 from openmm import unit
 
+from openmm_sier.dynamics.acceptance import spread_at
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.metropolis import spread_at
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.starts import make_context
 from studies import boxes, records, style
 from studies.command import BoxSettings, RunsSettings, chosen, command
 from studies.methods import REVERSIBLE
@@ -215,7 +215,7 @@ def limits(rows: pd.DataFrame, accepted: float = 0.5) -> pd.DataFrame:
     """How large a box may be, for each method and step with trials in boxes of `SMALLEST_POOLED` molecules or more.
 
     Molecules that are far from each other contribute to the energy error independently, so its variance is proportional
-    to their number; `openmm_sier.dynamics.metropolis` computes the acceptance that follows.
+    to their number; `openmm_sier.dynamics.acceptance` computes the acceptance that follows.
 
     Returns:
         For each method and step the `spread` of the energy error for one molecule in kT; `measured`, the largest box

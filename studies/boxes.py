@@ -11,8 +11,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Box, Interactions
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Box, Interactions
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from studies.command import BoxSettings
 from systems import make

@@ -85,6 +85,13 @@ def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     return {"least": water.min(), "most": water.max(), **solute}
 
 
+def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
+    rows, own = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs, heat counted"
+    found = {kind: one(rows, method=own, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))}
+    middle = one(rows, method=f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens", box="water-4096")
+    return {**found, "middle": middle["over"]}
+
+
 def _beside_exact(record: Record, method: str, key: str, **at: str) -> tuple[float, float]:
     """How far an average is from that of hybrid Monte Carlo, with its standard error, in per cent."""
     own, exact = (one(record.tables["rows"], **at, method=each) for each in (method, "SIER4G HMC, 8 fs"))

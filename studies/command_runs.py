@@ -11,7 +11,7 @@ from typing import Any
 import mdtraj
 import numpy as np
 
-from openmm_sier.cli.files import records
+from openmm_sier import analysis
 from openmm_sier.cli.options import OPTIONS
 from openmm_sier.cli.plan import NothingLeft
 
@@ -46,7 +46,7 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
 
 def read_log(directory: Path, skip: float) -> dict[str, np.ndarray]:
     """Columns of the log of a run without its first `skip` ps."""
-    log = records.read_log(directory / LOG)
+    log = analysis.read_log(directory / LOG)
     kept = log["Time (ps)"] >= skip
     return {name: column[kept] for name, column in log.items()}
 

@@ -22,7 +22,7 @@ from openmm import unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, RigidBodies, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.measure.starts import make_context
+from openmm_sier.inputs.starts import make_context
 from studies import boxes, records, style
 from studies.command import Settings, command
 from studies.records import Record

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar, Literal
 
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Interactions
 from studies import boxes, records
 from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY

@@ -27,9 +27,10 @@ import pandas as pd
 from openmm import unit
 
 from openmm_sier import SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import gpu_boxes, records
@@ -275,10 +276,12 @@ def _bonded_context(system: openmm.System, settings: GpuSettings) -> openmm.Cont
 def _waters(system: openmm.System) -> np.ndarray:
     """Return the atoms of molecules of three atoms that three constraints hold, (m, 3)."""
     pairs = tables.constraints(system).pairs
-    first, counts = np.unique(pairs, return_counts=True)
-    twice = first[counts == 2]
-    rows = twice[: len(twice) // 3 * 3].reshape(-1, 3)
-    return rows[(np.diff(rows, axis=1) == 1).all(axis=1)]
+    molecules = joined(system.getNumParticles(), pairs)
+    numbers, sizes = np.unique(molecules, return_counts=True)
+    held = np.bincount(molecules[pairs[:, 0]], minlength=numbers.max() + 1)
+    chosen = numbers[(sizes == 3) & (held[numbers] == 3)]
+    atoms = np.flatnonzero(np.isin(molecules, chosen))
+    return atoms[np.argsort(molecules[atoms], kind="stable")].reshape(-1, 3)
 
 
 def averages(box: GpuBox, context: openmm.Context, method: Method, settings: GpuSettings) -> dict[str, Any]:

@@ -34,12 +34,12 @@ from scipy.stats import kstwobign
 from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.dynamics.schemes import SIER4G
-from openmm_sier.dynamics.statistics import inefficiency
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes

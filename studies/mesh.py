@@ -24,8 +24,8 @@ import openmm
 import pandas as pd
 
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.starts import make_context
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
 from studies import boxes, records
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error

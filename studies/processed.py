@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from openmm_sier.analysis.observables import energy_error, energy_walk
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, Stage
-from openmm_sier.measure.observables import energy_error, energy_walk
 from studies import records
 from studies.command import command
 from studies.methods import of_scheme

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import pandas as pd
 
+from openmm_sier.analysis import statistics
+from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure import statistics
-from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
 from studies.command import RunsSettings, claim
 from studies.report import Report, Table

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from openmm_sier.cli import console
-from openmm_sier.measure import report
+from openmm_sier.inputs import report
 
 
 class Table(NamedTuple):

@@ -14,17 +14,17 @@ import numpy as np
 import openmm
 import pandas as pd
 
+from openmm_sier.analysis.observables import energy_error
+from openmm_sier.analysis.statistics import slope_and_error
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.engines.temperature import MomentumConservation, degrees_of_freedom, temperatures
+from openmm_sier.inputs.starts import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.named import SIER2Integrator
-from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.starts import make_context, prepare
-from openmm_sier.measure.statistics import slope_and_error
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
+from openmm_sier.system.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from studies import boxes
 from studies.command import BoxSettings, RunsSettings
 from studies.methods import Method
@@ -153,7 +153,7 @@ def equilibrated(
     kept: Path | None = None,
     report: Report = SILENT,
 ) -> openmm.State:
-    """Positions and velocities after an equilibration, see `openmm_sier.measure.starts.prepare`.
+    """Positions and velocities after an equilibration, see `openmm_sier.inputs.starts.prepare`.
 
     Args:
         kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
@@ -246,9 +246,9 @@ def conserved(
     """How well a run conserves energy, and its samples; see `follow` for the arguments.
 
     Returns:
-        `percent` for rms(H)/rms(V) in per cent (see `openmm_sier.measure.observables.energy_error`), the `drift` of the
-        energy of the whole box in kJ/mol/ps with `its_error` as that of a slope, NaN where the run broke down, and why
-        it did: `broken`.
+        `percent` for rms(H)/rms(V) in per cent (see `openmm_sier.analysis.observables.energy_error`), the `drift` of
+        the energy of the whole box in kJ/mol/ps with `its_error` as that of a slope, NaN where the run broke down, and
+        why it did: `broken`.
     """
     with warnings.catch_warnings():
         # What a step or a System does to the energy is what is measured here.
@@ -290,7 +290,7 @@ def sample(
         Unstable: an energy is not finite, a temperature is above `HIGHEST_TEMPERATURE`, or molecules are torn apart.
     """
     integrator = context.getIntegrator()
-    conserved = MomentumConservation(context.getSystem(), bodies).holds(integrator)
+    conserved = _conserves_momentum(context, bodies)
     rows = []
     for done in range(every, steps + 1, every):
         integrator.step(every)
@@ -303,6 +303,15 @@ def sample(
         if progress is not None:
             progress(done)
     return Series(*np.array(rows).T)
+
+
+def _conserves_momentum(context: openmm.Context, bodies: RigidBodies) -> bool:
+    """Tell whether a Context with one of `studies.methods` conserves the total momentum."""
+    integrator = context.getIntegrator()
+    if isinstance(integrator, SIERIntegrator):
+        return integrator.conservesMomentum
+    has_friction = isinstance(integrator, openmm.LangevinMiddleIntegrator)
+    return MomentumConservation(context.getSystem(), bodies).holds(integrator.getIntegrationForceGroups(), has_friction)
 
 
 class Sample(NamedTuple):

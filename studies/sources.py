@@ -23,6 +23,9 @@ COMMANDS = {
         "--dt 3 4 5",
     ),
     "exactness.json": ("python -m studies.hmc.exactness",),
+    "gpu.json": (
+        "python -m studies.gpu --platform CUDA --benchmarks benchmarks --rounds 3 --turn 0.3 --time 60 --settle 5",
+    ),
     "heat-bath.json": ("python -m studies.heat_bath",),
     "long-steps.json": (
         "python -m studies.step_study --boxes tip3p-512 --methods langevinmiddle sier2p3 --per-force 5 4 --times 50 40 "

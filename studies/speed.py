@@ -30,8 +30,8 @@ import pandas as pd
 from openmm_sier import SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from studies import records, speed_boxes
 from studies.bench import accuracy, peers, usual_inputs

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import openmm
 
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Interactions
 from studies import boxes
 from studies.command import SYSTEMS, BoxSettings
 from studies.report import Report

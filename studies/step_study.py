@@ -24,9 +24,9 @@ import mdtraj
 import numpy as np
 import pandas as pd
 
+from openmm_sier.analysis import transport
+from openmm_sier.analysis.statistics import Estimate, mean_and_error
 from openmm_sier.cli.methods import METHODS
-from openmm_sier.measure import transport
-from openmm_sier.measure.statistics import Estimate, mean_and_error
 from studies import command_runs, records, style
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.records import Record, Task

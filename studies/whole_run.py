@@ -25,13 +25,13 @@ import openmm
 import pandas as pd
 
 from openmm_sier import prepare_system
+from openmm_sier.analysis.observables import energy_walk
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.observables import energy_walk
-from openmm_sier.measure.starts import make_context
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.pme import DIRECT_SHARE
+from openmm_sier.stability.vibrations import WATER
 from openmm_sier.system import find_bodies
-from openmm_sier.system.vibrations import WATER
 from studies import boxes, records, style
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.methods import CONSTANT_ENERGY

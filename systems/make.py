@@ -20,7 +20,7 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 
 HERE = Path(__file__).parent
 KG_PER_MOL = 0.0180153  #: water

@@ -17,7 +17,7 @@ import openmm_sier
             "import openmm_sier",
             {"numba", "matplotlib", "h5py", "rich", "mdtraj", "scipy", "numpy.polynomial", "numpy.random"},
         ),
-        ("from openmm_sier.cli import arguments, main; arguments.build_parser()", {"numba", "mdtraj", "rich"}),
+        ("from openmm_sier.cli import command_line, main; command_line.build_parser()", {"numba", "mdtraj", "rich"}),
     ],
 )
 def test_imports_are_lean(code, absent):

@@ -8,7 +8,7 @@ from matplotlib.collections import EllipseCollection
 from openmm import unit
 from openmm.app import Simulation
 
-from openmm_sier.measure.observables import energy_error
+from openmm_sier.analysis.observables import energy_error
 
 #: Between two energies.
 EVERY = 5

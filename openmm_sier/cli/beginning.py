@@ -6,7 +6,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.cli import runaway
+from openmm_sier.cli import run_checks
 from openmm_sier.cli.console import REPORT, note
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.info import rigid_bodies
@@ -15,13 +15,13 @@ from openmm_sier.cli.options import RECOMMENDED
 from openmm_sier.cli.plan import Options, Plan, RunError, noted_plan
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.inputs.forcefields import describe
+from openmm_sier.inputs.inputs import fingerprints, read_input
+from openmm_sier.inputs.pdb_files import first_line
+from openmm_sier.inputs.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.measure.forcefields import describe
-from openmm_sier.measure.inputs import fingerprints, read_input
-from openmm_sier.measure.pdb_files import first_line
-from openmm_sier.measure.starts import make_context, prepare, stop_centre_of_mass
 from openmm_sier.observe import stock
 from openmm_sier.prepare.preparation import prepare_system
 
@@ -138,7 +138,8 @@ class Simulated:
             friction = plan.friction or None
             made = SIERHMCIntegrator(plan.temperature, step, scheme, plan.steps_per_trial, friction, **shared)
         else:
-            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, **shared)
+            # The log has the conserved energy, on every platform.
+            made = SIERLangevinIntegrator(plan.temperature, plan.friction, step, scheme, countsHeat=True, **shared)
         made.setRandomNumberSeed(plan.seed)
         return made
 
@@ -168,8 +169,8 @@ class Simulated:
         try:
             found = prepare(context, positions, plan.temperature, plan.seed, time, minimize, REPORT)
         except openmm.OpenMMException as error:
-            if not runaway.is_runaway(error):
+            if not run_checks.is_runaway(error):
                 raise
-            raise runaway.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
+            raise run_checks.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
         if found.doubtful:
             self.unsettled = found.described

@@ -13,7 +13,7 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
 
-from openmm_sier.measure.report import Advance, Report
+from openmm_sier.inputs.report import Advance, Report
 
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0

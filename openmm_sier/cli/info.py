@@ -12,9 +12,9 @@ from openmm_sier.cli.console import note, table
 from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.plan import ignored_options
 from openmm_sier.dynamics.species import Species
-from openmm_sier.measure.forcefields import Box, density_of
-from openmm_sier.measure.inputs import read_input
-from openmm_sier.measure.pdb_files import box_vectors, extent
+from openmm_sier.inputs.forcefields import Box, density_of
+from openmm_sier.inputs.inputs import read_input
+from openmm_sier.inputs.pdb_files import box_vectors, extent
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.

@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any
 
 from openmm_sier.cli import streams
-from openmm_sier.cli.arguments import MISUSED as MISUSED
-from openmm_sier.cli.arguments import parse
+from openmm_sier.cli.command_line import MISUSED as MISUSED
+from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.dynamics.backend.threads import cores
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
 from openmm_sier.cli.values import PICTURE, SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
-from openmm_sier.measure.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
+from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 

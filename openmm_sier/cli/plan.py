@@ -9,8 +9,8 @@ from typing import Any
 from openmm_sier.cli.methods import FRICTION, HEAVY_FRICTION, METHODS, Method, is_heavy
 from openmm_sier.cli.options import CONTINUED, MAY_LACK, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options
 from openmm_sier.cli.values import WrongValueError
-from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.measure.inputs import IGNORED, topology_kind
+from openmm_sier.inputs.forcefields import Interactions
+from openmm_sier.inputs.inputs import IGNORED, topology_kind
 
 #: K; the temperature of the systems that come with the project.
 DEFAULT_TEMPERATURE = 297.0

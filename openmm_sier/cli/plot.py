@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.logs import read_runs
+from openmm_sier.cli.logged_runs import read_runs
 from openmm_sier.cli.pictures import canvas, drawing
 
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.report import duration
-from openmm_sier.measure.statistics import Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.analysis.observables import energy_error
+from openmm_sier.analysis.statistics import Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.inputs.report import duration
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
 #: Names of the temperatures in tables, in the order of their columns.

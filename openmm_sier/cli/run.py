@@ -10,14 +10,14 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.cli import results, runaway
+from openmm_sier.analysis import read_log
+from openmm_sier.cli import results, run_checks
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
-from openmm_sier.cli.files.records import read_log
-from openmm_sier.cli.logs import read_runs
+from openmm_sier.cli.logged_runs import read_runs
 from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.plan import (
@@ -32,9 +32,9 @@ from openmm_sier.cli.plan import (
 )
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
-from openmm_sier.engines.temperature import degrees_of_freedom
-from openmm_sier.measure.pdb_files import first_line
+from openmm_sier.inputs.pdb_files import first_line
 from openmm_sier.observe import conservation, stock
+from openmm_sier.system.temperature import degrees_of_freedom
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
@@ -111,7 +111,7 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
         if found:
             note(cuts.describe(found, plan, checkpoint, notes["step"]))
     outputs.open(simulated, context, notes)
-    bounds = runaway.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
+    bounds = run_checks.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
     _report(plan, cost, simulated.unsettled, options.plot)
@@ -138,7 +138,7 @@ def _length(plan: Plan, steps: int) -> str:
 def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None, picture: Path | None) -> None:
     """Print the table at the end of a run, and draw its log."""
     log = read_log(plan.report)
-    warning = runaway.fluctuation_warning(plan, log)
+    warning = run_checks.fluctuation_warning(plan, log)
     rows = results.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
@@ -199,7 +199,7 @@ def _refuse_other_inputs(simulated: Simulated, noted: Mapping[str, str]) -> None
 
 
 def _advance(
-    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds, requests: StopRequests
+    context: openmm.Context, plan: Plan, outputs: Outputs, bounds: run_checks.Bounds, requests: StopRequests
 ) -> list[tuple[str, str]]:
     """Run from the Context's step to the last one of the plan, or to a signal, writing what is due.
 
@@ -239,19 +239,19 @@ def _saying_how_to_go_on(context: openmm.Context, plan: Plan, outputs: Outputs) 
     try:
         yield
     except openmm.OpenMMException as error:
-        if not runaway.is_runaway(error):
+        if not run_checks.is_runaway(error):
             raise
-        where, cause = _length(plan, context.getStepCount()), runaway.likely_cause(plan)
+        where, cause = _length(plan, context.getStepCount()), run_checks.likely_cause(plan)
         kept = _kept(outputs, "--start begins a new run from it")
-        raise runaway.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
+        raise run_checks.Runaway(f"ran away at step {where}: {first_line(error)}; {cause}. {kept}") from error
     except OSError as error:
         where, kept = _length(plan, context.getStepCount()), _kept(outputs, "--restart goes on from it")
         raise RunError(f"{error.filename}: {error.strerror}, at step {where}. {kept}") from error
 
 
-def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: runaway.Bounds) -> None:
+def _write(due: list[str], context: openmm.Context, plan: Plan, outputs: Outputs, bounds: run_checks.Bounds) -> None:
     """Check the bounds, then write the files that are due."""
-    runaway.check(context, bounds)
+    run_checks.check(context, bounds)
     values = {}
     if "log" in due or "checkpoint" in due:
         values = dict(zip(conservation.columns(context.getIntegrator()), conservation.row(context), strict=True))

@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TextIO
 
-from openmm_sier.system import advice
+from openmm_sier.stability import advice
 
 PROGRAM = "openmm-sier"
 

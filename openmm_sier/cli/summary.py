@@ -6,14 +6,14 @@ import os
 from pathlib import Path
 from typing import Any
 
+from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.logs import Runs, read_runs
+from openmm_sier.cli.logged_runs import Runs, read_runs
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.results import Quantity
-from openmm_sier.measure.statistics import Estimate
 from openmm_sier.version import __version__
 
 
@@ -35,7 +35,10 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
         canvas.check(plot, [*logs, *([json] if json else [])], may_replace=True)
     runs = read_runs(logs, skip)
     means = runs.means()
-    table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), _rows(runs, means))
+    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
+    table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
+    for remark in _remarks(runs):
+        note(remark)
     written = [path for path in (json, plot) if path]
     if json:
         records.replace(json, memoryview(_as_json(runs, means).encode()))
@@ -60,15 +63,16 @@ def _check_json(path: Path, logs: list[Path]) -> None:
         raise RunError(f"there is no directory {path.parent} for {path.name}")
 
 
-def _rows(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> list[list[str]]:
-    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
-    if not runs.settled:
-        rows.append(["WARNING: not settled", f"in {runs.length:.4g} {runs.unit}: {', '.join(runs.moving)}", "", ""])
+def _remarks(runs: Runs) -> list[str]:
+    """Return what is to be known of the means: what they leave out, and what speaks against them."""
+    found = []
     if runs.begin:
-        reason = f", as {', '.join(runs.moving)} had not settled" if runs.moving else ""
-        rows.append(["left out", f"the first {runs.begin:.4g} {runs.unit}{reason}", "", ""])
+        reason = f", in which {' and '.join(runs.moving)} had not settled" if runs.moving else ""
+        found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
+    if not runs.settled:
+        found.append(f"warning: {' and '.join(runs.moving)} did not settle in the first half: make longer runs")
     doubtful = [run for run in runs.runs if run.unsettled]
-    return rows + [["WARNING: not equilibrated", f"{run.path.stem}: after {run.unsettled}", "", ""] for run in doubtful]
+    return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
 
 
 def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:

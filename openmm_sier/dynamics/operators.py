@@ -12,7 +12,7 @@ import numpy as np
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.rotation.arguments import axes_of
+from openmm_sier.dynamics.rotation.axes import axes_of
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 

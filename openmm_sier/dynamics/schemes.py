@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from openmm_sier.dynamics import stability
+from openmm_sier.dynamics import step_limits
 from openmm_sier.dynamics.order import order_of
 from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
 
@@ -161,7 +161,7 @@ class Scheme:
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
-        return stability.limits(self.stages)
+        return step_limits.limits(self.stages)
 
     @cached_property
     def order(self) -> int:
@@ -258,7 +258,7 @@ SIER2V2 = alternating(
 )
 
 #: Of the family of three stages that no harmonic mode makes unstable near half its period: there the trace of a step
-#: touches -2 and turns back (`stability`), which fixes one of the two coefficients. It is computed here, since the
+#: touches -2 and turns back (`step_limits`), which fixes one of the two coefficients. It is computed here, since the
 #: published digits fulfil this condition less well.
 _FIRST = 0.11888010966548
 

@@ -4,11 +4,12 @@ import os
 
 import openmm
 
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
 from openmm_sier.engines.native.program import Program
-from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system.arguments import Bodies
 

@@ -4,7 +4,7 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,16 +14,14 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.dynamics.operators import Rotation
-from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot, box_of
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom
 
 # OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
 set_box = openmm.Context.setPeriodicBoxVectors
@@ -31,33 +29,6 @@ set_box = openmm.Context.setPeriodicBoxVectors
 
 class TrajectoryError(openmm.OpenMMException):
     """A trajectory cannot be followed: a force or position is not finite, or constraints cannot be satisfied."""
-
-
-@dataclass(frozen=True)
-class Flow:
-    """What an engine follows: a splitting scheme with all that its operators need.
-
-    Attributes:
-        scheme: the scheme.
-        step: its step, ps.
-        rotation: free-rotation map.
-        substeps: number of steps into which a drift is divided; None leaves it to the engine.
-        fast_groups: bit mask of the force groups that act within drifts.
-        bath: executes the scheme's bath; None for a scheme without one.
-        constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
-        updates_context: whether Forces that change velocities, positions or the box act before each step.
-        counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
-    """
-
-    scheme: Scheme
-    step: float
-    rotation: Rotation = exact
-    substeps: int | None = None
-    fast_groups: int = 0
-    bath: Thermostat | None = None
-    constant_energy: bool = False
-    updates_context: bool = True
-    counts_heat: bool | None = None
 
 
 class Clock(NamedTuple):
@@ -307,8 +278,8 @@ class Engine(ABC):
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
     @abstractmethod
-    def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `engines.temperature`."""
+    def temperatures(self, conserved: bool) -> Temperatures:
+        """Return temperatures in K, see `system.temperature`; `conserved` is what `conserves_momentum` tells."""
 
     @cached_property
     def _momentum(self) -> MomentumConservation:
@@ -319,13 +290,21 @@ class Engine(ABC):
         """Whether the System has a CMMotionRemover."""
         return self._momentum.removed
 
-    def conserves_momentum(self) -> bool:
-        """Whether the total momentum is conserved, see `MomentumConservation`."""
-        return self._momentum.holds(self._integrator)
+    def conserves_momentum(self, has_friction: bool) -> bool:
+        """Tell whether the total momentum is conserved, see `MomentumConservation`.
 
-    def degrees_of_freedom(self) -> float:
-        """Number of degrees of freedom that share the heat, see `engines.temperature`."""
-        return sum(degrees_of_freedom(self.bodies, self.conserves_momentum()))
+        Args:
+            has_friction: of the ensemble, see `Ensemble.has_friction`.
+        """
+        return self._momentum.holds(self._integrator.getIntegrationForceGroups(), has_friction)
+
+    def degrees_of_freedom(self, conserved: bool) -> float:
+        """Return the number of degrees of freedom that share the heat, see `system.temperature`.
+
+        Args:
+            conserved: what `conserves_momentum` tells.
+        """
+        return sum(degrees_of_freedom(self.bodies, conserved))
 
     # --- what OpenMM does in the Context, and cannot do for all constraints ---
 

@@ -11,8 +11,9 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.engines.protocol import Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
@@ -37,6 +38,7 @@ class Ensemble:
         record: names of the global variables that it keeps besides heat, draws and seed.
         steps: number of steps of the scheme in one step of the integrator.
         needs_package: whether the program of the scheme alone would do less.
+        has_friction: whether it kicks each momentum by itself, so that the total momentum is not conserved.
     """
 
     record: ClassVar[tuple[str, ...]] = ()
@@ -48,6 +50,10 @@ class Ensemble:
 
     @property
     def needs_package(self) -> bool:
+        return False
+
+    @property
+    def has_friction(self) -> bool:
         return False
 
     def suited(self, scheme: Scheme) -> Scheme:

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 
 
@@ -33,6 +33,11 @@ class Langevin(ConstantTemperature):
     def turning(self) -> float:
         """Friction of rotation, 1/ps."""
         return self.friction if self.rotational_friction is None else self.rotational_friction
+
+    @property
+    def has_friction(self) -> bool:
+        """That of rotation alone leaves the total momentum as it is."""
+        return self.friction > 0
 
     def suited(self, scheme: Scheme) -> Scheme:
         return scheme.with_bath()

@@ -7,12 +7,13 @@ from typing import ClassVar
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.acceptance import is_accepted
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.metropolis import is_accepted
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.protocol import Clock, Engine, Flow, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX, SEED, Record
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
@@ -33,7 +34,7 @@ REVERSIBLE = 1e-4
 class Metropolis(ConstantTemperature):
     """The canonical ensemble without time-step error.
 
-    The ends of trials are samples, see `dynamics.metropolis`. Everything that a step does is undone where it cannot be
+    The ends of trials are samples, see `dynamics.acceptance`. Everything that a step does is undone where it cannot be
     completed, so that the Context is at a sample at any time.
 
     Attributes:
@@ -71,6 +72,11 @@ class Metropolis(ConstantTemperature):
     @property
     def needs_package(self) -> bool:
         """OpenMM alone would accept every trial."""
+        return True
+
+    @property
+    def has_friction(self) -> bool:
+        """Momenta are drawn anew, in part or all of them."""
         return True
 
     def suited(self, scheme: Scheme) -> Scheme:

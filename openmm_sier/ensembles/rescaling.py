@@ -11,8 +11,9 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import SEED, Record
 from openmm_sier.ensembles.ensemble import ConstantTemperature, advance_between, make_number
 
@@ -54,9 +55,10 @@ class VelocityRescaling(ConstantTemperature):
 
     def _scale(self, engine: Engine, kept: float, seed: int) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
-        centre = engine.centre_velocity() if engine.conserves_momentum() else np.zeros(3)
+        conserved = engine.conserves_momentum(self.has_friction)
+        centre = engine.centre_velocity() if conserved else np.zeros(3)
         kinetic = engine.kinetic_energy() - 0.5 * engine.movers.bodies.mass * float(centre @ centre)
-        freedoms = engine.degrees_of_freedom()
+        freedoms = engine.degrees_of_freedom(conserved)
         if freedoms > 0:
             factor = self._factor(kinetic, freedoms, kept, generator(seed, engine.draws))
             engine.scale_velocities(factor)

@@ -15,6 +15,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import engine_for, fastest_platform, is_on_host
@@ -23,15 +24,15 @@ from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.program import WORK
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, program_for
-from openmm_sier.engines.protocol import Engine, Flow
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, Record
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
+from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
 from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
-from openmm_sier.system.runaway import RunawayWatch
 from openmm_sier.system.unchanged import UnchangedSystem
 
 

@@ -13,12 +13,12 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.native.program import Program
-from openmm_sier.engines.temperature import Temperatures
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding, unpickled
 from openmm_sier.integrators.settings import Settings, place_of
 from openmm_sier.system import arguments
 from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.temperature import Temperatures
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
@@ -145,9 +145,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
     def conservesMomentum(self) -> bool:
         """Whether the total momentum is conserved, so that three degrees of freedom hold no heat.
 
-        See `openmm_sier.engines.temperature.MomentumConservation`.
+        See `openmm_sier.system.temperature.MomentumConservation`.
         """
-        return self.binding.engine.conserves_momentum()
+        return self.binding.engine.conserves_momentum(self.binding.ensemble.has_friction)
 
     def getStepSize(self) -> unit.Quantity:
         """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""
@@ -207,7 +207,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         bath in the middle of the step, as that of SIER2 is, they are those just after the bath, which have no error of
         the step.
         """
-        return self.binding.engine.temperatures().as_quantities()
+        return self.binding.engine.temperatures(self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
         """Additional columns for `ConservationReporter`, by name."""

@@ -23,11 +23,11 @@ import openmm
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.choice import ENGINES
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.ensembles import ENSEMBLES
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, step_size

@@ -8,11 +8,11 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.metropolis import spread_at
-from openmm_sier.dynamics.statistics import inefficiency_and_error
+from openmm_sier.dynamics.acceptance import spread_at
+from openmm_sier.dynamics.correlation import inefficiency_and_error
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system.arguments import group_mask, whole_number
-from openmm_sier.system.vibrations import Vibrations
 
 #: Trajectory lengths to compare, as multiples of the one that the integrator had.
 LENGTHS = (0.5, 1.0, 2.0, 4.0)

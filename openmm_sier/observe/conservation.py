@@ -9,10 +9,10 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.engines.temperature import temperatures
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.stock import StockIntegrator
 from openmm_sier.system import checks
+from openmm_sier.system.temperature import temperatures
 
 #: Columns of the potential energy, and of the total energy less the heat.
 POTENTIAL, CONSERVED = "Potential Energy (kJ/mole)", "Conserved Energy (kJ/mole)"
@@ -69,7 +69,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     thermostat and volume moves of this package gave, with velocities of whole steps
     (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat: where one acts,
     the conserved energy is NaN.
-    Temperatures follow the rule of `openmm_sier.engines.temperature`; those of an integrator of this package are what
+    Temperatures follow the rule of `openmm_sier.system.temperature`; those of an integrator of this package are what
     its `computeTemperatures` gives. Angular momentum is about the origin, with positions as they are in the Context;
     periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic boundaries.
 

@@ -20,9 +20,9 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.temperature import MomentumConservation, Temperatures, temperatures
 from openmm_sier.system import tables
 from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.temperature import MomentumConservation, Temperatures, temperatures
 
 #: Tolerance of constraints; SETTLE is not better than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
@@ -58,7 +58,11 @@ class StockIntegrator(openmm.Integrator):
     @property
     def conservesMomentum(self) -> bool:
         """Whether the total momentum is conserved, see `MomentumConservation`."""
-        return self._momentum.holds(self)
+        return self._momentum.holds(self.getIntegrationForceGroups(), self._has_friction())
+
+    def _has_friction(self) -> bool:
+        """Tell whether the integrator itself is a heat bath."""
+        return False
 
     def getBodyState(self) -> BodyState:
         """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
@@ -87,6 +91,9 @@ class StockVerlet(StockIntegrator, openmm.VerletIntegrator):
 
 class StockLangevinMiddle(StockIntegrator, openmm.LangevinMiddleIntegrator):
     """OpenMM's LangevinMiddleIntegrator."""
+
+    def _has_friction(self) -> bool:
+        return self.getFriction() > 0 / unit.picosecond
 
 
 def make_stock(

@@ -1,1 +1,1 @@
-"""Reads an OpenMM System: bodies, constraints, masses, vibrations, checks."""
+"""Reads an OpenMM System: bodies, constraints, masses, temperatures, checks."""

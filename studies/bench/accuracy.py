@@ -19,9 +19,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from openmm_sier.analysis.observables import energy_error
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER4G
-from openmm_sier.measure.observables import energy_error
 from studies import records, style
 from studies.bench import peers
 from studies.bench.timing import counts_processor_time

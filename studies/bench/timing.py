@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.dynamics.backend import threads
-from openmm_sier.measure.statistics import Estimate
 
 #: Platforms on which processor time is what a computation costs; on others the processor waits.
 ON_PROCESSORS = ("CPU", "Reference")

@@ -25,7 +25,7 @@ from openmm import app, unit
 
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.cli.stopping import interrupt_behind
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from studies import boxes, records
 from studies.command import Settings, chosen, command
 from studies.report import SILENT, Report

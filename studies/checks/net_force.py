@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import openmm
 
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Interactions
 from studies import boxes
 from studies.command import SYSTEMS
 from studies.units import md

@@ -14,8 +14,8 @@ import openmm
 
 from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Interactions
 from studies.command import SYSTEMS
 
 #: Schemes, steps in a trajectory, and the step in fs.

@@ -22,9 +22,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.schemes import SIER4G
-from openmm_sier.measure.forcefields import read_box
-from openmm_sier.measure.statistics import mean_and_error
+from openmm_sier.inputs.forcefields import read_box
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
 from studies import command_runs, records
 from studies.command import SYSTEMS, RunsSettings, chosen, command

@@ -22,10 +22,10 @@ import openmm
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
-from openmm_sier.measure.statistics import mean_and_error
 from studies import records
 from studies.command import Settings, command
 from studies.records import Record

@@ -6,7 +6,7 @@
 
 Each command adds a run to those of `--out`, and the others are compared with the first. Bonds to hydrogen are
 constrained; 1 bar; steps are in fs for each force evaluation. A hydrogen mass of 1 leaves masses as they are. Kinetic
-energies are tested with `openmm_sier.measure.validation`. Configurational temperatures are
+energies are tested with `openmm_sier.analysis.validation`. Configurational temperatures are
 kT = <|F|^2/M> / <-div F/M>, of water's translation and rotation and of the groups of atoms that constraints hold
 together in the other molecules, the divergence from forces at places displaced at random. The last column is the
 probability by a Kolmogorov-Smirnov test that independent potential energies of two methods are from one distribution.
@@ -25,12 +25,12 @@ from openmm import app, unit
 from scipy.stats import ks_2samp
 
 from openmm_sier import SIER4G, RigidBodies, SIERHMCIntegrator, prepare_system
+from openmm_sier.analysis import validation
+from openmm_sier.analysis.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.engines.temperature import temperatures
-from openmm_sier.measure import validation
-from openmm_sier.measure.starts import make_context
-from openmm_sier.measure.statistics import Estimate, jackknife, mean_and_error, pooled
+from openmm_sier.inputs.starts import make_context
 from openmm_sier.observe.conservation import density
+from openmm_sier.system.temperature import temperatures
 from studies import records
 from studies.command import RunsSettings, command
 from studies.hmc.curvature import KINDS, Curvature

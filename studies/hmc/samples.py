@@ -7,8 +7,8 @@ import openmm
 import pandas as pd
 from openmm import app
 
-from openmm_sier.dynamics.statistics import inefficiency_and_error
-from openmm_sier.measure.statistics import Estimate
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.dynamics.correlation import inefficiency_and_error
 from studies.units import md
 
 #: Atoms of phi and psi, each with its residue beside that of the alpha carbon.

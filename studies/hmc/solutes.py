@@ -12,8 +12,8 @@ from openmm import app
 from tyro.conf import Positional
 
 from openmm_sier import prepare_system
-from openmm_sier.measure.forcefields import Interactions
-from openmm_sier.measure.starts import make_context
+from openmm_sier.inputs.forcefields import Interactions
+from openmm_sier.inputs.starts import make_context
 from studies import boxes
 from studies.command import BoxSettings, RunsSettings
 from studies.sampling import warmed

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
-from openmm_sier.dynamics.metropolis import spread_at
+from openmm_sier.dynamics.acceptance import spread_at
 from studies import records
 from studies.acceptance import expected_acceptance, pooled_spread, statistics
 from studies.command import chosen, command

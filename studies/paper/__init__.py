@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 from tyro.conf import Positional
 
 from openmm_sier.dynamics.backend.threads import cores
-from openmm_sier.measure.report import duration
+from openmm_sier.inputs.report import duration
 from studies import records
 from studies.command import RunsSettings
 from studies.paper import dipole, free_rotation, liquids, water, water_runs

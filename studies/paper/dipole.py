@@ -21,10 +21,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
+from openmm_sier.analysis.statistics import Estimate, jackknife
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
-from openmm_sier.measure.statistics import Estimate, jackknife
 from studies import records
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, tip4p

@@ -9,9 +9,9 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.schemes import SIER2
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.starts import equilibrate
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.measure import forcefields
-from openmm_sier.measure.starts import equilibrate
 from studies import boxes
 from studies.command import SYSTEMS
 from studies.paper import tip4p

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pandas as pd
 
-from openmm_sier.measure.statistics import jackknife
+from openmm_sier.analysis.statistics import jackknife
 from studies import records, style
 from studies.methods import PAPER
 from studies.paper import liquids, published

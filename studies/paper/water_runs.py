@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
+from openmm_sier.analysis.statistics import rms, slope_and_error
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.measure.statistics import rms, slope_and_error
 from studies.methods import PAPER, Method
 from studies.paper import liquids
 from studies.paper.published import FS

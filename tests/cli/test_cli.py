@@ -15,7 +15,7 @@ from openmm import app, unit
 from openmm_sier.cli import main
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import NothingLeft
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from openmm_sier.version import __version__
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, rewrite_notes, write_lattice
 

@@ -13,9 +13,9 @@ from openmm import app, unit
 from scipy.io import netcdf_file
 
 from openmm_sier.cli.files.checkpoints import read_checkpoint
-from openmm_sier.measure.file_kinds import kind_of
-from openmm_sier.measure.forcefields import CUTOFF, EWALD_TOLERANCE, LARGEST_CUTOFF, SWITCH
-from openmm_sier.measure.inputs import read_input
+from openmm_sier.inputs.file_kinds import kind_of
+from openmm_sier.inputs.forcefields import CUTOFF, EWALD_TOLERANCE, LARGEST_CUTOFF, SWITCH
+from openmm_sier.inputs.inputs import read_input
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs

@@ -11,7 +11,7 @@ from openmm_sier.cli.methods import ENSEMBLES, METHODS
 from openmm_sier.cli.options import MAY_LACK, NOTED, RECOMMENDED, Options
 from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from tests.support.commands import complaint, contents, rewrite_notes, write_lattice
 
 SHORT = ["--platform", "Reference", "--equilibrate", "0.006", "--every", "0.006", "--pressure-tensor", "tensor.csv"]

@@ -16,7 +16,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.options import OPTIONS
 from openmm_sier.cli.plan import OUTPUTS
-from openmm_sier.measure import starts
+from openmm_sier.inputs import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.cli import main
-from openmm_sier.cli.logs import read_run, read_runs
+from openmm_sier.cli.logged_runs import read_run, read_runs
 from openmm_sier.cli.pictures import drawing, series
 from tests.support.commands import SMALL, complaint, contents, run
 from tests.support.logs import NOISE, write_log

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier.cli.logs import over_runs
-from openmm_sier.measure.statistics import Estimate
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.cli.logged_runs import over_runs
 from tests.support.commands import complaint, contents, run
 from tests.support.logs import write_log
 
@@ -62,7 +62,8 @@ def test_what_had_not_settled_is_left_out_and_said(capsys):
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--json", "a.json")
     _, rest = written()
     assert rest["moved_before"] == ["potential energy"]
-    assert f"the first {rest['left_out']:.4g} ps, as potential energy had not settled" in capsys.readouterr().out
+    told = f"means leave out the first {rest['left_out']:.4g} ps, in which potential energy had not settled"
+    assert told in capsys.readouterr().out
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--skip", "2", "--json", "a.json")
     means, rest = written()
     assert rest["left_out"] == 2

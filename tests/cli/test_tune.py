@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli.arguments import parse
+from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.tune import run_line

@@ -14,7 +14,7 @@ from openmm import unit
 from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.measure.starts import make_context
+from openmm_sier.inputs.starts import make_context
 from tests.support import opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane

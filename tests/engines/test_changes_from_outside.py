@@ -6,7 +6,7 @@ import pytest
 from openmm import app
 
 from openmm_sier import SIER2, SIER4, SIERIntegrator
-from openmm_sier.system.runaway import RunawayError
+from openmm_sier.stability.runaway import RunawayError
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
 

@@ -218,7 +218,7 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     context.setVelocities(velocities)
     integrator.setStepSize(1000.0)
     # Such a step is refused where molecules can make each other swing.
-    monkeypatch.setattr("openmm_sier.engines.step_check.StepCheck.__call__", lambda *_: None)
+    monkeypatch.setattr("openmm_sier.stability.step_check.StepCheck.__call__", lambda *_: None)
     with (
         np.errstate(over="ignore", invalid="ignore"),
         pytest.raises(openmm.OpenMMException, match="position of the body of atoms 8, 9, 10 is not finite in step 3"),

@@ -181,7 +181,7 @@ def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch)
     integrator = SIER4GIntegrator(0.002)
     context = started(system, integrator, positions, steps=3)
     good = everything(context)
-    monkeypatch.setattr("openmm_sier.system.vibrations.Vibrations.check", lambda *_: None)
+    monkeypatch.setattr("openmm_sier.stability.vibrations.Vibrations.check", lambda *_: None)
     integrator.setStepSize(2.0)
     with pytest.raises(openmm.OpenMMException, match=r"In step 4 the constraints of .*last completed step"):
         integrator.step(1)

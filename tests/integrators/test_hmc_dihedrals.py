@@ -12,8 +12,8 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import Scheme, SIERHMCIntegrator
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
-from openmm_sier.measure.statistics import mean_and_error
 from studies.hmc.samples import backbone, dihedral
 from systems import peptide
 from tests.support.seeded import seeded

@@ -116,6 +116,34 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     assert after == pytest.approx(before, abs=3.0)
 
 
+@pytest.mark.slow
+def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
+    """Rotations of water with heavy hydrogens at 9 fs, whose kicks along constraints are large.
+
+    Without a projection of velocities between kick and bath, (exp(-friction e) - 1)/2 of what a kick gives along a
+    constraint stays, and turns into rotation with the molecule: then they have 329 K.
+    """
+    topology, positions, system = periodic_system()
+    prepare_system(system, hydrogenMass=4)
+    point = relaxed(topology, positions, system, steps=100)
+    integrator = seeded(SIERLangevinIntegrator(300, 30, 0.009, engine="native", countsHeat=False), 6)
+    context = context_at(system, integrator, point, "CPU", steps=50)
+    found = []
+    for _ in range(1500):
+        integrator.step(2)
+        found.append(integrator.computeTemperatures().in_kelvin())
+    count = integrator.bodies.n
+    # Samples are 0.5/friction, two steps, apart; 1500 of 3 count freedoms leave this error, and four of it.
+    assert np.mean([each.rotation for each in found]) == pytest.approx(
+        300, abs=4 * 300 * (2 / 3 / count / 1500) ** 0.5 + 2
+    )
+    assert np.mean([each.translation for each in found]) == pytest.approx(300, abs=6)
+    velocities = phase_point(context)[1]
+    context.applyVelocityConstraints(1e-9)
+    # OpenMM's own lengths are in single precision.
+    assert np.abs(phase_point(context)[1] - velocities).max() < 1e-5
+
+
 def test_noise_that_a_state_does_not_hold_is_spoken_of():
     """With the native engine a State goes on in the same ensemble, a checkpoint on the same trajectory."""
     _, positions, system = cluster_system(3)

@@ -10,8 +10,8 @@ from openmm import unit
 from openmm_sier import RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator, balance_pme, prepare_system
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.prepare.pme import meshed_forces
+from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system.inner_forces import parts, pme_parameters
-from openmm_sier.system.vibrations import Vibrations
 from tests.support.containers import CONTAINERS, at_rest, contained, scaled
 from tests.support.peptides import capped_alanine
 from tests.support.silence import silence

@@ -8,8 +8,8 @@ import openmm
 import pytest
 from openmm import app, unit
 
+from openmm_sier.inputs import forcefields
 from openmm_sier.integrators.named import SIER2Integrator
-from openmm_sier.measure import forcefields
 from studies.bench import peers
 from tests.support.commands import SYSTEMS
 from tests.support.flexible_systems import started

@@ -7,7 +7,7 @@ import openmm
 import pytest
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.measure import forcefields
+from openmm_sier.inputs import forcefields
 from studies import acceptance, boxes
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.waters import plain_context, platform

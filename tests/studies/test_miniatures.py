@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from openmm import app, unit
 
-from openmm_sier.measure.forcefields import Interactions
+from openmm_sier.inputs.forcefields import Interactions
 from studies import (
     acceptance,
     defaults,

@@ -11,8 +11,8 @@ from pathlib import Path
 import mdtraj
 import pytest
 
+from openmm_sier.analysis import read_log
 from openmm_sier.cli import main
-from openmm_sier.cli.files import records
 from studies.boxes import write_lattice as write_lattice
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -41,7 +41,7 @@ def frames(path, box):
 
 
 def log(path):
-    return records.read_log(Path(path))
+    return read_log(path)
 
 
 def complaint(capsys, *arguments, code=1):

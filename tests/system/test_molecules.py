@@ -6,7 +6,7 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import make_whole
-from openmm_sier.measure.forcefields import read_box
+from openmm_sier.inputs.forcefields import read_box
 from openmm_sier.system.boxes import wrapped
 from tests.support.peptides import capped_alanine_box, forcefield
 from tests.support.systems import assembled

@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from openmm_sier.observe.conservation import csv_line
 
 #: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
@@ -208,24 +206,3 @@ class Log(GrowingFile):
 
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())
-
-
-def read_log(path: Path, whole_lines: bool = False) -> dict[str, np.ndarray]:
-    """All rows of a `Log`, by column.
-
-    Args:
-        path: of the file.
-        whole_lines: whether a last line without its end, as a killed run leaves, is left out.
-
-    Raises:
-        OSError: the file cannot be read.
-        RecordError: a row has no numbers, or not as many as the heading has names.
-    """
-    with open(path) as file:
-        columns = file.readline().rstrip().split(",")
-        lines = (line for line in file if line.endswith("\n")) if whole_lines else file
-        try:
-            rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, len(columns))
-        except ValueError as error:
-            raise RecordError(f"{path} below its heading: {error}") from error
-    return dict(zip(columns, rows.T, strict=True))

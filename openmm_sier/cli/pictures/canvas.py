@@ -89,11 +89,11 @@ def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[A
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     with mpl.rc_context(RC):
         size = WIDTH, HEIGHT_OF_PANEL * number + HEIGHT_OF_HEADINGS
-        made = Figure(figsize=size, layout="constrained")
-        made.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
+        made = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
         made.suptitle(title, x=0.01, ha="left", fontsize=TITLE, fontweight="bold")
         made.supxlabel(caption, x=0.01, ha="left", fontsize=SMALL, color="0.25")
         axes = list(made.subplots(number, 1, squeeze=False, sharex=True).flat)

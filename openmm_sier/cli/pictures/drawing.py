@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli.logs import SETTLES, Run, Runs, over_runs
+from openmm_sier.analysis.observables import energy_error
+from openmm_sier.analysis.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, over_runs
 from openmm_sier.cli.pictures import canvas, series
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
 from openmm_sier.cli.results import DENSITY
-from openmm_sier.measure.observables import energy_error
-from openmm_sier.measure.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
 if TYPE_CHECKING:

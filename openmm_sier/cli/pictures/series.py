@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from openmm_sier.cli.logs import Runs, binned
-from openmm_sier.measure.statistics import ENOUGH_RUNS, Estimate
+from openmm_sier.analysis.statistics import ENOUGH_RUNS, Estimate
+from openmm_sier.cli.logged_runs import Runs, binned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -3,7 +3,7 @@
 import numpy as np
 
 from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.rotation.arguments import checked
+from openmm_sier.dynamics.rotation.axes import checked
 
 
 def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.rotation.arguments import checked
+from openmm_sier.dynamics.rotation.axes import checked
 from openmm_sier.dynamics.rotation.exact import exact
 
 #: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.

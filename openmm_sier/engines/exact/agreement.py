@@ -8,9 +8,10 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
-from openmm_sier.engines.protocol import Clock, Flow
+from openmm_sier.engines.protocol import Clock
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.variables import DRAWS, HEAT, STATE_VARIABLES
 from openmm_sier.system import checks

@@ -15,19 +15,20 @@ from openmm import unit
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.exact import in_place_of_openmm
 from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
-from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.temperature import Temperatures, temperatures
 from openmm_sier.engines.variables import PART
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.find_bodies import known_or_planned
+from openmm_sier.system.temperature import Temperatures, temperatures
 
 #: What `remember` gives: a completed step, the clock and the box.
 Memory = tuple[BodyState, Clock, Any]
@@ -223,8 +224,8 @@ class ExactEngine(Engine):
         self._state, self.clock = self._agreement.adopt(Snapshot(self._context), self._state, self._flow)
         return self._state
 
-    def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `engines.temperature`.
+    def temperatures(self, conserved: bool) -> Temperatures:
+        """Temperatures in K, see `system.temperature`.
 
         They are those just after the bath if it was in the middle of the last step. There momenta have the distribution
         of the bath, whatever the step; later, kicks and inner steps make those of fast bonds too hot or too cold.
@@ -232,7 +233,7 @@ class ExactEngine(Engine):
         state = self.state()
         if self._last is not None and self._last[0] is state:
             state = self._last[1]
-        return temperatures(self.bodies, state, self.conserves_momentum())
+        return temperatures(self.bodies, state, conserved)
 
     # --- what OpenMM does in the Context, and cannot do for all constraints ---
 

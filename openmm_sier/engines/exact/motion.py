@@ -7,12 +7,12 @@ import openmm
 
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
-from openmm_sier.engines.protocol import Flow
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
 

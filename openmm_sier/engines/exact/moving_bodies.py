@@ -6,14 +6,15 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.operators import CachedForces
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion, inner_step
-from openmm_sier.engines.protocol import Flow, Movers
-from openmm_sier.engines.step_check import StepCheck
+from openmm_sier.engines.protocol import Movers
 from openmm_sier.engines.variables import SITES
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 from openmm_sier.system.find_bodies import BodyPlan
 

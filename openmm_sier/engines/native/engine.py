@@ -12,6 +12,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
@@ -20,15 +21,15 @@ from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.program import V0, WORK, Program
-from openmm_sier.engines.protocol import Clock, Engine, Flow, Movers, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
-from openmm_sier.engines.step_check import StepCheck
-from openmm_sier.engines.temperature import Temperatures, temperature, temperatures, thermal_energies
 from openmm_sier.engines.variables import DRAWS, HEAT, Record
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
+from openmm_sier.system.temperature import Temperatures, temperature, temperatures, thermal_energies
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -49,6 +50,7 @@ NOT_CONVERGED = 1e-4
 
 # OpenMM's methods before `hooks` replaces them: after them forces and energy are still known.
 set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
+constrain_velocities = openmm.Context.applyVelocityConstraints
 
 
 #: What `remember` gives: the Context, the potential energy if it is known, heat and draws.
@@ -173,9 +175,14 @@ class NativeEngine(Engine):
             self._settle()
         self._potential = None
         advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
-        while steps:
-            steps -= advance(steps)
-            act_on_pending()
+        try:
+            while steps:
+                steps -= advance(steps)
+                act_on_pending()
+        finally:
+            if not self._program.ends_constrained:
+                # By OpenMM's own method, since nobody has to be told of it.
+                constrain_velocities(self._context, self._integrator.getConstraintTolerance())
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
@@ -367,12 +374,12 @@ class NativeEngine(Engine):
         p, L = bodies.momenta(now.velocities, A)
         return BodyState(q, p, A, L, self.heat())
 
-    def temperatures(self) -> Temperatures:
-        """Temperatures in K, see `engines.temperature`; without rigid bodies only the total is known.
+    def temperatures(self, conserved: bool) -> Temperatures:
+        """Temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
 
         Flexible molecules have those just after the bath. After a step with several baths these are those at its end.
         """
-        conserved, thermal = self.conserves_momentum(), self._velocities_after_bath()
+        thermal = self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
             bodies, state = self.bodies, self.state()
             if thermal is not None:
@@ -383,7 +390,7 @@ class NativeEngine(Engine):
         if thermal is not None:
             state = replace(state, p=bodies.masses * thermal[self._atoms].T)
         kinetic = sum(thermal_energies(bodies, state, conserved))
-        return Temperatures(temperature(kinetic, self.degrees_of_freedom()), math.nan, math.nan)
+        return Temperatures(temperature(kinetic, self.degrees_of_freedom(conserved)), math.nan, math.nan)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after the bath of the last step, nm/ps, where it has just one."""
@@ -392,7 +399,7 @@ class NativeEngine(Engine):
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 
-    def degrees_of_freedom(self) -> float:
+    def degrees_of_freedom(self, conserved: bool) -> float:
         if not isinstance(self._found, RigidityError):
-            return super().degrees_of_freedom()
-        return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if self.conserves_momentum() else 0)
+            return super().degrees_of_freedom(conserved)
+        return self.movers.bodies.dof - len(self._constraints.pairs) - (3 if conserved else 0)

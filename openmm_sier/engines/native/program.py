@@ -52,8 +52,7 @@ INNER_SUBSTEPS = 3
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
 
-#: The longest step of leapfrog around a bath, ps. One RATTLE step follows the rotation of water with heavy hydrogens so
-#: long, and bonds between heavy atoms are stable up to 6 fs.
+#: The longest step of leapfrog under fast forces, ps: bonds between heavy atoms are stable up to 6 fs.
 LONGEST_LEAPFROG = 0.0045
 
 #: The condition of a block that is never executed: no native step has such a number.
@@ -147,6 +146,7 @@ class Program(NamedTuple):
         refusal: why there are none, for a scheme that cannot be written out.
         inner_fraction: the longest inner step in units of h; 1 where there are none.
         counts_heat: whether it counts the heat of its bath.
+        ends_constrained: whether velocities at the end of a step satisfy the constraints.
     """
 
     name: str
@@ -154,6 +154,7 @@ class Program(NamedTuple):
     refusal: str = ""
     inner_fraction: float = 1.0
     counts_heat: bool = True
+    ends_constrained: bool = True
 
     @property
     def statements(self) -> list[Statement]:
@@ -223,7 +224,8 @@ def write(
 
     Velocities are constrained where they are read, at the end of the step and before a bath whose heat is counted, and
     not after every stage: what they have along the constraints changes no position that is constrained next, since the
-    constraint forces take it up. Only forces at displaced positions are constrained where they act.
+    constraint forces take it up. Only forces at displaced positions are constrained where they act. Where velocities
+    are constrained in each step of leapfrog, the engine constrains those that users see, once after a call of `step`.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
@@ -257,15 +259,17 @@ def write(
         within = _leapfrog_with_bath([("+", name) for name in fast], bath)
         lines.append(Line("leapfrog with a bath", (), (1 / baths,) * baths, "e/h", tuple(within)))
         fraction = 1 / baths
+        ends_constrained = False
     else:
         lines += _lines(scheme.stages, "h", slow, drift, bath, counts_heat)
         fraction = scheme.inner_fraction(number) if fast else 1.0
-    if not (scheme.stages[-1].operator == BATH and counts_heat):
-        lines.append(Line("end", (Statement(CONSTRAIN_V),)))
+        ends_constrained = True
+        if not (scheme.stages[-1].operator == BATH and counts_heat):
+            lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
-    return Program(scheme.name, parts, inner_fraction=fraction, counts_heat=counts_heat)
+    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained)
 
 
 def _update(counts_heat: bool) -> list[Line]:
@@ -308,15 +312,18 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
 
 
 def _leapfrog_with_bath(fast: Force, bath: Thermostat) -> list[Line]:
-    """Write a step e of leapfrog: kick, half drift, bath, half drift.
+    """Write a step e of leapfrog: kick, half drift, bath, half drift, as OpenMM's LangevinMiddleIntegrator has it.
 
-    Constraints move the positions once, at its end, as in OpenMM's LangevinMiddleIntegrator. They take up the noise
-    along them. So velocities at the end of the step are those after the last bath, moved freely.
+    Constraints move the positions once, at its end. They take up the noise along them. Before, they take what the kick
+    has given along them: the bath would leave half of what it takes away of that, and as molecules turn, this heats
+    them by some percent. Velocities at the end of the step are those after the last bath, with half of its noise along
+    the constraints.
 
     Source: Zhang et al., J. Phys. Chem. A 123, 6056 (2019).
     """
     kick = [Line("kick", tuple(_summed("v", "v", "e*", fast)))] if fast else []
     halves = (
+        Statement(CONSTRAIN_V),
         Statement("x", "x + 0.5*e*v"),
         Statement("v", bath.velocity("e", FRICTION, THERMAL)),
         Statement(KEPT, "x + 0.5*e*v"),

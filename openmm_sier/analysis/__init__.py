@@ -1,0 +1,5 @@
+"""Turns finished runs into numbers: logs, means with errors, viscosity and diffusion, data for validation."""
+
+from openmm_sier.analysis.logs import read_log
+
+__all__ = ["read_log"]

@@ -1,0 +1,78 @@
+"""Energy conservation of a run: its error, defined once. The drift is `statistics.slope_and_error`.
+
+Temperatures are in `openmm_sier.system.temperature`, since integrators report them too.
+"""
+
+import math
+
+import numpy as np
+
+from openmm_sier.analysis.statistics import rms
+
+#: Length in ps of the blocks whose means show how far the energy walks. It is far above the periods of librations and
+#: of hydrogen bonds, with which the energy of a step oscillates.
+BLOCK = 1.0
+
+#: Fewest values in a block.
+FEWEST = 8
+
+
+def energy_error(total: np.ndarray, potential: np.ndarray) -> float:
+    """rms(H)/rms(V), the measure of energy conservation. H and V are taken about their means over the whole run.
+
+    Source: van Zon and Schofield (2007), section IV.
+
+    Args:
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,).
+
+    Returns:
+        NaN for fewer than three values, or where the potential energy is constant.
+    """
+    return _over_fluctuation(rms(total), potential)
+
+
+def _over_fluctuation(found: float, potential: np.ndarray) -> float:
+    spread = rms(potential) if len(potential) > 2 else 0.0
+    return found / spread if spread > 0 else math.nan
+
+
+def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
+    """The energy error without what accumulates: H is taken about a straight line in each block of 1 ps.
+
+    It tells a step that is too long where H may drift or walk for good reasons, as it does with a heat bath. Blocks are
+    longer where they would have fewer than `FEWEST` values.
+
+    Args:
+        time: ps, (n,), evenly spaced.
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,), about its mean over the whole run.
+
+    Returns:
+        NaN for fewer than three values, or where the potential energy is constant.
+    """
+    rest = []
+    for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
+        rest.append(h - np.polyval(np.polyfit(t - t.mean(), h, 1), t - t.mean()))
+    return _over_fluctuation(rms(np.concatenate(rest)), potential)
+
+
+def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
+    """Values in blocks of about `BLOCK`, each of at least `FEWEST` of them."""
+    number = min(round((time[-1] - time[0]) / BLOCK), len(values) // FEWEST)
+    return np.array_split(np.asarray(values, dtype=float), max(1, number))
+
+
+def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
+    """Scatter of the means of H over 1 ps, over rms(V): what is left of the energy error when oscillations average out.
+
+    Args:
+        time: ps, (n,), evenly spaced.
+        total: what is conserved, kJ/mol, (n,).
+        potential: kJ/mol, (n,).
+
+    Returns:
+        NaN for a run of fewer than three blocks, or where the potential energy is constant.
+    """
+    means = np.array([block.mean() for block in blocks(time, total)])
+    return _over_fluctuation(rms(means), potential) if len(means) > 2 else math.nan

@@ -1,0 +1,204 @@
+"""Estimates: values with standard errors. Of means of series, of slopes, by the jackknife, over runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from openmm_sier.dynamics.correlation import inefficiency, is_constant
+
+#: Independent samples below which an error means little. A series so short does not show how long it remembers.
+FEWEST = 20
+
+#: Number of groups that the jackknife leaves out in turn.
+GROUPS = 40
+
+#: Runs from which on their scatter tells the error of their mean.
+ENOUGH_RUNS = 5
+
+#: Beginnings of a series that are tried when it is asked where it settled, of at most so much of it.
+BEGINNINGS, LONGEST_BEGINNING = 50, 0.9
+
+#: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
+#: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
+#: and less scatter than they have. Of series without a trend fewer than one in forty then seems to have one.
+UNSETTLED, FEW_SETTLED = 3.5, 10
+
+
+class Estimate(NamedTuple):
+    """A value and its standard error.
+
+    Attributes:
+        value: NaN if there is none.
+        error: NaN if it is unknown, 0 for what does not fluctuate.
+        samples: number of independent samples that the error was found from; infinite if they were not counted. An
+            error from fewer than `FEWEST` is too small on average: from 5 samples it is 0.8 of what it should be, from
+            2 samples half.
+    """
+
+    value: float
+    error: float
+    samples: float = math.inf
+
+    def __str__(self) -> str:
+        """Two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
+        if math.isnan(self.value):
+            return "-"
+        if not math.isfinite(self.error):
+            return f"{self.value:.4g} ± ?"
+        if not self.error:
+            return f"{self.value:.4g}"
+        exponent = math.floor(math.log10(max(abs(self.value), self.error)))
+        if not -4 <= exponent < 7:
+            return f"({self.times(10.0**-exponent)})e{exponent}"
+        digits = max(0, 1 - math.floor(math.log10(self.error)))
+        return f"{self.value:.{digits}f} ± {'≥' if self.samples < FEWEST else ''}{self.error:.{digits}f}"
+
+    def times(self, factor: float) -> Estimate:
+        """In another unit."""
+        return self._replace(value=self.value * factor, error=self.error * abs(factor))
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square deviation from the mean."""
+    return float(np.std(values))
+
+
+# --- means ---
+
+
+def mean_and_error(series: np.ndarray) -> Estimate:
+    """Mean of a correlated series (n,); the error is unknown for fewer than `FEWEST` values.
+
+    The variance of a mean of n values is that of the values over n/g, their number of independent samples. The variance
+    about the mean of the series is too small by the factor 1 - g/n.
+    """
+    values = np.asarray(series, dtype=float)
+    value, n = float(values.mean()), len(values)
+    if is_constant(values) and n > 1:
+        return Estimate(value, 0.0)
+    samples = n / inefficiency(values)
+    error = rms(values) / math.sqrt(samples - 1) if n >= FEWEST and samples > 1 else math.nan
+    return Estimate(value, error, samples)
+
+
+def of_independent(values: np.ndarray) -> Estimate:
+    """Mean of independent values (n,), n > 1; the error is from their scatter."""
+    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))))
+
+
+def pooled(estimates: Sequence[Estimate]) -> Estimate:
+    """Mean over independent runs, each with the same weight.
+
+    The error is from their scatter if there are `ENOUGH_RUNS`, else from their errors.
+    """
+    values, errors, samples = np.array(estimates, dtype=float).T
+    if is_constant(values) and not errors.any():
+        return Estimate(float(values.mean()), 0.0)
+    if len(values) >= ENOUGH_RUNS:
+        return of_independent(values)
+    return Estimate(float(values.mean()), float(np.linalg.norm(errors) / len(values)), float(samples.sum()))
+
+
+def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:
+    """An estimate from all of n samples, and its standard error from leaving out groups of them.
+
+    Args:
+        estimate: takes the indices of samples and returns a number.
+        n: number of samples; each is a group of its own if there are fewer than `groups`.
+        groups: how many, of neighbouring samples. In a series each must be longer than the correlation time.
+    """
+    value, k = estimate(np.arange(n)), min(n, groups)
+    if k < 2:
+        return Estimate(value, math.nan)
+    edges = np.linspace(0, n, k + 1).astype(int)
+    left_out = [estimate(np.r_[0:begin, end:n]) for begin, end in pairwise(edges)]
+    return Estimate(value, math.sqrt(k - 1) * float(np.std(left_out)))
+
+
+# --- what has not settled ---
+
+
+def settled_from(series: np.ndarray) -> int:
+    """Return the index from which on a series (n,) fluctuates about one mean; 0 where its beginning is no other.
+
+    It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
+    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled but, if at all, in its last
+    part, after `LONGEST_BEGINNING`.
+
+    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    """
+    values = np.asarray(series, dtype=float)
+    n = len(values)
+    if n < FEWEST or is_constant(values):
+        return 0
+    begins = np.unique(np.linspace(0, LONGEST_BEGINNING * n, BEGINNINGS).astype(int))
+    memories = np.array([inefficiency(values[begin:]) for begin in begins])
+    best = int(np.argmax((n - begins) / memories))
+    begin = int(begins[best])
+    if not (begin and _begins_elsewhere(values, begin)):
+        begin = 0
+    return int(begins[-1]) if _has_trend(values[begin:]) else begin
+
+
+def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
+    """Return whether the mean before an index differs from that of the rest by more than chance gives it."""
+    first, rest = values[:begin], values[begin:]
+    # The rest alone may be too short to show how long it remembers.
+    memory = inefficiency(np.concatenate([first - _line(first), rest - rest.mean()]))
+    samples = max(1.0, len(rest) / memory)
+    error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
+    return _is_told(abs(first.mean() - rest.mean()), error, samples)
+
+
+def _has_trend(values: np.ndarray) -> bool:
+    """Return whether a straight line through a series rises or falls by more than chance gives it."""
+    if len(values) < FEWEST:
+        return False
+    line = _line(values)
+    samples = len(values) / inefficiency(values - line)
+    # Of the difference between the ends of a line through so many independent values.
+    error = rms(values - line) * math.sqrt(12 / samples)
+    return _is_told(abs(line[-1] - line[0]), error, samples)
+
+
+def _line(values: np.ndarray) -> np.ndarray:
+    """Return the straight line through a series (n,), or the mean of fewer than three values."""
+    places = np.linspace(-0.5, 0.5, len(values))
+    return np.polyval(np.polyfit(places, values, 1 if len(values) > 2 else 0), places)
+
+
+def _is_told(difference: float, error: float, samples: float) -> bool:
+    return difference > UNSETTLED * error * (1 + FEW_SETTLED / samples)
+
+
+# --- slopes ---
+
+
+def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
+    """Means of equal blocks of a series; a remainder that fills no block is left out at its start."""
+    values = np.asarray(values, dtype=float)
+    length = len(values) // blocks
+    return values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
+
+
+def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> Estimate:
+    """Slope of a straight line through a correlated series and its standard error, from the means of equal blocks.
+
+    The error is that of independent block means, so blocks must be longer than the correlation time.
+
+    Args:
+        x, y: the series.
+        blocks: how many. A series with fewer values has a slope but no error, one of two values or fewer has neither.
+    """
+    if len(x) < 3:
+        return Estimate(math.nan, math.nan)
+    if len(x) < blocks:
+        return Estimate(float(np.polyfit(x - np.mean(x), y, 1)[0]), math.nan)
+    means = block_means(x, blocks), block_means(y, blocks)
+    (slope, _), covariance = np.polyfit(*means, 1, cov=True)
+    return Estimate(float(slope), math.sqrt(covariance[0, 0]))

@@ -1,0 +1,35 @@
+"""A splitting scheme with all that its operators need, as an engine follows it."""
+
+from dataclasses import dataclass
+
+from openmm_sier.dynamics.operators import Rotation
+from openmm_sier.dynamics.rotation import exact
+from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.thermostat import Thermostat
+
+
+@dataclass(frozen=True)
+class Flow:
+    """What an engine follows: a splitting scheme with all that its operators need.
+
+    Attributes:
+        scheme: the scheme.
+        step: its step, ps.
+        rotation: free-rotation map.
+        substeps: number of steps into which a drift is divided; None leaves it to the engine.
+        fast_groups: bit mask of the force groups that act within drifts.
+        bath: executes the scheme's bath; None for a scheme without one.
+        constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
+        updates_context: whether Forces that change velocities, positions or the box act before each step.
+        counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
+    """
+
+    scheme: Scheme
+    step: float
+    rotation: Rotation = exact
+    substeps: int | None = None
+    fast_groups: int = 0
+    bath: Thermostat | None = None
+    constant_energy: bool = False
+    updates_context: bool = True
+    counts_heat: bool | None = None

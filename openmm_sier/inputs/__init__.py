@@ -1,0 +1,1 @@
+"""Reads the files that people have, and makes starts of them."""

@@ -1,0 +1,112 @@
+"""Coordinates of all kinds, as OpenMM's readers read them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+from openmm.unit import Quantity
+
+from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
+
+#: Elements by whose letter atoms are told apart, where a name begins with one of them.
+_LETTERS = "HCNOPS"
+
+
+class Coordinates(NamedTuple):
+    """What a file of coordinates holds.
+
+    Attributes:
+        positions: Quantity of all atoms.
+        box: periodic box vectors; None without a box.
+        names: of the atoms; empty where the file has none.
+        topology: of a PDB or PDBx/mmCIF file; None for other files.
+    """
+
+    positions: Quantity
+    box: Quantity | None
+    names: Sequence[str] = ()
+    topology: app.Topology | None = None
+
+
+def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> Coordinates:
+    """Read a file of coordinates.
+
+    Args:
+        path: of a PDB or PDBx/mmCIF file, an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM,
+            or a State of OpenMM in XML.
+        edges: of the periodic box, nm, where the file has none.
+
+    Raises:
+        ForceFieldError: it is none of these, or OpenMM cannot read it.
+        OSError: the file cannot be read.
+    """
+    kind = kind_of(path)
+    if kind in STRUCTURES:
+        pdb = read_pdb(path, edges)
+        names = [atom.name for atom in pdb.topology.atoms()]
+        return Coordinates(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors(), names, pdb.topology)
+    if kind not in _READERS:
+        raise ForceFieldError(f"{path} is {kind}, expected coordinates")
+    with refusing(f"cannot read {path} as {kind}"):
+        found = _READERS[kind](str(path))
+    return found._replace(box=box_of(path, found.box, edges))
+
+
+def _amber(path: str) -> Coordinates:
+    file = app.AmberInpcrdFile(path)
+    # OpenMM has False in place of a box in some files of one or two atoms.
+    return Coordinates(file.getPositions(asNumpy=True), file.boxVectors or None)
+
+
+def _gro(path: str) -> Coordinates:
+    file = app.GromacsGroFile(path)
+    box = file.getPeriodicBoxVectors()
+    is_none = not np.any(box.value_in_unit(unit.nanometer))
+    return Coordinates(file.getPositions(asNumpy=True), None if is_none else box, file.atomNames)
+
+
+def _crd(path: str) -> Coordinates:
+    file = app.CharmmCrdFile(path)
+    positions = np.array(file.positions.value_in_unit(unit.nanometer))
+    return Coordinates(positions * unit.nanometer, None, file.attype)
+
+
+def _state(path: str) -> Coordinates:
+    state = openmm.XmlSerializer.deserialize(Path(path).read_text())
+    return Coordinates(state.getPositions(asNumpy=True), state.getPeriodicBoxVectors())
+
+
+_READERS = {AMBER_COORDINATES: _amber, GRO: _gro, CRD: _crd, STATE: _state}
+
+
+def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topology, source: str | Path) -> None:
+    """Refuse coordinates that are not those of the atoms of a topology.
+
+    Their numbers must agree, and in residues of several atoms the elements, as far as names tell them.
+
+    Args:
+        path, found: of the coordinates.
+        topology, source: of the topology, and the file that it is from.
+
+    Raises:
+        ForceFieldError: naming the first atom that differs.
+    """
+    number, expected = len(found.positions), topology.getNumAtoms()
+    if number != expected:
+        raise ForceFieldError(f"{path} has {number} atoms, expected the {expected} of {source}")
+    for atom, name in zip(topology.atoms(), found.names, strict=False):
+        one, two = (_letter(each) for each in (atom.name, name))
+        if one and two and one != two and len(atom.residue) > 1:
+            raise ForceFieldError(
+                f"{path} has {name} where {source} has {named_atom(atom)}: are the atoms in another order?"
+            )
+
+
+def _letter(name: str) -> str:
+    """The element that a name tells; empty where it does not."""
+    first = name.lstrip("0123456789'")[:1].upper()
+    return first if first in _LETTERS else ""

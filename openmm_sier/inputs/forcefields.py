@@ -1,0 +1,328 @@
+"""Force fields: those that a PDB file names, and the System that is built with them."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+from openmm.unit import Quantity
+
+from openmm_sier.inputs.file_kinds import PDB, kind_of
+from openmm_sier.inputs.listed_bonds import tell_stale_bonds
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.observe.conservation import density
+from openmm_sier.prepare.masses import set_hydrogen_masses
+from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.system import tables
+from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.molecules import Bonds, joined_by, make_whole
+from openmm_sier.system.notices import notify
+
+#: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
+PACKAGE = Path(__file__).parent.parent
+SHIPPED = (PACKAGE / "systems", PACKAGE.parent / "systems")
+
+#: A PDB file names its force field in records that begin like this; one file name follows.
+REMARK = "REMARK  99 FORCEFIELD"
+
+#: Where interactions in a periodic box end by default, and where Lennard-Jones starts to be switched off, nm.
+CUTOFF = 0.9
+SWITCH = 0.75
+
+#: OpenMM's ewaldErrorTolerance, from which the mesh follows. A smaller one serves no scheme's usual step: balanced,
+#: SIER4P at 6 fs has 0.0145 % of rms(H)/rms(V) in water, and SIER4G 0.09 %.
+EWALD_TOLERANCE = 1e-4
+
+#: The smallest density of a box without a word, g/ml, below that of all liquids but those of hydrogen and helium.
+THINNEST = 0.3
+
+#: What may be constrained besides water, as in OpenMM's createSystem, which is bonds to hydrogen, all bonds, or all
+#: bonds and the angles of hydrogens.
+CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
+
+#: The longest cut-off as a fraction of the narrowest box width. OpenMM refuses 0.5, and a barostat may shrink the box.
+LARGEST_CUTOFF = 0.45
+
+
+#: Most points of the mesh of PME. In single precision this many take 8 GiB.
+MOST_MESH_POINTS = 2**31
+
+
+class Interactions(NamedTuple):
+    """How the interactions of a box are cut off; None stands for what `pme_system` does by itself.
+
+    Attributes:
+        cutoff: of the direct sum of PME and of Lennard-Jones, nm.
+        switch: where Lennard-Jones starts to be switched off, nm; 0 for a jump at the cut-off.
+        tolerance: of the sums of PME.
+        hydrogen_mass: of hydrogens, in water too, dalton, taken from the atoms that they are bonded to.
+    """
+
+    cutoff: float | None = None
+    switch: float | None = None
+    tolerance: float | None = None
+    hydrogen_mass: float | None = None
+
+
+USUAL = Interactions()
+
+
+def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
+    """Force-field files that a PDB file names in records "REMARK  99 FORCEFIELD file.xml", and this reason in words.
+
+    Raises:
+        ForceFieldError: there is no such record.
+    """
+    lines = Path(path).read_text(errors="replace").splitlines()
+    if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
+        raise ForceFieldError(
+            "no force field is named: give its files with --forcefield (`files` in a script), such as "
+            f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
+        )
+    return named, "named in the PDB file"
+
+
+def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
+    """A ForceField from files, looked for as given, in the directory `beside`, among the project's own, and in OpenMM.
+
+    Raises:
+        ForceFieldError: a file is not found, or is no force field.
+    """
+    with refusing(f"cannot read the force field {' '.join(files)}"):
+        return app.ForceField(*[locate(name, Path(beside)) for name in files])
+
+
+def locate(name: str, beside: Path) -> str:
+    """The path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
+    places = (directory / name for directory in (Path(), beside, *SHIPPED))
+    return next((str(place) for place in places if place.is_file()), name)
+
+
+def add_virtual_sites(
+    topology: app.Topology, positions: Quantity, forcefield: app.ForceField
+) -> tuple[app.Topology, Quantity]:
+    """Topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
+
+    Raises:
+        ForceFieldError: the force field has no template for a residue.
+    """
+
+    def completed(topology: app.Topology) -> app.Modeller:
+        modeller = app.Modeller(topology, positions)
+        with refusing():
+            modeller.addExtraParticles(forcefield)
+        return modeller
+
+    try:
+        found = completed(topology)
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{error}{tell_stale_bonds(error, topology, positions, completed)}") from error
+    return found.topology, found.positions
+
+
+def pme_system(
+    topology: app.Topology,
+    forcefield: app.ForceField,
+    constraints: str | None = None,
+    interactions: Interactions = USUAL,
+) -> openmm.System:
+    """The System: rigid water, PME in a periodic box, no cut-off without one.
+
+    In a box too small for the cut-off it is shorter. The sums of PME are balanced (`openmm_sier.balance_pme`).
+    Lennard-Jones has the usual correction for its tail. The motion of the centre of mass is not removed.
+
+    Args:
+        topology: openmm.app.Topology.
+        forcefield: openmm.app.ForceField.
+        constraints: besides those of water, one of `CONSTRAINTS`; None: none.
+        interactions: what is to be otherwise.
+
+    Raises:
+        ForceFieldError: the force field has no template for a residue, or the interactions do not fit the box.
+    """
+    create = partial(forcefield.createSystem, topology)
+    return build_system(create, topology.getPeriodicBoxVectors(), constraints, interactions)
+
+
+def build_system(
+    create: Callable[..., openmm.System],
+    box: Quantity | None,
+    constraints: str | None = None,
+    interactions: Interactions = USUAL,
+) -> openmm.System:
+    """The System that a reader of OpenMM makes, as `pme_system` has it.
+
+    Args:
+        create: the reader's createSystem.
+        box: periodic box vectors; None without a box.
+        constraints, interactions: see `pme_system`.
+
+    Raises:
+        ForceFieldError: OpenMM can make no System, or the interactions do not fit the box.
+    """
+    settings = {"constraints": CONSTRAINTS[constraints or "none"], **_cut_off(box, interactions)}
+    with refusing():
+        system = create(rigidWater=True, removeCMMotion=False, **settings)
+    finish_system(system, interactions)
+    return system
+
+
+def finish_system(system: openmm.System, interactions: Interactions) -> None:
+    """Give a System the masses of hydrogens that are asked for, and balance its PME.
+
+    Raises:
+        ForceFieldError: its mesh is too large.
+        ValueError: see `balance_pme`.
+    """
+    if interactions.hydrogen_mass is not None:
+        set_hydrogen_masses(system, interactions.hydrogen_mass)
+    if meshed_forces(system):
+        balance_pme(system)
+    _refuse_huge_meshes(system)
+
+
+def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]:
+    """The arguments of createSystem that cut interactions off."""
+    if box is None:
+        if interactions.cutoff is not None or interactions.switch is not None:
+            raise ForceFieldError("a cut-off or switch needs a periodic box, which there is none")
+        return {"nonbondedMethod": app.NoCutoff}
+    # In OpenMM's reduced form, a is along x and b in the xy plane.
+    width = float(np.diag(np.array(box.value_in_unit(unit.nanometer))).min())
+    cutoff = interactions.cutoff or min(CUTOFF, LARGEST_CUTOFF * width)
+    if 2 * cutoff >= width:
+        raise ForceFieldError(f"a cut-off of {cutoff:g} nm needs a box wider than {2 * cutoff:g} nm, got {width:.4g}")
+    switch = cutoff * SWITCH / CUTOFF if interactions.switch is None else interactions.switch
+    if switch >= cutoff:
+        raise ForceFieldError(f"the switch begins below the cut-off of {cutoff:g} nm, got {switch:g}")
+    return {
+        "nonbondedMethod": app.PME,
+        "nonbondedCutoff": cutoff * unit.nanometer,
+        "switchDistance": switch * unit.nanometer if switch else None,
+        "ewaldErrorTolerance": interactions.tolerance or EWALD_TOLERANCE,
+    }
+
+
+def _refuse_huge_meshes(system: openmm.System) -> None:
+    """Refuse a box whose PME would take minutes and gigabytes before it failed.
+
+    Raises:
+        ForceFieldError: naming the mesh.
+    """
+    for force in meshed_forces(system):
+        mesh = force.getPMEParameters()[1:]
+        if math.prod(mesh) > MOST_MESH_POINTS:
+            vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
+            raise ForceFieldError(
+                f"the box of {extent(np.array(vectors))} needs a mesh of {' x '.join(map(str, mesh))} points for PME, "
+                f"more than {MOST_MESH_POINTS}: is it in Angstrom?"
+            )
+
+
+class Box(NamedTuple):
+    """What is to be simulated: coordinates with their force field, molecules whole.
+
+    Attributes:
+        topology: openmm.app.Topology, virtual sites included.
+        positions: Quantity, of all sites.
+        system: openmm.System.
+        files: of the force field.
+        reason: why these, in words.
+        listed: indices of the particles that the file of the coordinates lists, virtual sites only if it has them.
+        sources: the files that were read but for OpenMM's own, by what they are for.
+    """
+
+    topology: app.Topology
+    positions: unit.Quantity
+    system: openmm.System
+    files: tuple[str, ...]
+    reason: str
+    listed: np.ndarray
+    sources: Mapping[str, Path] = MappingProxyType({})
+
+
+def read_box(
+    path: str | Path,
+    files: Sequence[str | Path] | None = None,
+    constraints: str | None = None,
+    interactions: Interactions = USUAL,
+    edges: Sequence[float] | None = None,
+) -> Box:
+    """Read a PDB or PDBx/mmCIF file and build its System.
+
+    Args:
+        path: the file.
+        files: force-field files; None takes those that the PDB file names, see `pick`.
+        constraints, interactions: see `pme_system`.
+        edges: of its periodic box, nm, where the file has none.
+
+    Raises:
+        ForceFieldError: the file is no such file, has atoms twice or no room in its box, no force field fits it, or a
+            molecule is broken, see `openmm_sier.make_whole`.
+        OSError: the file cannot be read.
+    """
+    pdb = read_pdb(path, edges)
+    lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    # What a force field is recognized by, and where it puts virtual sites.
+    lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
+    try:
+        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path)
+        forcefield = load(chosen, Path(path).parent)
+        topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
+        system = pme_system(topology, forcefield, constraints, interactions)
+        whole = make_whole(system, positions, topology)
+    except ValueError as error:
+        raise ForceFieldError(f"{path}: {error}") from None
+    listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
+    if len(listed) != pdb.topology.getNumAtoms():
+        listed = np.arange(topology.getNumAtoms())
+    return Box(topology, whole * unit.nanometer, system, chosen, reason, listed)
+
+
+def describe(box: Box) -> str:
+    """Size and treatment of the interactions, in words."""
+    vectors = box_vectors(box.topology)
+    residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
+    if vectors is None:
+        return f"{residues} without a periodic box, {nonbonded} (--edges gives a box)"
+    return f"{residues} in {extent(vectors)} at {density_of(box):.3g} g/ml, {nonbonded}"
+
+
+def density_of(box: Box) -> float | None:
+    """Return the density of a box, g/ml; None without a periodic one."""
+    if (vectors := box_vectors(box.topology)) is None:
+        return None
+    return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
+
+
+def tell_of_thin_box(path: str | Path, box: Box) -> None:
+    """Warn of a box that is too thin for a liquid, as one is whose file was cut off, or with the box of another system.
+
+    Without a mesh for charges, as of many coarse-grained models, nothing is expected of a density.
+
+    Args:
+        path: of the coordinates.
+        box: that was read from them.
+    """
+    found = density_of(box)
+    if found is None or found >= THINNEST or not meshed_forces(box.system):
+        return
+    end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
+    notify(
+        f"{path}: its {box.topology.getNumResidues()} residues have {found:.2g} g/ml in their box, less than a liquid. "
+        f"Unless it is a gas or has surfaces, the file{end} is cut off, or the box is another one"
+    )
+
+
+def _described_interactions(system: openmm.System) -> str:
+    force = next((part.force for part in parts(system) if isinstance(part.force, openmm.NonbondedForce)), None)
+    if force is None or force.getNonbondedMethod() == force.NoCutoff:
+        return "no cut-off"
+    names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")
+    cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
+    return f"{names[force.getNonbondedMethod()]} with a cut-off of {cutoff:.3g} nm"

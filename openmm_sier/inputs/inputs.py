@@ -1,0 +1,265 @@
+"""What is simulated, from the files that people have: coordinates, with a force field or a topology of their own."""
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse_other_atoms
+from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
+from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
+from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
+from openmm_sier.system import checks, tables
+from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system.hydrogens import hydrogens
+from openmm_sier.system.molecules import make_whole
+
+#: By the kind of a topology, what else makes a System and would do nothing there.
+IGNORED = {
+    PRMTOP: ("forcefield",),
+    TOP: ("forcefield",),
+    PSF: (),
+    SYSTEM: ("forcefield", "constraints", "cutoff", "switch", "tolerance", "edges"),
+}
+
+#: Dalton, of hydrogen, and above that of deuterium, below which no other atom is.
+HYDROGEN, LIGHTEST_OTHER = 1.008, 2.5
+
+_INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
+
+
+def read_input(
+    path: str | Path,
+    topology: str | Path | None = None,
+    files: Sequence[str | Path] | None = None,
+    constraints: str | None = None,
+    interactions: Interactions = USUAL,
+    edges: Sequence[float] | None = None,
+) -> Box:
+    """Read coordinates and build the System for them.
+
+    Args:
+        path: of the coordinates, see `openmm_sier.inputs.coordinates.read_coordinates`.
+        topology: a prmtop file of AMBER, a top file of GROMACS, a psf file of CHARMM, or a System of OpenMM in XML;
+            None for a PDB or PDBx/mmCIF file with a force field of OpenMM.
+        files: of the force field. For a psf file its parameter, topology and stream files; for a PDB or PDBx/mmCIF file
+            see `openmm_sier.inputs.forcefields.read_box`.
+        constraints, interactions: see `openmm_sier.inputs.forcefields.pme_system`.
+        edges: of a rectangular periodic box, nm, where the file of the coordinates has none.
+
+    Raises:
+        ForceFieldError: files are not of these kinds, do not fit each other, or OpenMM makes no System of them.
+        OSError: a file cannot be read.
+    """
+    if topology is None:
+        _refuse_half(path)
+        box = forcefields.read_box(path, files, constraints, interactions, edges)
+    else:
+        kind = topology_kind(topology)
+        source = _Source(Path(path), read_coordinates(path, edges), Path(topology), kind)
+        if kind == SYSTEM:
+            box = _box_of_system(source, interactions)
+        else:
+            box = _box_of_topology(source, files or (), constraints, interactions)
+    forcefields.tell_of_thin_box(path, box)
+    return _with_sources(box, Path(path), None if topology is None else Path(topology))
+
+
+def topology_kind(path: str | Path) -> str:
+    """The kind of a topology, see `openmm_sier.inputs.file_kinds`.
+
+    Raises:
+        ForceFieldError: it is none.
+        OSError: it cannot be read.
+    """
+    if (kind := kind_of(path)) not in TOPOLOGIES:
+        raise ForceFieldError(
+            f"{path} is {kind}, expected as topology a prmtop file of AMBER, a top file of GROMACS, a psf file of "
+            "CHARMM or a System of OpenMM in XML"
+        )
+    return kind
+
+
+def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
+    """The SHA-256 of files, by what they are for."""
+    return {use: hashlib.sha256(path.read_bytes()).hexdigest() for use, path in sources.items()}
+
+
+class _Source(NamedTuple):
+    """The two files of an input: the coordinates, which have been read, and the topology with its kind."""
+
+    path: Path
+    coordinates: Coordinates
+    topology: Path
+    kind: str
+
+
+def _refuse_half(path: str | Path) -> None:
+    """Refuse files that need another one."""
+    kind = kind_of(path)
+    if kind in TOPOLOGIES:
+        raise ForceFieldError(f"{path} is {kind}: give coordinates, and this file by --topology {path}")
+    if kind in POSITIONS:
+        raise ForceFieldError(
+            f"{path} is {kind}, without a force field: name its topology by --topology, as a prmtop, top or psf file, "
+            "or a System of OpenMM in XML"
+        )
+
+
+def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
+    """A Box of which all particles are in the file of the coordinates; `files` are those of its force field."""
+    positions = source.coordinates.positions
+    check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
+    try:
+        whole = make_whole(system, positions, topology)
+    except ValueError as error:
+        raise ForceFieldError(f"{source.path}: {error}") from None
+    names = tuple(map(str, (source.topology, *files)))
+    return Box(topology, whole * unit.nanometer, system, names, source.kind, np.arange(system.getNumParticles()))
+
+
+# --- topologies of other programs ---
+
+
+_READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile, PSF: app.CharmmPsfFile}
+
+
+def _box_of_topology(
+    source: _Source, files: Sequence[str | Path], constraints: str | None, interactions: Interactions
+) -> Box:
+    path, found, topology, kind = source
+    if kind_of(path) == STATE:
+        raise ForceFieldError(f"{path} is {STATE}, which goes with a System of OpenMM; {topology} is {kind}")
+    if kind == PSF and not files:
+        raise ForceFieldError(
+            f"{topology} is {kind}, which needs its parameters: name all their files with --forcefield, such as "
+            "--forcefield par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
+        )
+    parameters = [forcefields.locate(str(file), path.parent) for file in files]
+    with refusing(f"cannot read {topology} as {kind}"):
+        file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
+        create = file.createSystem
+        if kind == PSF:
+            # OpenMM's other readers add no bonds that constraints hold by themselves.
+            create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
+    if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
+        raise ForceFieldError(
+            f"{path} has no periodic box, and {topology} was made for one: give coordinates with their box, or its "
+            "edges in nm by --edges"
+        )
+    refuse_other_atoms(path, found, file.topology, topology)
+    try:
+        system = forcefields.build_system(create, found.box, constraints, interactions)
+    except ForceFieldError as error:
+        raise ForceFieldError(f"{topology}: {error}") from error
+    return _box(source, system, file.topology, files)
+
+
+# --- a System ---
+
+
+def _box_of_system(source: _Source, interactions: Interactions) -> Box:
+    path, found, topology, kind = source
+    with refusing(f"cannot read {topology} as {kind}"):
+        system = openmm.XmlSerializer.deserialize(topology.read_text())
+        checks.refuse_impossible_numbers(system)
+    for force in system.getForces():
+        if isinstance(force, OF_ENSEMBLES):
+            raise ForceFieldError(
+                f"{topology} has a {force.getName()}, in whose place the run has an ensemble: leave it out, and use "
+                "--ensemble, --temperature and --pressure"
+            )
+    named = found.topology or _topology_of(system)
+    refuse_other_atoms(path, found._replace(names=()), named, topology)
+    _refuse_other_masses(path, system, named, topology)
+    if not system.usesPeriodicBoundaryConditions():
+        named.setPeriodicBoxVectors(None)
+    else:
+        if found.box is not None:
+            system.setDefaultPeriodicBoxVectors(*found.box)
+        vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
+        named.setPeriodicBoxVectors(vectors * unit.nanometer)
+    forcefields.finish_system(system, interactions)
+    return _box(source, system, named)
+
+
+def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
+    """Refuse names that are not those of a System's particles, as far as hydrogens tell.
+
+    All other atoms are heavier than light hydrogen even if their own hydrogens have taken most of their mass.
+    """
+    masses = tables.masses(system)
+    for atom in named.atoms():
+        mass = masses[atom.index]
+        if atom.element is None or mass == 0:
+            continue
+        is_hydrogen = atom.element.atomic_number == 1
+        if mass > tables.HEAVIEST_HYDROGEN if is_hydrogen else mass < LIGHTEST_OTHER:
+            raise ForceFieldError(
+                f"{path} has {named_atom(atom)} where {topology} has a particle of {mass:.4g} dalton: are the atoms "
+                "in another order?"
+            )
+
+
+def _topology_of(system: openmm.System) -> app.Topology:
+    """A Topology of a System that is known alone: molecules are residues, and elements follow from masses.
+
+    Water is HOH; residues of other kinds are M1, M2 and so on. Particles without mass have no element.
+    """
+    topology, kinds = app.Topology(), {"OHH": "HOH"}
+    chain, masses = topology.addChain(), tables.masses(system)
+    for centre, found in hydrogens(system).items():
+        # What heavy hydrogens have is from these.
+        masses[centre] += (masses[found] - HYDROGEN).sum()
+        masses[found] = HYDROGEN
+    for molecule in _molecules(system):
+        elements = [app.Element.getByMass(masses[i]) if masses[i] > 0 else None for i in molecule]
+        symbols = [element.symbol if element else "X" for element in elements]
+        kind = "".join(symbol for symbol in symbols if symbol != "X")
+        residue = topology.addResidue(kinds.setdefault(kind, f"M{len(kinds)}"), chain)
+        for number, (symbol, element) in enumerate(zip(symbols, elements, strict=True), 1):
+            topology.addAtom(f"{symbol}{number}", element, residue)
+    return topology
+
+
+def _molecules(system: openmm.System) -> list[list[int]]:
+    """Particles of one molecule each, in their order; one whose particles are not together comes in parts."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
+    return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
+
+
+# --- what was read ---
+
+
+def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
+    """A Box with the files that were read, but for OpenMM's own and GROMACS's, by what they are for."""
+    sources, named = {"box": path}, box.files
+    if topology is not None:
+        sources["topology"], named = topology, box.files[1:]
+        sources |= {str(name): topology.parent / name for name in _included(topology)}
+    sources |= {name: Path(forcefields.locate(name, path.parent)) for name in named}
+    return box._replace(sources={use: place for use, place in sources.items() if place.is_file()})
+
+
+def _included(topology: Path) -> Iterator[Path]:
+    """Files that a top file includes from beside it, and those that these include; relative to it."""
+    if kind_of(topology) != TOP:
+        return
+    pending, seen = [Path(topology.name)], set()
+    while pending:
+        including = pending.pop()
+        for name in _INCLUDED.findall((topology.parent / including).read_text(errors="replace")):
+            found = next((p for p in (Path(name), including.parent / name) if (topology.parent / p).is_file()), None)
+            if found is not None and found not in seen:
+                seen.add(found)
+                pending.append(found)
+                yield found

@@ -1,0 +1,199 @@
+"""PDB and PDBx/mmCIF files, with the mistakes refused of which a simulation would make nonsense."""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from openmm import Vec3, app, unit
+from openmm.unit import Quantity
+
+from openmm_sier.dynamics.constants import GRAM_PER_CM3
+from openmm_sier.inputs.alternates import find_alternates
+from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.system.notices import notify
+
+#: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
+TWICE = "WARNING: duplicate atom "
+
+#: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
+DENSEST = 30.0
+
+#: The last column of the coordinates of an atom in a PDB file.
+COORDINATES_END = 54
+
+READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
+
+
+class ForceFieldError(ValueError):
+    """No force field is named, found or applied, or there are no coordinates that one could be for."""
+
+
+def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
+    """Read a PDB or PDBx/mmCIF file.
+
+    Args:
+        path: of the file.
+        edges: of its periodic box, see `box_of`.
+
+    Raises:
+        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer of two alternate
+            places first, or a box that cannot hold its atoms.
+        OSError: the file cannot be read.
+    """
+    kind = kind_of(path)
+    if kind not in READERS:
+        raise ForceFieldError(f"{path} is no PDB file with atoms")
+    if kind == PDB:
+        _check_edges(path)
+        _check_lines(path)
+    _check_alternates(path, kind)
+    with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
+        warnings.filterwarnings("error", TWICE)
+        try:
+            file = READERS[kind](str(path))
+        except UserWarning as twice:
+            raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
+    file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
+    check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    return file
+
+
+def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
+    """The periodic box of a file: its own or, where it has none, a rectangular one with three edges in nm, if given.
+
+    Raises:
+        ForceFieldError: both are given.
+    """
+    if edges is None:
+        return box
+    if box is not None:
+        raise ForceFieldError(f"{path} has a periodic box of its own: leave out --edges")
+    return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
+
+
+def box_vectors(topology: app.Topology) -> np.ndarray | None:
+    """Vectors of the periodic box in rows, (3, 3), nm; None without one."""
+    vectors = topology.getPeriodicBoxVectors()
+    return None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
+
+
+def extent(vectors: np.ndarray) -> str:
+    """Lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
+
+    Args:
+        vectors: of the box in rows, (3, 3), nm.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    edges = f"{' x '.join(f'{edge:.4f}' for edge in lengths)} nm"
+    a, b, c = vectors / lengths[:, None]
+    angles = [f"{np.degrees(np.arccos(one @ two)):.2f}" for one, two in ((b, c), (a, c), (a, b))]
+    if set(angles) == {"90.00"}:
+        return edges
+    return f"{edges} with angles of {angles[0]}, {angles[1]} and {angles[2]} degrees"
+
+
+def first_line(error: BaseException) -> str:
+    """An error's message on one line."""
+    message = " ".join(str(error).split())
+    # The message of a KeyError is the key alone.
+    return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
+
+
+@contextmanager
+def refusing(what: str = "") -> Iterator[None]:
+    """Make errors of OpenMM's readers `ForceFieldError`; those of files that cannot be read, and our own, stay.
+
+    Args:
+        what: cannot be done, in front of the message.
+    """
+    try:
+        yield
+    except (ForceFieldError, OSError):
+        raise
+    except Exception as error:
+        raise ForceFieldError(f"{what}: {first_line(error)}" if what else first_line(error)) from error
+
+
+def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
+    """Refuse positions (N, 3) in nm of which a simulation would make nonsense; virtual sites may be anywhere.
+
+    Args:
+        path: of the file that they are from, for messages.
+        topology: with the box, and with the elements of all atoms but virtual sites.
+        positions: (N, 3), nm.
+
+    Raises:
+        ForceFieldError: they are no numbers, two atoms are in one place, or the box cannot hold the atoms.
+    """
+    atoms = [atom for atom in topology.atoms() if atom.element is not None]
+    places = positions[[atom.index for atom in atoms]]
+    if not np.isfinite(places).all():
+        raise ForceFieldError(f"{path} has coordinates that are no numbers")
+    order = np.lexsort(places.T)
+    same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
+    if len(same):
+        one, two = (named_atom(atoms[order[same[0] + k]]) for k in (0, 1))
+        raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
+    if (vectors := box_vectors(topology)) is None:
+        return
+    volume = abs(float(np.linalg.det(vectors)))
+    mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
+    if not mass < DENSEST * GRAM_PER_CM3 * volume:
+        raise ForceFieldError(
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
+            "where there is none, in a PDB file the record CRYST1"
+        )
+
+
+def has_end(path: str | Path) -> bool:
+    """Return whether a PDB file has the record that is its last one."""
+    return any(record.split() == ["END"] for record in Path(path).read_text(errors="replace").splitlines())
+
+
+def _check_lines(path: str | Path) -> None:
+    """Refuse a file that ends within a coordinate, of which OpenMM would read the digits that are left."""
+    for number, line in enumerate(Path(path).read_text(errors="replace").splitlines(), 1):
+        if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
+            raise ForceFieldError(
+                f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
+                "file is cut off, or is no PDB file"
+            )
+
+
+def _check_alternates(path: str | Path, kind: str) -> None:
+    """Warn of atoms in alternate places, of which OpenMM takes the first, and refuse those whose first is rarer."""
+    found = find_alternates(path, kind)
+    column = "column 17" if kind == PDB else "label_alt_id"
+    for each in found:
+        if each.is_rarer:
+            raise ForceFieldError(
+                f"{path}: {each.residue} has alternate places with the occupancies {each}, and the first, which OpenMM "
+                f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
+            )
+    if found:
+        some = "has" if len(found) == 1 else f"and {len(found)} residues in all have"
+        notify(f"{path}: {found[0].residue} {some} alternate places; the first is taken, of the occupancies {found[0]}")
+
+
+def _check_edges(path: str | Path) -> None:
+    """Refuse the edges of a box that are no lengths."""
+    for record in Path(path).read_text(errors="replace").splitlines():
+        if not record.startswith("CRYST1"):
+            continue
+        try:
+            edges = [float(record[first : first + 9]) for first in (6, 15, 24)]
+        except ValueError:
+            expected = "expected the edges of the box in Angstrom"
+            raise ForceFieldError(f"{path}: {expected}, got {record.strip()!r}") from None
+        if not all(0 < edge < np.inf for edge in edges):
+            raise ForceFieldError(
+                f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
+                "above 0; leave out the record CRYST1 where there is no box"
+            )
+
+
+def named_atom(atom: app.topology.Atom) -> str:
+    """An atom as messages name it."""
+    return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"

@@ -1,0 +1,328 @@
+"""The start of a run: positions and velocities at a temperature."""
+
+import math
+import warnings
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.inputs.report import SILENT, Advance, Report
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.stability.spins import Spins
+from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.system import tables
+from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
+
+#: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
+#: which it grows. Among 512 molecules of water at 297 K the largest is 1000 to 2200.
+LARGE_FORCE = 5e3
+
+#: Equilibration: friction in 1/ps, and a scheme whose step leaves rotations within 0.3 K of translations. SIER2 would
+#: need steps of 0.5 fs for that.
+FRICTION = 5.0
+SCHEME, STEP = SIER4G, 0.006
+
+#: Fraction of the longest step that a system's bonds allow which an equilibration takes, if it is less than `STEP`. At
+#: that longest step, energies of bonds in the kicks are off by a tenth, which falls as the fraction's fourth power.
+SHARE_OF_LONGEST = 0.75
+
+#: Temperatures and potential energies are averaged over windows of this length in ps. The last two windows must agree
+#: with the requested temperature and with each other; earlier ones do not count.
+WINDOW = 1.0
+FEWEST_WINDOWS = 3
+
+#: Steps between two samples of them.
+EVERY = 6
+
+#: ps, after which an equilibration gives up.
+LONGEST = 20.0
+
+#: K. No bound on a temperature is tighter than this, since schemes have errors of their own.
+TIGHTEST = 1.0
+
+#: Least kinetic energy with which a run at constant energy is started, as a fraction of that at its temperature.
+LEAST_MOTION = 0.1
+
+
+class EquilibrationWarning(UserWarning):
+    """An equilibration ended before temperatures and potential energy had settled."""
+
+
+class Means(NamedTuple):
+    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
+
+    translation: float
+    rotation: float
+    flexible: float
+    potential: float
+
+
+class Equilibration(NamedTuple):
+    """The end of an equilibration.
+
+    Attributes:
+        state: positions, velocities and box.
+        time: that it took, ps.
+        means: over the last two windows.
+        settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
+        doubtful: whether it has not settled, and was long enough to, or a temperature is out of its bounds.
+        described: its time and temperatures, with their bounds, in words; empty if it took no time.
+    """
+
+    state: openmm.State
+    time: float
+    means: Means
+    settled: bool
+    doubtful: bool
+    described: str
+
+
+def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
+    """A Context in mixed precision, where there is a choice, with no more threads than cores that this process may use.
+
+    Args:
+        system, integrator: of the Context.
+        platform: its name; None takes the platform that OpenMM takes by itself, the fastest that works here.
+    """
+    chosen = _usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
+    properties, names = {}, chosen.getPropertyNames()
+    if "Precision" in names:
+        properties["Precision"] = "mixed"
+    if "Threads" in names:
+        # OpenMM counts the cores of the machine.
+        properties["Threads"] = str(min(int(chosen.getPropertyDefaultValue("Threads")), cores()))
+    return openmm.Context(system, integrator, chosen, properties)
+
+
+@cache
+def _usual_platform() -> openmm.Platform:
+    particle = openmm.System()
+    particle.addParticle(1.0)
+    return openmm.Context(particle, openmm.VerletIntegrator(0.001)).getPlatform()
+
+
+def prepare(
+    context: openmm.Context,
+    positions: np.ndarray,
+    temperature: float,
+    seed: int = 1,
+    time: float | None = None,
+    minimize: bool | None = None,
+    report: Report = SILENT,
+) -> Equilibration:
+    """Positions and velocities of a new run: minimized, equilibrated, the centre of mass at rest, the clock at zero.
+
+    A run at constant energy gets the kinetic energy that makes its total energy equal to the mean over the
+    equilibration, so that its mean temperature is that of the bath. From a snapshot of the bath it would be off by
+    T sqrt(k/C), with the heat capacity C: 4 K for 512 molecules of water.
+
+    Args:
+        context: with a SIERIntegrator.
+        positions: (N, 3), a quantity.
+        temperature: K.
+        seed: of velocities and noise.
+        time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
+        minimize: whether to minimize first; None does so where forces are larger than in a liquid.
+        report: gets notes and progress.
+
+    Returns:
+        How the equilibration ended.
+    """
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    context.applyConstraints(1e-6)
+    strongest = _strongest_force(context)
+    if minimize or (minimize is None and strongest > LARGE_FORCE):
+        openmm.LocalEnergyMinimizer.minimize(context)
+        energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        report.note(
+            f"minimized to {energy:.5g} kJ/mol: the largest force on a molecule was {strongest:.3g} kJ/mol/nm, and is "
+            f"{_strongest_force(context):.3g}"
+        )
+    found = equilibrate(context, temperature, seed, time, report)
+    context.setState(found.state)
+    stop_centre_of_mass(context)
+    if found.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
+        _set_energy(context, temperature, found.means.potential)
+    context.setTime(0)
+    context.setStepCount(0)
+    return found
+
+
+def _strongest_force(context: openmm.Context) -> float:
+    """Largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
+    bodies = context.getIntegrator().bodies
+    forces = context.getState(forces=True).getForces(asNumpy=True)
+    forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
+    # Bonds pull at the bodies of a molecule much more than its surroundings do.
+    _, molecules, sizes = np.unique(bodies.molecules, return_inverse=True, return_counts=True)
+    owners = molecules[bodies.owners[bodies.owners >= 0]]
+    net = np.linalg.norm([np.bincount(owners, column) for column in forces.T], axis=0)
+    strongest = float((net / np.sqrt(sizes)).max())
+    return strongest if math.isfinite(strongest) else math.inf
+
+
+def equilibrate(
+    context: openmm.Context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
+) -> Equilibration:
+    """Run at constant temperature, and pressure if one is kept, until the liquid has settled.
+
+    It has settled when, over the last two windows of 1 ps,
+
+    - the means of T_trans, T_rot and the temperature of flexible molecules differ from the given temperature by at most
+      T sqrt(2/dof), the canonical standard deviation of a snapshot, or 1 K if that is more. With a friction of 5/ps the
+      mean over 2 ps scatters by a third of that, so one in a hundred windows counts as unsettled by chance;
+    - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
+      canonical standard deviations of the kinetic energy. A start from a lattice still releases many times that, even
+      when the bath already holds the temperature.
+
+    The first window is ignored. The same seed gives the same result where the platform's forces are deterministic.
+
+    Args:
+        context: of a SIERIntegrator. It holds the positions to start from, and the pressure in its integrator or
+            System; it is left as it was.
+        temperature: K.
+        seed: of velocities and noise.
+        time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
+            number it runs for that time, whether the liquid has settled or not, and warns where a temperature is out of
+            its bounds.
+        report: gets notes and progress.
+    """
+    bath = _bath_context(context, temperature, seed)
+    integrator = bath.getIntegrator()
+    dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
+    step = integrator.getStepSize().value_in_unit(unit.picosecond)
+    if step < STEP:
+        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or spins are too fast for longer ones")
+    steps = round((LONGEST if time is None else time) / step)
+    # Windows have nearly equal lengths, so that no short one counts as much as a long one.
+    each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
+    windows: list[Means] = []
+    done, settled = 0, False
+    with report.progress(f"equilibration at {temperature:g} K", steps, step) as advance:
+        while done < steps and not (settled and time is None):
+            length = min(each, steps - done)
+            windows.append(_window(bath, length, advance, done))
+            done += length
+            settled = _has_settled(windows, temperature, dof)
+    last = Means(*np.mean(windows[-2:], axis=0)) if windows else Means(*4 * [math.nan])
+    # Who gives a time may know that it is too short to tell.
+    doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
+    described = _describe(last, done * step, temperature, dof) if done else ""
+    state = bath.getState(positions=True, velocities=True)
+    found = Equilibration(state, done * step, last, settled, doubtful, described)
+    if done:
+        _tell(found, report)
+    return found
+
+
+def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
+    """A copy of a Context at constant temperature, with new velocities."""
+    integrator, platform = context.getIntegrator(), context.getPlatform()
+    pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
+    fast, step = integrator.fastForceGroups, _step_of(context, temperature)
+    langevin = SIERLangevinIntegrator(
+        temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
+    )
+    langevin.setRandomNumberSeed(seed)
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+    bath = openmm.Context(context.getSystem(), langevin, platform, properties)
+    bath.setState(context.getState(positions=True))
+    bath.setVelocitiesToTemperature(temperature, seed)
+    return bath
+
+
+def _step_of(context: openmm.Context, temperature: float) -> float:
+    """Step of an equilibration, ps: the usual one, or one short enough for the bonds and spins of a System."""
+    integrator = context.getIntegrator()
+    system, bodies = context.getSystem(), integrator.bodies
+    groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
+    vibrations, spins = Vibrations(system, bodies), Spins(system, bodies.species, bodies.describe_atoms)
+    vibrations.measure(context)
+    longest = vibrations.longest_step(SCHEME, groups & ~fast, groups & fast)
+    return min(STEP, SHARE_OF_LONGEST * min(longest, spins.longest_step(SCHEME, groups & ~fast, temperature)))
+
+
+def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:
+    """Run for a number of steps after those already done, and average."""
+    integrator, samples = bath.getIntegrator(), []
+    for begin in range(0, steps, EVERY):
+        taken = min(EVERY, steps - begin)
+        integrator.step(taken)
+        potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        samples.append((*integrator.computeTemperatures().in_kelvin()[1:], potential))
+        advance(done + begin + taken)
+    return Means(*np.mean(samples, axis=0).tolist())
+
+
+def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom) -> bool:
+    if len(windows) < FEWEST_WINDOWS:
+        return False
+    earlier, later = windows[-2:]
+    steady = 2 * GAS_CONSTANT * max(temperature, TIGHTEST) * math.sqrt(sum(dof) / 2)
+    means = Means(*np.mean([earlier, later], axis=0))
+    return abs(later.potential - earlier.potential) <= steady and _are_within_bounds(means, temperature, dof)
+
+
+def _are_within_bounds(means: Means, temperature: float, dof: DegreesOfFreedom) -> bool:
+    """Return whether mean temperatures, of what moves at all, are near enough to the temperature asked for."""
+    pairs = zip(means[:3], dof, strict=True)
+    return all(abs(mean - temperature) <= bound(temperature, number) for mean, number in pairs if number)
+
+
+def bound(temperature: float, dof: float) -> float:
+    """Largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
+    return max(temperature * math.sqrt(2 / dof), TIGHTEST)
+
+
+def _describe(means: Means, time: float, temperature: float, dof: DegreesOfFreedom) -> str:
+    """Say how long an equilibration took, and which temperatures it had at its end."""
+    pairs = zip(("T_trans", "T_rot", "T_flexible"), means[:3], dof, strict=True)
+    shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
+    return f"{time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {min(2 * WINDOW, time):.2g} ps"
+
+
+def _tell(found: Equilibration, report: Report) -> None:
+    """Tell of an equilibration, with a warning of a doubtful one."""
+    if found.doubtful:
+        warnings.warn(
+            f"not equilibrated after {found.described}; a temperature is out of bounds, or the potential energy still "
+            "changes. Equilibrate for longer, or minimize first, unless you have",
+            EquilibrationWarning,
+            stacklevel=4,
+        )
+    report.note(f"equilibrated for {found.described}" + ("" if found.settled else "; not settled"))
+
+
+def stop_centre_of_mass(context: openmm.Context) -> None:
+    """Bring the centre of mass of a Context to rest."""
+    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
+    if masses.any():
+        velocities[masses > 0] -= masses @ velocities / masses.sum()
+        context.setVelocities(velocities)
+
+
+def _set_energy(context: openmm.Context, temperature: float, potential: float) -> None:
+    """Scale all velocities so that the total energy is the mean total energy at a temperature.
+
+    Args:
+        context: at the end of an equilibration, the centre of mass at rest.
+        temperature: K.
+        potential: mean potential energy at this temperature, kJ/mol.
+    """
+    integrator = context.getIntegrator()
+    bodies, conserved = integrator.bodies, integrator.conservesMomentum
+    state = context.getState(energy=True, velocities=True)
+    thermal = 0.5 * sum(degrees_of_freedom(bodies, conserved)) * GAS_CONSTANT * temperature
+    now = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    wanted, there = thermal + potential - now, sum(thermal_energies(bodies, integrator.getBodyState(), conserved))
+    if wanted > LEAST_MOTION * thermal and there > 0:
+        context.setVelocities(state.getVelocities(asNumpy=True) * math.sqrt(wanted / there))

@@ -1,1 +1,0 @@
-"""Starts, samples and observables, without a command line."""

@@ -1,0 +1,67 @@
+"""Whether a step is short enough for what vibrates and spins in a System."""
+
+from collections.abc import Callable, Sequence
+
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.species import Species
+from openmm_sier.stability.spins import ROOM_TEMPERATURE, Spins
+from openmm_sier.stability.vibrations import Vibrations
+
+
+class StepCheck:
+    """Refuses steps that are too long for bonds, librations and spins; speaks of those at which the energy walks."""
+
+    def __init__(
+        self,
+        system: openmm.System,
+        bodies: RigidBodies,
+        inner_step: Callable[[Flow, float], float],
+        rigid: Sequence[Species] | None = None,
+    ):
+        """
+        Args:
+            system: openmm.System.
+            bodies: what moves in it.
+            inner_step: the longest step of a flow within drifts, ps, and up to which step bonds bear it where the flow
+                leaves the number of substeps open.
+            rigid: the kinds of rigid body; None: those of `bodies`.
+        """
+        self._spins = Spins(system, bodies.species if rigid is None else rigid, bodies.describe_atoms)
+        self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
+        self._checked: tuple = ()
+
+    def inner_step(self, flow: Flow, groups: int) -> float:
+        """The longest step of a flow within drifts, ps; `groups` are the integration force groups, a bit mask."""
+        borne = self._vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
+        return self._inner_step(flow, borne)
+
+    def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
+        """Check a flow, once, by forces of integration force groups, a bit mask.
+
+        Engines call it before the first step and not earlier: a Context may also be made for energies alone.
+
+        Args:
+            flow: what will be followed.
+            groups: the integration force groups.
+            context: whose positions tell how stiff expressions are; None before there are any.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        if context is not None and self._vibrations.measure(context):
+            self._checked = ()
+        temperature = ROOM_TEMPERATURE if flow.bath is None else flow.bath.temperature
+        checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups, temperature
+        if checked == self._checked:
+            return
+        slow, fast = groups & ~flow.fast_groups, groups & flow.fast_groups
+        self._vibrations.check(flow.scheme, flow.step, slow)
+        self._spins.check(flow.scheme, flow.step, slow, temperature)
+        inner_step = self.inner_step(flow, groups)
+        self._vibrations.check_nested(flow.scheme, flow.scheme.within_drifts, inner_step, flow.step, fast)
+        if flow.constant_energy:
+            self._vibrations.tell_of_walk(flow.scheme, flow.step, slow)
+        self._checked = checked

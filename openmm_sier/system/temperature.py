@@ -1,0 +1,163 @@
+"""Degrees of freedom and temperatures of bodies: one rule for all temperatures of the package.
+
+Where the total momentum is conserved, the motion of the centre of mass is not heat: three degrees of freedom are left
+out, and so is the kinetic energy of that motion, whatever velocities the user has set. Where it is not conserved, a
+heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out. Each
+independent constraint between bodies removes one degree of freedom.
+
+OpenMM's StateDataReporter differs for integrators that do not compute their own temperature: it leaves out three
+degrees of freedom only with a CMMotionRemover, and never the kinetic energy of the centre of mass. By its count a
+drifting box is hotter, and a deterministic run without a CMMotionRemover colder by 1/N. With a SIER integrator it calls
+`computeSystemTemperature`, which follows the rule here.
+
+Total angular momentum is not treated in this way. An isolated cluster conserves it too, but its rotation as a whole is
+part of the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
+"""
+
+import math
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.system.inner_forces import parts
+
+#: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
+COORDINATE = re.compile(r"\b[xyz][1-9]\d*\b")
+
+ALL_GROUPS = 2**32 - 1
+
+
+class DegreesOfFreedom(NamedTuple):
+    """Numbers of degrees of freedom that share the heat.
+
+    Attributes:
+        translation, rotation: of molecules that are one body, and of rigid bodies that linkers join to others. If the
+            centre of mass holds no heat, translation omits its degrees of freedom in proportion to the share of these
+            bodies in the mass, and need not be a whole number.
+        flexible: of the points of other molecules.
+    """
+
+    translation: float
+    rotation: float
+    flexible: float = 0.0
+
+
+class Temperatures(NamedTuple):
+    """Temperatures; NaN where there are no degrees of freedom.
+
+    Engines have numbers in K. Users get quantities, as from OpenMM.
+
+    Attributes:
+        total: of all motion.
+        translation, rotation: of molecules that are one body, rigid or a point, and of rigid bodies that linkers join
+            to others.
+        flexible: of the points of other molecules.
+    """
+
+    total: Any
+    translation: Any
+    rotation: Any
+    flexible: Any = math.nan
+
+    def in_kelvin(self) -> "Temperatures":
+        """Numbers in K, from quantities."""
+        return Temperatures(*(found.value_in_unit(unit.kelvin) for found in self))
+
+    def as_quantities(self) -> "Temperatures":
+        """Quantities, from numbers in K."""
+        return Temperatures(*(found * unit.kelvin for found in self))
+
+
+class MomentumConservation:
+    """Whether the total momentum of a System is conserved.
+
+    A CMMotionRemover keeps it at zero, even with a Langevin bath: what the bath adds within one interval is left out
+    with the motion of the centre of mass. Otherwise it is conserved unless one of these changes it: a heat bath of
+    independent kicks (an integrator with a friction above zero, an AndersenThermostat), a CustomExternalForce, an
+    expression of absolute coordinates in a custom force, or fixed particles that act on others. Monte Carlo barostats
+    leave momenta alone. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the temperature
+    about the centre of mass has the right mean in either case.
+
+    Attributes:
+        removed: there is a CMMotionRemover.
+    """
+
+    def __init__(self, system: openmm.System, bodies: RigidBodies):
+        """From a System and the choice of bodies; a particle that belongs to no body is fixed."""
+        forces = system.getForces()
+        fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
+        self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
+        self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
+        self._external_groups = sum({1 << part.group for part in parts(system) if _is_external(part.force)})
+
+    def holds(self, groups: int, has_friction: bool) -> bool:
+        """Tell whether the total momentum is conserved.
+
+        Args:
+            groups: force groups that move the bodies, a bit mask.
+            has_friction: whether the integrator's heat bath kicks each momentum by itself, with a friction above zero.
+        """
+        if self.removed:
+            return True
+        return not (self._changes or self._external_groups & groups & ALL_GROUPS or has_friction)
+
+
+def _is_external(force: openmm.Force) -> bool:
+    """Whether the energy of a Force changes when all particles are shifted together."""
+    if isinstance(force, openmm.CustomExternalForce):
+        return force.getNumParticles() > 0
+    if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
+        return COORDINATE.search(force.getEnergyFunction()) is not None
+    return False
+
+
+def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
+    """Degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
+    apart = _counted_apart(bodies)
+    count = int(apart.sum())
+    share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
+    left_out = 3 if conserved and bodies.n else 0
+    turning = int(np.count_nonzero(bodies.moments[:, apart]))
+    # A single particle has no heat where momentum is conserved.
+    translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - turning - (1 - share) * left_out
+    return DegreesOfFreedom(max(0, translation), turning, max(0, flexible))
+
+
+def _counted_apart(bodies: RigidBodies) -> np.ndarray:
+    """Tell which bodies have temperatures of translation and rotation, (n,): their momenta are independent.
+
+    No constraint joins a rigid body to anything else, so that this also holds for the domains of a flexible molecule.
+    """
+    return ~bodies.flexible | bodies.moments.any(axis=0)
+
+
+def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
+    """Kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
+
+    Where the total momentum is `conserved`, the motion with the centre of mass is left out.
+    """
+    p = state.p
+    if conserved and bodies.n:
+        p = p - bodies.masses * bodies.centre_velocity(p)[:, None]
+    moving = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
+    turning = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+    apart = _counted_apart(bodies)
+    return float(moving[apart].sum()), float(turning[apart].sum()), float(moving[~apart].sum())
+
+
+def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
+    """Temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
+    energies = thermal_energies(bodies, state, conserved)
+    dof = degrees_of_freedom(bodies, conserved)
+    return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))
+
+
+def temperature(energy: float, dof: float) -> float:
+    """Temperature in K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
+    return 2 * energy / (dof * GAS_CONSTANT) if dof > 0 else math.nan

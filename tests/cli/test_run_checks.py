@@ -1,0 +1,161 @@
+"""Runs whose energy or temperature runs away end with a code of their own and keep the last good checkpoint."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier.cli import main, results, run_checks
+from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.plan import Options, new_plan
+from openmm_sier.inputs import starts
+from openmm_sier.observe import conservation
+from openmm_sier.stability.runaway import HOTTEST, RunawayError
+from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
+from tests.support.commands import SMALL, complaint, frames, log
+
+
+def plan(ensemble="nve", **options):
+    return new_plan(Options(Path("box.pdb"), ensemble=ensemble, **options))
+
+
+def looked_at(dof, *temperatures):
+    """Hold temperatures of translation, rotation and flexible molecules against the bounds of a run at 297 K."""
+    integrator = SimpleNamespace(computeTemperatures=Temperatures(math.nan, *temperatures).as_quantities)
+    run_checks.check(SimpleNamespace(getIntegrator=lambda: integrator), run_checks.bounds(plan(), dof))
+
+
+# --- the bounds ---
+
+
+def test_temperatures_that_stop():
+    looked_at(DegreesOfFreedom(1500, 1500), 2900, 2900, math.nan)
+    # Points do not rotate.
+    looked_at(DegreesOfFreedom(1500, 0), 297, math.nan, math.nan)
+    for T in (3100, math.inf, math.nan):
+        with pytest.raises(RunawayError, match=r"temperature of translation is .* K, above 3000 K"):
+            looked_at(DegreesOfFreedom(1500, 1500), T, 297, math.nan)
+
+
+@pytest.mark.slow
+def test_few_degrees_of_freedom_may_be_hot_by_chance():
+    """Of 3 degrees of freedom at 297 K, 10^7 samples; the bound's own claim is a chance of e^-50."""
+    hottest = 297 * np.random.default_rng(2).chisquare(3, 10**7).max() / 3
+    assert hottest > 3000
+    looked_at(DegreesOfFreedom(3, 0), hottest, math.nan, math.nan)
+    with pytest.raises(RunawayError):
+        looked_at(DegreesOfFreedom(3, 0), 13_000, math.nan, math.nan)
+
+
+# --- runs ---
+
+
+def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
+    long = ["run", box, *SMALL, "--scheme", "sier2", "--dt", "20", "--time", "20", "--checkpoint-every", "0.02"]
+    message = complaint(capsys, *long, code=run_checks.EXIT_CODE)
+    assert "ran away at step" in message
+    assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
+    rows, (_, notes) = log("box.csv"), checkpoints.read_checkpoint(Path("box.chk"))
+    assert f"The last checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message
+    # Nothing that is out of bounds has got to a file.
+    assert rows["Temperature (K)"].max() < HOTTEST
+    assert notes["step"] in (rows["Step"][-1], rows["Step"][-1] + 1)
+    # The way on that the message names.
+    again = ["run", str(box), "--start", "box.chk", "--out", "again.dcd", "--scheme", "sier2", "--dt", "2"]
+    assert main.main([*again, "--steps", "20", "--platform", "Reference"]) == 0
+
+
+@pytest.mark.slow
+def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatch):
+    """Frames at every 5th step, rows at every 10th and checkpoints at every 25th; 50 is a step for all of them."""
+
+    def run_away(context, bounds):
+        if context.getStepCount() >= 50:
+            raise RunawayError("too hot")
+
+    monkeypatch.setattr(run_checks, "check", run_away)
+    message = complaint(capsys, "run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4", code=run_checks.EXIT_CODE)
+    assert "of step 25" in message
+    assert "4 fs is not above the 4 fs that is usual for SIER4G" in message
+    _, notes = checkpoints.read_checkpoint(Path("box.chk"))
+    assert notes["step"] == 25
+    assert log("box.csv")["Step"][-1] == 40
+    assert frames(Path("box.dcd"), box).n_frames == 9
+
+
+@pytest.mark.slow
+def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
+    monkeypatch.setattr(starts, "STEP", 0.034)
+    monkeypatch.setattr(starts, "SHARE_OF_LONGEST", 10.0)
+    message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=run_checks.EXIT_CODE)
+    assert "the equilibration broke down" in message
+    assert not list(Path().iterdir())
+
+
+def test_other_errors_of_openmm_are_no_runaway(box, capsys, monkeypatch):
+    def fails(*_):
+        raise openmm.OpenMMException("the device was lost")
+
+    monkeypatch.setattr("openmm_sier.integrators.integrator.SIERIntegrator.step", fails)
+    assert complaint(capsys, "run", box, *SMALL, "--equilibrate", "0") == "openmm-sier: the device was lost\n"
+
+
+# --- the warning in the table ---
+
+
+def fluctuating(rms, time=10.0, drift=0.0, interval=0.04):
+    """A made-up log: V of rms 60 kJ/mol and H of some rms, and drift in 1/ps."""
+    rng = np.random.default_rng(3)
+    t = interval * np.arange(round(time / interval) + 1)
+    return {
+        "Time (ps)": t,
+        "Conserved Energy (kJ/mole)": rng.normal(0, rms, t.size) + drift * t,
+        "Potential Energy (kJ/mole)": rng.normal(-20000, 60, t.size),
+    }
+
+
+@pytest.mark.parametrize(
+    ("scheme", "log", "warns"),
+    [
+        # In percent of rms(V); a straight line and a mean take some of the 25 deviations in a window.
+        ("sier2", fluctuating(0.013 * 60), False),
+        ("sier2", fluctuating(0.04 * 60), True),
+        ("sier4g", fluctuating(0.0041 * 60), False),
+        ("sier4g", fluctuating(0.015 * 60), True),
+        # 0.005 kJ/mol/ps for 100 ns at 0.08 %: rms(H) is 144 kJ/mol, by drift alone.
+        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125), False),
+        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125, interval=10), False),
+        ("sier4g", fluctuating(1.0, time=0.2), False),
+    ],
+    ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "sparse drift", "few rows"],
+)
+def test_fluctuations_that_are_warned_about(scheme, log, warns):
+    assert (run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
+    assert run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="nvt"), log) is None
+
+
+def test_table_of_a_bath():
+    """The mean of V, and the drift of H as heat; with OpenMM's baths H is not known, and trials have errors instead."""
+    log = fluctuating(0.0, drift=2.0) | {f"Momentum {axis} (dalton nm/ps)": np.zeros(251) for axis in "xyz"}
+    log |= {name: np.full(251, 297.0) for name in conservation.TEMPERATURES}
+    rows = dict(results.rows(log, "nvt", moves_volume=False))
+    # V has an rms of 60 kJ/mol, and 251 samples.
+    assert float(rows["potential energy V"].split()[0]) == pytest.approx(-20000, abs=5 * 60 / np.sqrt(251))
+    assert float(rows["heat of the steps, which the bath takes up"].split()[0]) == pytest.approx(2)
+    assert "rms(H)/rms(V)" not in rows
+    unknown = log | {"Conserved Energy (kJ/mole)": np.full(251, np.nan)}
+    for table in (results.rows(unknown, "nvt", moves_volume=False), results.rows(log, "hmc", moves_volume=False)):
+        assert not any(name.startswith("heat") for name, _ in table)
+
+
+@pytest.mark.slow
+def test_table_warns_of_a_step_that_is_too_long(box, capsys):
+    options = ["run", str(box), *SMALL, "--scheme", "sier2", "--time", "0.4", "--overwrite"]
+    for dt, warns in (("2", False), ("8", True)):
+        assert main.main([*options, "--dt", dt]) == 0
+        out = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert ("WARNING: rms" in out) == warns
+    assert "the step of 8 fs is too long for SIER2, for which 2 fs is usual" in out

@@ -1,0 +1,132 @@
+"""PDB files that are refused, and how interactions are cut off in those that are not."""
+
+import numpy as np
+import pytest
+from openmm import app, unit
+
+from openmm_sier.inputs.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, describe, read_box
+from openmm_sier.inputs.inputs import read_input
+from openmm_sier.inputs.pdb_files import box_vectors, extent
+from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.inputs import write_pdb
+from tests.support.waters import force_of
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory):
+    """Of a box of 27 molecules, the first record that of the force field, the second that of the box."""
+    return write_lattice(tmp_path_factory.mktemp("box") / "box.pdb").read_text().splitlines(keepends=True)
+
+
+def with_edges(lines, a, b, c):
+    return [lines[0], f"CRYST1{a:>9}{b:>9}{c:>9}  90.00  90.00  90.00 P 1           1\n", *lines[2:]]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # Its geometry is that of several models.
+        (lambda lines: lines[1:], "no force field is named: give its files with --forcefield"),
+        (lambda lines: [*lines[:5], lines[4], *lines[5:]], r"has an atom twice: .*HETATM +3 +H2 +HOH A +1"),
+        # A molecule once more, under a number of its own.
+        (
+            lambda lines: [*lines[:-2], *(line.replace("HOH A   1", "HOH A  99") for line in lines[2:5]), *lines[-2:]],
+            r"atom .* \(.* of HOH 1\) and atom .* \(.* of HOH 99\) are in the same place",
+        ),
+        (
+            lambda lines: with_edges(lines, "0.000", "0.000", "0.000"),
+            "edges of 0, 0, 0 Angstrom, expected lengths above 0",
+        ),
+        (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "expected the edges of the box in Angstrom, got"),
+        (lambda lines: with_edges(lines, "1.000", "1.000", "1.000"), "a volume of 0.001 nm3, too small for its 486"),
+        (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
+        # The last number of the last atom would be 1.
+        (
+            lambda lines: [*lines[:-3], lines[-3][:49]],
+            "line 83 ends within the coordinates of an atom, before column 54",
+        ),
+        (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are no numbers"),
+    ],
+)
+def test_boxes_that_are_refused(tmp_path, lines, change, message):
+    path = tmp_path / "box.pdb"
+    path.write_text("".join(change(lines)))
+    with pytest.raises(ForceFieldError, match=message) as refusal:
+        read_box(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ((90, 90, 90), "1.4000 x 1.4000 x 1.4000 nm"),
+        # A truncated octahedron.
+        ((109.47, 109.47, 109.47), "1.4000 x 1.4000 x 1.4000 nm with angles of 109.47, 109.47 and 109.47 degrees"),
+        ((90, 90, 120), "1.4000 x 1.4000 x 1.4000 nm with angles of 90.00, 90.00 and 120.00 degrees"),
+    ],
+)
+def test_a_box_that_is_not_rectangular_is_told_with_its_angles(tmp_path, lines, angles, expected):
+    path, shown = tmp_path / "box.pdb", "".join(f"{angle:7.2f}" for angle in angles)
+    path.write_text("".join([lines[0], f"CRYST1{14:9.3f}{14:9.3f}{14:9.3f}{shown} P 1           1\n", *lines[2:]]))
+    box = read_box(path)
+    assert extent(box_vectors(box.topology)) == expected
+    assert f"residues in {expected} at" in describe(box)
+
+
+@pytest.mark.parametrize("ending", [[], ["END\n"]])
+@pytest.mark.parametrize("name", ["box.pdb", "box.cif"])
+def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, ending):
+    """Seven of 27 molecules are left, and 0.26 g/ml."""
+    path = tmp_path / "box.pdb"
+    path.write_text("".join([*lines[:23], *ending]))
+    if name == "box.cif":
+        pdb = app.PDBFile(str(path))
+        path = write_pdb(tmp_path / name, pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
+    with pytest.warns(
+        UserWarning, match=r"0.26 g/ml in their box, less than a liquid. Unless it is a gas or has surfaces"
+    ) as told:
+        box = read_input(path, files=["tip3p.xml"])
+    assert "at 0.259 g/ml, PME" in describe(box)
+    lacks_end = name == "box.pdb" and not ending
+    assert ("the file, which has no record END, is cut off" in str(told[-1].message)) == lacks_end
+
+
+def test_half_a_liquid_is_told_without_a_warning(tmp_path, lines, recwarn):
+    path = tmp_path / "box.pdb"
+    path.write_text("".join(lines[:44]))
+    assert "at 0.517 g/ml, PME" in describe(read_input(path))
+    assert not recwarn.list
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("interactions", "cutoff", "switch", "tolerance"),
+    [
+        (Interactions(), 0.9, 0.75, EWALD_TOLERANCE),
+        (Interactions(0.8, 0.6, 2e-4), 0.8, 0.6, 2e-4),
+        (Interactions(switch=0.0), 0.9, None, EWALD_TOLERANCE),
+        # The default of the switch follows the cut-off.
+        (Interactions(0.6), 0.6, 0.5, EWALD_TOLERANCE),
+    ],
+)
+def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, tolerance):
+    system = read_box(SYSTEMS / "tip3p-512.pdb", interactions=interactions).system
+    force = force_of(system)
+    assert force.getCutoffDistance()._value == cutoff
+    assert force.getEwaldErrorTolerance() == tolerance
+    assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "interactions", "message"),
+    [
+        ("tip3p-512.pdb", Interactions(1.5), "a cut-off of 1.5 nm needs a box wider than 3 nm, got 2.48"),
+        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch begins below the cut-off of 0.9 nm, got 0.9"),
+        ("tip4p-1.pdb", Interactions(0.9), "a cut-off or switch needs a periodic box"),
+    ],
+)
+def test_interactions_that_do_not_fit_a_box(name, interactions, message):
+    with pytest.raises(ForceFieldError, match=message):
+        read_box(SYSTEMS / name, interactions=interactions)

@@ -1,0 +1,196 @@
+"""The start of a run: settled, at the temperature, with the energy that keeps it there."""
+
+import math
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+from openmm_sier import SIER4G, SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.inputs import forcefields, starts
+from openmm_sier.inputs.starts import EquilibrationWarning, equilibrate, prepare
+from tests.support import solutes
+from tests.support.commands import write_lattice
+from tests.support.reports import Told
+from tests.support.seeded import seeded
+from tests.support.silence import silence
+from tests.support.solutes import spc, system_of
+from tests.support.systems import assembled, field, with_forces
+from tests.support.tethers import falling_water, tethered_water
+from tests.support.waters import energies, phase_point, platform
+
+TEMPERATURE = 300.0
+
+
+def context_of(system, positions, integrator=None):
+    context = openmm.Context(system, integrator or SIER2Integrator(0.001), platform())
+    context.setPositions(positions)
+    return context
+
+
+@pytest.fixture(scope="module")
+def tethered():
+    return tethered_water(60)
+
+
+@pytest.mark.slow
+def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
+    """From springs at rest: half of the energy has still to come when the bath has the temperature already."""
+    told = Told()
+    found = equilibrate(context_of(*tethered), TEMPERATURE, report=told)
+    assert found.settled
+    assert 3 <= found.time < starts.LONGEST
+    # 180 degrees of freedom each: the bounds.
+    bound = TEMPERATURE * math.sqrt(2 / 180)
+    assert abs(found.means.translation - TEMPERATURE) < bound
+    assert abs(found.means.rotation - TEMPERATURE) < bound
+    # 360 springs with kT/2 each, known over 2 ps to a tenth (a correlation time of 0.2 ps); four times that.
+    thermal = 180 * GAS_CONSTANT * TEMPERATURE
+    assert found.means.potential == pytest.approx(thermal, rel=4 * math.sqrt(2 / 360 / 5))
+    (note,) = told.notes
+    assert "not settled" not in note
+    ((_, fractions),) = told.runs
+    assert fractions == sorted(fractions)
+
+
+@pytest.mark.slow
+def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
+    """80 waters fall at their terminal velocity, g over the friction of 5/ps, 0.15 nm/ps.
+
+    Translations are warmer by m v^2/3R = 16 K, within the bound of 27 K, but 160 kJ/mol of potential energy a ps go to
+    the bath, where two standard deviations of the kinetic energy are 77 kJ/mol.
+    """
+    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    with pytest.warns(EquilibrationWarning, match="not equilibrated after 4"):
+        found = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
+    assert not found.settled
+    assert abs(found.means.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
+
+
+@pytest.mark.slow
+def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
+    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
+    with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
+        found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
+    assert not found.settled
+
+
+@pytest.mark.parametrize("time", [0.0, 0.06])
+def test_a_time_that_is_given_is_kept(tethered, time):
+    told = Told()
+    found = equilibrate(context_of(*tethered), TEMPERATURE, time=time, report=told)
+    assert found.time == pytest.approx(time)
+    assert not found.settled
+    # Springs at rest take up half of the heat in 0.06 ps.
+    assert found.doubtful == bool(time)
+    assert len(told.notes) == bool(time)
+    assert all(note.endswith("not settled") for note in told.notes)
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_the_step_follows_the_bonds(fast):
+    """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
+    system, positions = system_of([spc(), spc()])
+    groups = prepare_system(system).fastForceGroups if fast else None
+    told = Told()
+    with silence():
+        context = context_of(system, positions, SIER4GIntegrator(0.002, fastForceGroups=groups))
+        found = equilibrate(context, TEMPERATURE, time=0.05, report=told)
+    period = 2 * math.pi * math.sqrt(1 / (solutes.WITH_HYDROGEN * (1 / 1.008 + 1 / 15.999)))
+    step = 0.75 * (0.45 * period if fast else SIER4G.accuracy_limit * period / (2 * math.pi))
+    assert f"equilibrates in steps of {1000 * step:.2g} fs" in told.notes[0]
+    assert found.time == pytest.approx(round(0.05 / step) * step)
+    # Bonds in the kicks are followed to a few per cent. Velocities are drawn: 12 degrees of freedom, four deviations.
+    assert 0 < found.means.flexible < TEMPERATURE * (1 + 4 * math.sqrt(2 / 12))
+
+
+def test_without_an_equilibration_velocities_are_drawn(tethered):
+    context = context_of(*tethered)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, time=0)
+    # 360 degrees of freedom, 7 % of scatter; four times that.
+    assert context.getIntegrator().computeTemperatures().in_kelvin().total == pytest.approx(TEMPERATURE, rel=0.3)
+
+
+def test_it_is_decided_by_the_seed(tethered):
+    ends = []
+    for seed in (1, 1, 2):
+        context = context_of(*tethered)
+        prepare(context, tethered[1] * unit.nanometer, TEMPERATURE, seed, time=0.06)
+        ends.append(np.array(phase_point(context)))
+    assert np.array_equal(ends[0], ends[1])
+    assert not np.array_equal(ends[0], ends[2])
+
+
+@pytest.mark.slow
+def test_energy_of_a_run_at_constant_energy_is_the_mean_of_the_equilibration(tethered):
+    """Mean potential energy, and kT/2 for each of the 360 degrees of freedom, which springs leave all of them."""
+    context = context_of(*tethered)
+    found = equilibrate(context, TEMPERATURE)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
+    expected = found.means.potential + 180 * GAS_CONSTANT * TEMPERATURE
+    assert sum(energies(context)) == pytest.approx(expected, rel=1e-9)
+    # A snapshot of the bath has another energy, which is what this is for.
+    context.setState(found.state)
+    assert sum(energies(context)) != pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
+    context = context_of(*tethered, SIERLangevinIntegrator(TEMPERATURE, 1.0, 0.001))
+    found = equilibrate(context, TEMPERATURE)
+    prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
+    _, velocities = phase_point(context)
+    expected = found.state.getVelocities(asNumpy=True)._value
+    masses = np.array([tethered[0].getParticleMass(i)._value for i in range(len(expected))])
+    # But for the motion of the centre of mass, and the rounding of a fit to rigid bodies.
+    np.testing.assert_allclose(velocities, expected - masses @ expected / masses.sum(), atol=1e-12)
+    assert np.abs(masses @ velocities).max() < 1e-10
+
+
+@pytest.mark.slow
+def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path):
+    """Positions and volume at the end of the equilibration are those at the start of the run."""
+    box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))
+    box.system.addForce(seeded(openmm.MonteCarloBarostat(2e4, 297.0, 2), 1))
+    context = starts.make_context(box.system, SIER2Integrator(0.001), "Reference")
+    context.setPositions(box.positions)
+    context.computeVirtualSites()
+    context.applyConstraints(1e-6)
+    end = equilibrate(context, 297.0, time=0.1).state
+    prepare(context, box.positions, 297.0, time=0.1, minimize=False)
+    state = context.getState(positions=True)
+    assert state.getPeriodicBoxVolume() == end.getPeriodicBoxVolume()
+    initial = np.prod([vector[i]._value for i, vector in enumerate(box.system.getDefaultPeriodicBoxVectors())])
+    assert state.getPeriodicBoxVolume()._value != pytest.approx(initial, rel=1e-3)
+    # Positions are fitted to rigid bodies, which rounds them.
+    positions, expected = (s.getPositions(asNumpy=True)._value for s in (state, end))
+    assert np.abs(positions - expected).max() < 1e-14
+
+
+def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
+    """OpenMM counts those of the machine; who has set fewer keeps them."""
+    cpu = platform("CPU")
+    usual = cpu.getPropertyDefaultValue("Threads")
+    monkeypatch.setattr(starts, "cores", lambda: 2)
+    try:
+        for default, found in (("3", "2"), ("1", "1")):
+            cpu.setPropertyDefaultValue("Threads", default)
+            context = starts.make_context(system_of([spc()])[0], openmm.VerletIntegrator(0.001), "CPU")
+            assert cpu.getPropertyValue(context, "Threads") == found
+            assert cpu.getPropertyDefaultValue("Threads") == default
+    finally:
+        cpu.setPropertyDefaultValue("Threads", usual)
+
+
+def test_the_force_that_calls_for_a_minimization_does_not_grow_with_a_molecule():
+    """On molecules of 100 atoms, in one field for all: 100 times the force on an atom, over the root of 100."""
+    bonds = openmm.HarmonicBondForce()
+    for i in range(200):
+        if i % 100:
+            bonds.addBond(i - 1, i, 0.15, 0.0)
+    system = assembled(200 * [12.0], bonds, field("-7*x", range(200)))
+    line = np.arange(200)[:, None] * [0.15, 0.0, 0.0]
+    assert starts._strongest_force(context_of(system, line)) == pytest.approx(70.0)

@@ -1,0 +1,282 @@
+"""Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
+
+import math
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
+from openmm_sier.stability.vibrations import Vibrations
+from tests.support.silence import silence
+from tests.support.systems import assembled, field
+from tests.support.waters import cluster_system, context_at, platform
+
+#: kJ/mol/nm^2.
+K = 1e5
+
+
+def bond(energy, atoms=(0, 1), **parameters):
+    """A CustomBondForce with one term, all of whose parameters are global."""
+    force = openmm.CustomBondForce(energy)
+    for name, value in parameters.items():
+        force.addGlobalParameter(name, value)
+    force.addBond(*atoms, [])
+    return force
+
+
+def compound(energy, atoms):
+    force = openmm.CustomCompoundBondForce(len(atoms), energy)
+    force.addBond(atoms, [])
+    return force
+
+
+def measured(system, positions, bodies=None, **parameters):
+    """The motions that are found at positions (N, 3) in nm, with values of global parameters."""
+    vibrations = Vibrations(system, bodies or RigidBodies.from_system(system))
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(np.array(positions, dtype=float))
+    for name, value in parameters.items():
+        context.setParameter(name, value)
+    assert vibrations.measure(context)
+    assert not vibrations.measure(context)
+    return vibrations._bonds
+
+
+def squares(motions):
+    return [(2 * math.pi / motion.period) ** 2 for motion in motions]
+
+
+@pytest.mark.parametrize("stretch", [-0.003, 0.0, 0.003])
+@pytest.mark.parametrize(
+    ("energy", "curvature"),
+    [
+        ("50000*(r-0.1)^2", lambda x: K),
+        # As AMOEBA has it.
+        ("50000*(d^2-20*d^3); d=r-0.1", lambda x: K * (1 - 60 * x)),
+        ("depth*(1-exp(-20*(r-0.1)))^2", lambda x: 2 * 125 * 400 * (2 * math.exp(-40 * x) - math.exp(-20 * x))),
+    ],
+)
+def test_a_bond_has_the_period_of_its_curvature_where_it_is(energy, curvature, stretch):
+    system = assembled([1.0, 16.0], bond(energy, **({"depth": 125.0} if "depth" in energy else {})))
+    (found,) = measured(system, [[0, 0, 0], [0, 0.06, 0.08 + stretch * 1.25]])
+    x = math.hypot(0.06, 0.08 + stretch * 1.25) - 0.1
+    # Displacements of 1e-5 nm leave 1e-6 by the fourth derivative.
+    assert squares([found])[0] == pytest.approx(curvature(x) * (1 + 1 / 16), rel=1e-5)
+    assert found.atoms == (0, 1)
+
+
+def test_every_term_counts_with_its_own_parameters_and_masses():
+    force = openmm.CustomBondForce("k*(r-0.1)^2/2")
+    force.addPerBondParameter("k")
+    for atoms, k in (((1, 0), K), ((3, 2), 4 * K), ((4, 5), 2 * K)):
+        force.addBond(*atoms, [k])
+    system = assembled([1.0, 16.0, 12.0, 12.0, 0.0, 4.0], force)
+    x = [[0, 0, 0], [0.1, 0, 0], [1, 0, 0], [1, 0.1, 0], [2, 0, 0], [2, 0, 0.1]]
+    (found,) = measured(system, x)
+    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 16), rel=1e-5)
+    assert found.atoms == (1, 0)
+
+
+def test_parameters_are_those_of_the_context():
+    system = assembled([1.0, 1.0], bond("scale*50000*(r-0.1)^2", scale=1.0))
+    x = [[0, 0, 0], [0.1, 0, 0]]
+    assert squares(measured(system, x, scale=0.25)) == pytest.approx([0.25 * K * 2], rel=1e-5)
+    assert measured(system, x, scale=0.0) == []
+
+
+def test_nearest_images_are_those_of_the_box():
+    force = bond("50000*(r-0.1)^2")
+    force.setUsesPeriodicBoundaryConditions(True)
+    assert squares(measured(assembled([1.0, 1.0], force), [[0, 0, 0], [1.9, 0, 0]])) == pytest.approx([K * 2], rel=1e-5)
+
+
+def test_bonds_within_a_body_or_held_by_a_constraint_do_not_count():
+    system = assembled([1.0, 16.0, 1.0], bond("50000*(r-0.1)^2"))
+    x = np.array([[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0]])
+    named = RigidBodies.from_system(system, rigid=[[0, 1, 2]], positions=x)
+    assert measured(system, x, named) == []
+    assert len(measured(system, x)) == 1
+    system.addConstraint(0, 1, 0.1)
+    assert measured(system, x) == []
+
+
+def test_a_term_of_three_atoms_has_the_fastest_of_its_modes():
+    """The asymmetric stretch of a molecule in line: k (1/m + 2/M); and with one bond held, that of m against m + M."""
+    chain = "50000*((distance(p1,p2)-0.1)^2+(distance(p2,p3)-0.1)^2)"
+    system = assembled([16.0, 12.0, 16.0], compound(chain, [0, 1, 2]))
+    x = [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
+    (found,) = measured(system, x)
+    assert squares([found])[0] == pytest.approx(K * (1 / 16 + 2 / 12), rel=1e-5)
+    assert found.atoms == (0, 1, 2)
+    system.addConstraint(0, 1, 0.1)
+    assert squares(measured(system, x)) == pytest.approx([K * (1 / 16 + 1 / 28)], rel=1e-5)
+
+
+def test_what_is_far_from_its_minimum_is_no_vibration():
+    """Two atoms that overlap in a start, and a restraint that does not hold yet."""
+    # 4 epsilon (s/r)^12 with the curvature 4e6 kJ/mol/nm^2 at 0.2 nm.
+    overlap = bond("0.4*4*((0.34/r)^12-(0.34/r)^6)")
+    system = assembled(3 * [12.0], overlap, bond("50000*(r-0.1)^2", (0, 2)))
+    x = [[0, 0, 0], [0.2, 0, 0], [0, 0.4, 0]]
+    assert measured(system, x) == []
+    x[2] = [0, 0.11, 0]
+    assert squares(measured(system, x)) == pytest.approx([K / 6], rel=1e-5)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
+    system = assembled([1.0, 16.0], bond("231375*(r-0.1)^2"))
+    integrator = SIERIntegrator(0.006, SIER4G, engine=engine)
+    x = np.array([[0, 0, 0], [0.1, 0, 0]])
+    context = context_at(system, integrator, (x, 0 * x))
+    period = 2 * math.pi / math.sqrt(462750 * (1 + 1 / 16))
+    with pytest.raises(openmm.OpenMMException) as refusal:
+        integrator.step(1)
+    said = "A step of 6 fs is too long: the bond between atoms 0 and 1 by CustomBondForce is not constrained and has a"
+    assert f"{said} period of {1000 * period:.3g} fs" in str(refusal.value)
+    assert context.getStepCount() == 0
+    assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, x)
+    integrator.setStepSize(0.003)
+    with silence():
+        integrator.step(1)
+
+
+def test_a_stiff_restraint_is_refused_by_what_causes_it():
+    system = assembled([1.0], field("k*x^2/2", [0], k=1e6))
+    integrator = SIERIntegrator(0.006, SIER2)
+    context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
+    with pytest.raises(openmm.OpenMMException, match="the motion that CustomExternalForce causes of atom 0 is"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+# --- collective variables ---
+
+
+def variable(energy, **variables):
+    force = openmm.CustomCVForce(energy)
+    for name, each in variables.items():
+        force.addCollectiveVariable(name, each)
+    return force
+
+
+def centroids(energy, *groups):
+    force = openmm.CustomCentroidBondForce(len(groups), energy)
+    for group in groups:
+        force.addGroup(group)
+    force.addBond(range(len(groups)), [])
+    return force
+
+
+#: Forces on three atoms of 1, 16 and 12 dalton in a right angle, and the square of the angular frequency.
+SPRINGS = {
+    "a distance": (variable("50000*(d-0.1)^2", d=bond("r")), K * (1 + 1 / 16)),
+    "two distances": (
+        variable("50000*((d-0.1)^2+4*(f-0.12)^2)", d=bond("r"), f=bond("r", (1, 2))),
+        # Of two springs at a right angle none knows of the other, and the second has 4 K (1/16 + 1/12).
+        K * (1 + 1 / 16),
+    ),
+    "nested": (variable("e", e=variable("50000*(d-0.1)^2", d=bond("r"))), K * (1 + 1 / 16)),
+    "centroids": (centroids("50000*(distance(g1,g2)-0.1)^2", [0], [1]), K * (1 + 1 / 16)),
+    "centroids as a variable": (
+        variable("50000*(d-0.1)^2", d=centroids("distance(g1,g2)", [0], [1])),
+        K * (1 + 1 / 16),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SPRINGS)
+def test_a_collective_variable_has_the_period_of_its_curvature(kind):
+    force, expected = SPRINGS[kind]
+    x = [[0.1, 0, 0], [0, 0, 0], [0, 0.12, 0]]
+    (found,) = measured(assembled([1.0, 16.0, 12.0], force), x)
+    # Displacements of 1e-5 nm, as above; transverse motions have no stiffness where springs have their lengths.
+    assert squares([found])[0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_rmsd_has_the_period_of_its_curvature():
+    """k N rmsd^2 / 2 pulls each atom to its place but for motions of the whole: k/m for equal masses."""
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(6, 3))
+    force = variable("3*100000*d^2", d=openmm.RMSDForce(x))
+    # At the reference the root has no derivative.
+    displaced = x + 1e-3 * rng.normal(size=x.shape)
+    (found,) = measured(assembled(6 * [16.0], force), displaced)
+    # The best turn changes with the displacement, of which a thousandth remains.
+    assert squares([found])[0] == pytest.approx(K / 16, rel=5e-3)
+
+
+def test_collective_variables_move_bodies_and_leave_constraints():
+    """A point of a body has the mass with which it can move; a distance that is held does not move."""
+    system = assembled([1.0, 16.0, 1.0], variable("50000*(d-0.1)^2", d=bond("r")))
+    x = np.array([[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0]])
+    named = RigidBodies.from_system(system, rigid=[[0, 1, 2]], positions=x)
+    assert measured(system, x, named) == []
+    partly = RigidBodies.from_system(system, rigid=[[1, 2]], positions=x)
+    # Along x the end of the body is turned about its centre: 1/M + r^2/I.
+    centre = 0.1 / 17
+    inertia = 16 * centre**2 + (0.1 - centre) ** 2
+    (found,) = measured(system, x, partly)
+    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 17 + centre**2 / inertia), rel=1e-5)
+    system.addConstraint(0, 1, 0.1)
+    assert measured(system, x) == []
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_a_bias_draws_no_word_and_a_stiff_one_is_refused(engine):
+    """Metadynamics begins with a table of zeros; at 9 fs its step is that of everything else."""
+    table = openmm.Continuous1DFunction(np.zeros(50), 0, 1)
+    bias = variable("table(d)", d=bond("r"))
+    bias.addTabulatedFunction("table", table)
+    x = np.array([[0.1, 0, 0], [0, 0, 0]])
+    with silence():
+        soft = SIERIntegrator(0.009, SIER2, engine=engine)
+        context_at(assembled([12.0, 12.0], bias), soft, (x, 0 * x), steps=1)
+    stiff = variable("231375*(d-0.1)^2", d=bond("r"))
+    stiff.setName("bias")
+    integrator = SIERIntegrator(0.009, SIER2, engine=engine)
+    context = context_at(assembled([1.0, 16.0], stiff), integrator, (x, 0 * x))
+    with pytest.raises(openmm.OpenMMException, match=r"the motion that bias causes of atom 0 .* a period of 8\.96 fs"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_amoebas_flexible_water_is_refused_where_kicks_destroy_it(engine):
+    """Prepared, at 6 fs, it reached 2e15 kJ/mol in one step, and OpenMM crashed."""
+    topology, positions, _ = cluster_system(2)
+    forcefield = app.ForceField("amoeba2018.xml")
+    system = forcefield.createSystem(topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
+    # OpenMM takes long to make a Context of the others, which do not matter here.
+    for i in reversed(range(system.getNumForces())):
+        if system.getForce(i).getName() not in ("AmoebaBondForce", "HarmonicBondForce", "AmoebaAngleForce"):
+            system.removeForce(i)
+    prepare_system(system)
+    integrator = SIERIntegrator(0.006, SIER4G, engine=engine, substeps=8)
+    context = context_at(system, integrator, (positions, 0 * np.array(positions)))
+    with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond between atoms \d and \d"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_a_force_of_which_nothing_is_known_is_named_once():
+    """A collective variable of all pairs: to measure it would take as long as to compute all forces many times."""
+    pairs = openmm.CustomNonbondedForce("r")
+    pairs.addParticle([])
+    pairs.addParticle([])
+    force = variable("50*d^2", d=pairs)
+    force.setName("bias")
+    system = assembled([1.0, 1.0], force)
+    x = np.array([[0, 0, 0], [0.1, 0, 0]])
+    integrator = SIERIntegrator(0.002, SIER4G)
+    with silence():
+        # No bond of a molecule is too fast for this step.
+        context = context_at(system, integrator, (x, 0 * x), steps=1)
+    integrator.setStepSize(6 * unit.femtoseconds)
+    said = r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"
+    with pytest.warns(UserWarning, match=said) as told:
+        integrator.step(2)
+    assert len(told) == 1
+    assert context.getStepCount() == 3

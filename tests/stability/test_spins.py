@@ -1,0 +1,127 @@
+"""Steps in which bodies with a small moment of inertia turn too far: spoken of, and refused at two kicks a turn."""
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.inputs.starts import equilibrate
+from openmm_sier.stability.spins import FAST, Spins
+from tests.support.braced import gas, triangle
+from tests.support.reports import Told
+from tests.support.silence import silence
+from tests.support.systems import field, with_forces
+from tests.support.waters import cluster_system, energies, platform
+
+ENGINES = ("exact", "native")
+MASSES, ARM = [12.0, 16.0, 16.0], 0.116
+
+
+def trimers(degrees, edge=2):
+    return gas(triangle(MASSES, np.radians(degrees), ARM), edge)
+
+
+def moment(degrees):
+    """About the axis: atom 0 against the two others."""
+    height = ARM * np.cos(np.radians(degrees) / 2)
+    return 12 * 32 / 44 * height**2
+
+
+def made(system, integrator, silently=True):
+    """A Context, whose step is judged as before the first step."""
+    context = openmm.Context(system, integrator, platform())
+    if silently:
+        with silence():
+            integrator.binding.check_step()
+    else:
+        integrator.binding.check_step()
+    return context
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("make", [SIER2Integrator, SIER4GIntegrator])
+def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
+    system, _ = trimers(177)
+    scheme = make(0.001).scheme
+    limit = scheme.accuracy_limit / (FAST * np.sqrt(GAS_CONSTANT * 300 / moment(177)))
+    made(system, make(0.99 * limit, engine=engine))
+    told = r"fs is long: the body of atoms 0, 1, 2, and others like it, have a moment of inertia of only 8e-05"
+    with pytest.warns(UserWarning, match=told):
+        context = made(system, make(1.01 * limit, engine=engine), silently=False)
+    with silence():
+        context.getIntegrator().setStepSize(1.02 * limit)
+    aliased = np.pi / np.sqrt(GAS_CONSTANT * 300 / moment(177))
+    with pytest.raises(openmm.OpenMMException, match=r"is too long: .* turn about that axis by 3\.2 radians"):
+        made(system, make(1.01 * aliased, engine=engine))
+
+
+def test_the_temperature_of_a_bath_counts():
+    system, _ = trimers(177)
+    with pytest.warns(UserWarning, match="at 300 K turn about"):
+        made(system, SIERLangevinIntegrator(300, 1, 0.008), silently=False)
+    made(system, SIERLangevinIntegrator(60, 1, 0.008))
+    made(system, SIERLangevinIntegrator(0, 1, 0.008))
+
+
+def test_where_nothing_turns_them():
+    """A body alone, or among others without forces; a field turns it."""
+    alone, _ = trimers(178, edge=1)
+    made(alone, SIER2Integrator(0.006))
+    without, _ = trimers(178)
+    without.removeForce(0)
+    made(without, SIER2Integrator(0.006))
+    empty = openmm.NonbondedForce()
+    for _ in range(without.getNumParticles()):
+        empty.addParticle(0, 0.3, 0)
+    made(with_forces(without, empty), SIER2Integrator(0.006))
+    with pytest.warns(UserWarning, match="is long: the body of atoms 0, 1, 2"):
+        made(with_forces(alone, field("100*y^2", range(3))), SIER2Integrator(0.006), silently=False)
+
+
+@pytest.mark.parametrize("model", ["tip3p", "tip4pew"])
+def test_molecules_that_are_no_lines_may_take_the_longest_steps(model):
+    _, _, system = cluster_system(3, model)
+    bodies = RigidBodies.from_system(system)
+    with silence():
+        Spins(system, bodies.species, bodies.describe_atoms).check(SIER2Integrator(0.001).scheme, 0.0098, 1)
+
+
+def named(degrees):
+    """The same without constraints, with bodies of the shape that they had."""
+    system, positions = trimers(degrees)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    return system, positions, np.arange(24).reshape(8, 3)
+
+
+def test_named_bodies_are_looked_at_when_positions_tell_their_shape():
+    system, positions, atoms = named(177)
+    integrator = SIERIntegrator(0.02, bodies=atoms.tolist())
+    context = made(system, integrator)
+    context.setPositions(positions)
+    with pytest.raises(openmm.OpenMMException, match="A step of 20 fs is too long: the body of atoms 0, 1, 2"):
+        integrator.step(1)
+    # Those within the rounding of a PDB file of a line are put onto it.
+    system, positions, atoms = named(179.9)
+    context = made(system, SIERIntegrator(0.006, bodies=atoms.tolist()))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300, 1)
+    with silence():
+        # The first step leaves rigid motion of the velocities that OpenMM drew for atoms.
+        context.getIntegrator().step(1)
+        start = sum(energies(context))
+        context.getIntegrator().step(20)
+    # Second order: of some 25 kJ/mol of kinetic energy, a hundredth.
+    assert abs(sum(energies(context)) - start) < 0.3
+
+
+def test_an_equilibration_takes_steps_that_they_bear():
+    system, positions = trimers(177)
+    context = made(system, SIERLangevinIntegrator(300, 1, 0.002))
+    context.setPositions(positions)
+    told = Told()
+    with silence():
+        equilibrate(context, 300, time=0.02, report=told)
+    # Three quarters of 6.5 fs of SIER4G.
+    assert "equilibrates in steps of 4.9 fs, since bonds or spins are too fast" in told.notes[0]
