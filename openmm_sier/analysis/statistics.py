@@ -20,13 +20,15 @@ GROUPS = 40
 #: Runs from which on their scatter tells the error of their mean.
 ENOUGH_RUNS = 5
 
-#: Beginnings of a series that are tried when it is asked where it settled, of at most so much of it.
-BEGINNINGS, LONGEST_BEGINNING = 50, 0.9
+#: Beginnings of a series that are tried when it is asked where it settled, of at most so much of it: a shorter rest
+#: does not show how long it remembers.
+BEGINNINGS, LONGEST_BEGINNING = 50, 0.5
 
 #: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
 #: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
-#: and less scatter than they have. Of series without a trend fewer than one in forty then seems to have one.
-UNSETTLED, FEW_SETTLED = 3.5, 10
+#: and less scatter than they have. Of series without a trend one in a hundred then seems to have one, and of those that
+#: also have a slow part which a run hardly shows, one in twenty.
+UNSETTLED, FEW_SETTLED = 4.0, 10
 
 
 class Estimate(NamedTuple):
@@ -127,8 +129,7 @@ def settled_from(series: np.ndarray) -> int:
     """Return the index from which on a series (n,) fluctuates about one mean; 0 where its beginning is no other.
 
     It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
-    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled but, if at all, in its last
-    part, after `LONGEST_BEGINNING`.
+    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled: its length is returned.
 
     Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
     """
@@ -142,14 +143,13 @@ def settled_from(series: np.ndarray) -> int:
     begin = int(begins[best])
     if not (begin and _begins_elsewhere(values, begin)):
         begin = 0
-    return int(begins[-1]) if _has_trend(values[begin:]) else begin
+    return n if _has_trend(values[begin:]) else begin
 
 
 def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
     """Return whether the mean before an index differs from that of the rest by more than chance gives it."""
     first, rest = values[:begin], values[begin:]
-    # The rest alone may be too short to show how long it remembers.
-    memory = inefficiency(np.concatenate([first - _line(first), rest - rest.mean()]))
+    memory = inefficiency(rest)
     samples = max(1.0, len(rest) / memory)
     error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
     return _is_told(abs(first.mean() - rest.mean()), error, samples)
@@ -159,17 +159,12 @@ def _has_trend(values: np.ndarray) -> bool:
     """Return whether a straight line through a series rises or falls by more than chance gives it."""
     if len(values) < FEWEST:
         return False
-    line = _line(values)
+    places = np.linspace(-0.5, 0.5, len(values))
+    line = np.polyval(np.polyfit(places, values, 1), places)
     samples = len(values) / inefficiency(values - line)
     # Of the difference between the ends of a line through so many independent values.
     error = rms(values - line) * math.sqrt(12 / samples)
     return _is_told(abs(line[-1] - line[0]), error, samples)
-
-
-def _line(values: np.ndarray) -> np.ndarray:
-    """Return the straight line through a series (n,), or the mean of fewer than three values."""
-    places = np.linspace(-0.5, 0.5, len(values))
-    return np.polyval(np.polyfit(places, values, 1 if len(values) > 2 else 0), places)
 
 
 def _is_told(difference: float, error: float, samples: float) -> bool:

@@ -42,8 +42,8 @@ HEAT = 0.1
 #: Bins of time in which it is looked for where runs settled.
 BINS = 400
 
-#: Of a run, the part after which it counts as not settled at all.
-LATE = 0.5
+#: Of a run that has not settled, the part that means leave out.
+LEFT_OUT = 0.5
 
 #: What settles, in words, by its column.
 SETTLES = {
@@ -115,7 +115,7 @@ class Runs(NamedTuple):
         runs: at least one.
         begin: time of their clocks from which on means are taken.
         moving: names of what had not settled before.
-        settled: whether all that moved settled before the middle; if not, means are those of the last half.
+        settled: whether all that moved settled; if not, means are those of the last half.
     """
 
     runs: list[Run]
@@ -149,6 +149,12 @@ class Runs(NamedTuple):
         """Each quantity over all runs, and in each of them."""
         each = zip(*(run.quantities(self.begin) for run in self.runs), strict=True)
         return [(mine[0]._replace(value=over_runs([one.value for one in mine])), list(mine)) for mine in each]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
@@ -287,5 +293,6 @@ def _with_settling(runs: Runs) -> Runs:
         series = np.mean([binned(run.clock, run.log[column], width, count) for run in runs.runs], axis=0)
         if np.isfinite(series).all() and (index := settled_from(series)):
             found[name] = index * width
-    begin, middle = max(found.values(), default=0.0), LATE * runs.length
-    return runs._replace(begin=min(begin, middle), moving=tuple(found), settled=begin <= middle)
+    begin = max(found.values(), default=0.0)
+    settled = begin < runs.length
+    return runs._replace(begin=begin if settled else LEFT_OUT * runs.length, moving=tuple(found), settled=settled)

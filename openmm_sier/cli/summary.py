@@ -10,7 +10,7 @@ from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.logged_runs import Runs, read_runs
+from openmm_sier.cli.logged_runs import Runs, listed, read_runs
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.results import Quantity
@@ -67,10 +67,10 @@ def _remarks(runs: Runs) -> list[str]:
     """Return what is to be known of the means: what they leave out, and what speaks against them."""
     found = []
     if runs.begin:
-        reason = f", in which {' and '.join(runs.moving)} had not settled" if runs.moving else ""
+        reason = f", in which {listed(runs.moving)} had not settled" if runs.moving and runs.settled else ""
         found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
     if not runs.settled:
-        found.append(f"warning: {' and '.join(runs.moving)} did not settle in the first half: make longer runs")
+        found.append(f"warning: {listed(runs.moving)} had not settled at the end: make longer runs")
     doubtful = [run for run in runs.runs if run.unsettled]
     return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
 

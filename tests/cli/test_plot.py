@@ -98,7 +98,7 @@ def test_what_had_not_settled_is_left_out_of_means():
     assert runs.settled
     assert 1 < runs.begin < 6
     title, (energy, *_) = findings("a.csv")
-    assert title == f"Settled after {runs.begin:.4g} ps: potential energy. Means are of what follows"
+    assert title == f"Settled after {runs.begin:.4g} ps: potential energy. Means are of the rest"
     # The mean of the whole is off by 300/20 = 15. The error of the mean of the rest is 4.4, and its transient below 6.
     assert float(energy.split("is ")[1].split()[0]) == pytest.approx(-5000, abs=16)
     # What is left out can be chosen.
@@ -109,7 +109,7 @@ def test_what_had_not_settled_is_left_out_of_means():
 def test_what_never_settles_is_told():
     write_log("a.csv", "npt", change=lambda log: log.update({DENSITY: log[DENSITY] + 0.01 * log["Time (ps)"]}))
     title, found = findings("a.csv")
-    assert title == "Not settled after 20 ps: density. Means are of the last half"
+    assert title == "Not settled in 20 ps: density. Means are of the last half"
     assert found[-1].startswith("The density still drifts")
 
 

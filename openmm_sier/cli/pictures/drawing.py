@@ -13,7 +13,7 @@ import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
-from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, over_runs
+from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, listed, over_runs
 from openmm_sier.cli.pictures import canvas, series
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
 from openmm_sier.cli.results import DENSITY
@@ -90,11 +90,10 @@ def panels(runs: Runs) -> list[Panel]:
 def title_of(runs: Runs) -> str:
     """Whether the runs had settled, which says what the means of all panels are taken of."""
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length, runs.begin))
-    moving = ", ".join(runs.moving)
     if not runs.settled:
-        return f"Not settled after {length}: {moving}. Means are of the last half"
+        return f"Not settled in {length}: {listed(runs.moving)}. Means are of the last half"
     if runs.moving:
-        return f"Settled after {begin}: {moving}. Means are of what follows"
+        return f"Settled after {begin}: {listed(runs.moving)}. Means are of the rest"
     if runs.begin:
         return f"The first {begin} are left out of all means"
     steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
@@ -223,9 +222,8 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
     worst = max(off, key=lambda name: abs(off[name].value) - TOLD * off[name].error)
     kind = KINDS[worst][0]
     if not _is_told(off[worst]):
-        names = [KINDS[name][0] for name in off]
-        text = " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
-        has = "has" if len(names) == 1 else "have"
+        text = listed([KINDS[name][0] for name in off])
+        has = "has" if len(off) == 1 and kind != "flexible molecules" else "have"
         return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}"
     warmer = "warmer" if off[worst].value > 0 else "colder"
     by = off[worst].times(math.copysign(1, off[worst].value))
