@@ -46,7 +46,7 @@ def test_each_ensemble_has_its_panels(ensemble, begins):
     write_log("a.csv", ensemble)
     title, found = findings("a.csv")
     clock = "500 trials" if ensemble == "hmc" else "20 ps"
-    assert title.startswith(f"{clock} without a trend of potential energy")
+    assert title.startswith(f"{clock} without a trend of energy")
     assert len(found) == len(begins)
     for finding, begin in zip(found, begins, strict=True):
         assert finding.startswith(begin)
@@ -104,6 +104,14 @@ def test_what_had_not_settled_is_left_out_of_means():
     # What is left out can be chosen.
     assert findings("a.csv", skip=8.0)[0] == "The first 8 ps are left out of all means"
     assert read_runs([Path("a.csv")], 0).begin == 0
+
+
+def test_a_short_log_tells_no_trend():
+    """Of 31 rows every third is independent."""
+    write_log("a.csv", rows=31)
+    title, found = findings("a.csv")
+    assert title == "1.2 ps: too short to tell a trend of potential energy, translation and rotation"
+    assert all("≥" in finding or finding.startswith(("The energy", "Rotation")) for finding in found)
 
 
 def test_what_never_settles_is_told():

@@ -96,8 +96,16 @@ def title_of(runs: Runs) -> str:
         return f"Settled after {begin}: {listed(runs.moving)}. Means are of the rest"
     if runs.begin:
         return f"The first {begin} are left out of all means"
+    if short := _short(runs):
+        return f"{length}: too short to tell a trend of {listed(short)}"
     steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
-    return f"{length} without a trend of potential {steady}"
+    return f"{length} without a trend of {steady}"
+
+
+def _short(runs: Runs) -> list[str]:
+    """Return the names of what has too few independent values for its error to be right."""
+    columns = [name for name in SETTLES if np.isfinite(runs.first.log.get(name, math.nan)).all()]
+    return [SETTLES[name] for name in columns if _over(runs, _mean_of(name)).samples < FEWEST]
 
 
 def caption_of(runs: Runs, found: list[Panel]) -> str:
