@@ -23,6 +23,7 @@ COMMANDS = {
         "--dt 3 4 5",
     ),
     "exactness.json": ("python -m studies.hmc.exactness",),
+    "frames.json": ("OPENMM_CPU_THREADS=1 python -m studies.frames",),
     "gpu.json": (
         "python -m studies.gpu --platform CUDA --benchmarks benchmarks --rounds 3 --turn 0.3 --time 60 --settle 5",
     ),

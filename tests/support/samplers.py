@@ -3,7 +3,7 @@
 import openmm
 
 from openmm_sier import SIER2, SIERHMCIntegrator
-from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines import own_methods
 from tests.support.restarts import everything
 from tests.support.seeded import seeded
 
@@ -23,12 +23,12 @@ def counted(context):
 
 def energies_computed(monkeypatch):
     """A list that grows with each State of a Context: whether its energy was computed."""
-    computed, get = [], openmm.Context.getState
+    computed, get = [], own_methods.get_state
 
     def counting(self, *args, **kwargs):
         computed.append(kwargs.get("energy", False))
         return get(self, *args, **kwargs)
 
     monkeypatch.setattr(openmm.Context, "getState", counting)
-    monkeypatch.setattr(BodyForces, "get_state", staticmethod(counting))
+    monkeypatch.setattr(own_methods, "get_state", counting)
     return computed

@@ -7,6 +7,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
@@ -22,14 +23,10 @@ class BodyForces:
             are stored here.
         evaluations: number of force evaluations so far.
         step: number of the step that is being made, for messages.
-        get_state, set_positions: the methods of Context that are called, as `hooks` finds them: no integrator has to be
-            told of these calls.
     """
 
     bodies: RigidBodies
     _placed: tuple[np.ndarray | None, np.ndarray | None]
-    get_state = staticmethod(openmm.Context.getState)
-    set_positions = staticmethod(openmm.Context.setPositions)
 
     def __init__(self, context: openmm.Context):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
@@ -61,7 +58,7 @@ class BodyForces:
             positions = self.bodies.place(q, A, self.positions)
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
-        self.set_positions(self._context, positions)
+        own_methods.set_positions(self._context, positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
         self._placed = q, A
@@ -95,7 +92,7 @@ class BodyForces:
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:
             self.place(q, A)
-            computed = self.get_state(self._context, energy=True, groups=self._groups)
+            computed = own_methods.get_state(self._context, energy=True, groups=self._groups)
             energy = computed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             found = (q, A, energy)
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
@@ -108,7 +105,7 @@ class BodyForces:
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.evaluations += 1
         self.place(q, A)
-        found = self.get_state(self._context, forces=True, groups=groups)
+        found = own_methods.get_state(self._context, forces=True, groups=groups)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:

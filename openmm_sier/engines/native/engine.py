@@ -15,7 +15,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import neighbour_list
+from openmm_sier.engines import neighbour_list, own_methods
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
@@ -47,11 +47,6 @@ OFF = 1e-7
 
 #: Atoms still further off than this afterwards, in nm, have not converged.
 NOT_CONVERGED = 1e-4
-
-# OpenMM's methods before `hooks` replaces them: after them forces and energy are still known.
-set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
-constrain_velocities = openmm.Context.applyVelocityConstraints
-
 
 #: What `remember` gives: the Context, the potential energy if it is known, heat and draws.
 Memory = tuple[Snapshot, float | None, float, int]
@@ -156,13 +151,13 @@ class NativeEngine(Engine):
         if self._is_box_new:
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
             # they are the same, makes it compute them.
-            velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
-            set_velocities(self._context, velocities)
+            velocities = own_methods.get_state(self._context, velocities=True).getVelocities(asNumpy=True)
+            own_methods.set_velocities(self._context, velocities)
             self._is_box_new = False
 
     def _environment_now(self) -> tuple[Any, dict[str, float]]:
         """Return box, nm, and parameters of the Context, on which the potential energy depends."""
-        state = self._context.getState(parameters=True)
+        state = own_methods.get_state(self._context, parameters=True)
         return box_of(state), dict(state.getParameters())
 
     def follow(self, steps: int) -> None:
@@ -181,8 +176,7 @@ class NativeEngine(Engine):
                 act_on_pending()
         finally:
             if not self._program.ends_constrained:
-                # By OpenMM's own method, since nobody has to be told of it.
-                constrain_velocities(self._context, self._integrator.getConstraintTolerance())
+                own_methods.constrain_velocities(self._context, self._integrator.getConstraintTolerance())
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
@@ -265,7 +259,7 @@ class NativeEngine(Engine):
         errors, speeds = self._constraint_errors()
         if not errors.max() <= OFF:
             self._refuse_cut_molecules()
-            context.applyConstraints(tolerance)
+            own_methods.constrain_positions(context, tolerance)
             errors, speeds = self._constraint_errors()
             worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
             if not errors[worst] <= NOT_CONVERGED:
@@ -276,7 +270,7 @@ class NativeEngine(Engine):
                     f"satisfy the constraints. {IF_CUT}"
                 )
         if not speeds.max() <= OFF:
-            context.applyVelocityConstraints(tolerance)
+            own_methods.constrain_velocities(context, tolerance)
 
     def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
         refusals.refuse_unsolved(self._trial.unsolved(self.positions))
@@ -306,7 +300,7 @@ class NativeEngine(Engine):
         self._settle()
         if self._potential is None:
             groups = self._integrator.getIntegrationForceGroups()
-            state = self._context.getState(energy=True, groups=groups)
+            state = own_methods.get_state(self._context, energy=True, groups=groups)
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             self._environment = self._environment_now()
         return self._potential
@@ -323,11 +317,12 @@ class NativeEngine(Engine):
         new, now = operation(old), Snapshot(context)
         if new.q is not old.q:
             now.positions[self._atoms] = new.q.T
-            context.setPositions(now.positions)
+            own_methods.set_positions(context, now.positions)
             context.computeVirtualSites()
+            self.atoms_moved()
         if new.p is not old.p:
             now.velocities[self._atoms] = (new.p / self.movers.bodies.masses).T
-            set_velocities(context, now.velocities)
+            own_methods.set_velocities(context, now.velocities)
         self._variables[HEAT], self.draws = new.heat, new.draws
 
     def positions(self) -> np.ndarray:
@@ -340,9 +335,10 @@ class NativeEngine(Engine):
         before = self.kinetic_energy()
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
-        draw_velocities(context, bath.temperature, seed)
+        own_methods.draw_velocities(context, bath.temperature, seed)
         kept = math.exp(-bath.friction * time)
-        set_velocities(context, kept * now.velocities + math.sqrt(1 - kept**2) * Snapshot(context).velocities)
+        drawn = Snapshot(context).velocities
+        own_methods.set_velocities(context, kept * now.velocities + math.sqrt(1 - kept**2) * drawn)
         self.add_heat(self.kinetic_energy() - before)
         self.draws += 1
 
@@ -353,8 +349,9 @@ class NativeEngine(Engine):
         context, (now, potential, heat, draws) = self._context, memory
         if now.box != self._box():
             self._set_box(now.box)
-        context.setPositions(now.positions)
-        context.setVelocities(-now.velocities if reverse else now.velocities)
+        own_methods.set_positions(context, now.positions)
+        own_methods.set_velocities(context, -now.velocities if reverse else now.velocities)
+        self.atoms_moved()
         self.clock = Clock(now.time, now.steps)
         self._potential, self._variables[HEAT], self.draws = potential, heat, draws
 
@@ -377,13 +374,15 @@ class NativeEngine(Engine):
     def temperatures(self, conserved: bool) -> Temperatures:
         """Temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
 
-        Flexible molecules have those just after the bath. After a step with several baths these are those at its end.
+        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
         thermal = self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
             bodies, state = self.bodies, self.state()
             if thermal is not None:
                 p, _ = bodies.momenta(thermal, state.A)
+                # Where heat is not counted, the bath leaves noise along the constraints.
+                p = bodies.constraints.project(state.q, p)
                 state = replace(state, p=np.where(bodies.flexible, p, state.p))
             return temperatures(bodies, state, conserved)
         bodies, state = self.movers.bodies, self.point
@@ -393,9 +392,8 @@ class NativeEngine(Engine):
         return Temperatures(temperature(kinetic, self.degrees_of_freedom(conserved)), math.nan, math.nan)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
-        """Return velocities of all particles just after the bath of the last step, nm/ps, where it has just one."""
-        has_one = self._flow.scheme.bath_divides_drift and self._program.counts_heat
-        if self._follows_bath and has_one and self._flow.fast_groups:
+        """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
+        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 
