@@ -39,6 +39,9 @@ MAY_DIFFER = {
 #: At constant energy what is left are errors of the integrator, some hundredths.
 HEAT = 0.1
 
+#: Relative error of energies.
+ROUNDING = 1e-9
+
 #: Bins of time in which it is looked for where runs settled.
 BINS = 400
 
@@ -79,7 +82,8 @@ class Run(NamedTuple):
         parts = blocks(time, total - conserved)
         parts = parts if len(parts) >= FEWEST_ROWS else np.array_split(total - conserved, FEWEST_ROWS)
         heat = rms(np.array([part.mean() for part in parts]))
-        return "nvt" if heat > HEAT * rms(self.log[POTENTIAL]) else "nve"
+        # The potential energy of a molecule alone is constant.
+        return "nvt" if heat > HEAT * rms(self.log[POTENTIAL]) + ROUNDING * np.abs(total).max() else "nve"
 
     @property
     def moves_volume(self) -> bool:
@@ -191,7 +195,7 @@ def read_run(path: Path) -> Run:
             f"{path} is no log of openmm-sier run, which has a column {missing[0]}: name the file of --report"
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
-        raise RunError(f"{path} has {rows} rows so far, at least {FEWEST_ROWS} are needed: let the run go on")
+        raise RunError(f"{path} needs {FEWEST_ROWS} rows or more, has {rows} so far: let the run go on")
     checkpoint = checkpoint_of(path)
     # The checkpoint tells no more than names, which are not needed.
     with suppress(ValueError, LookupError, TypeError, OSError):

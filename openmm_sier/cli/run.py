@@ -17,7 +17,7 @@ from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
-from openmm_sier.cli.logged_runs import read_runs
+from openmm_sier.cli.logged_runs import FEWEST_ROWS, read_runs
 from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.plan import (
@@ -81,7 +81,8 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
         checkpoint = checkpoint_of(plan.out)
     outputs = Outputs(plan, checkpoint)
     if options.plot:
-        canvas.check(options.plot, [options.box, *outputs.paths], bool(notes or options.overwrite))
+        _check_picture(options.plot, options, outputs, may_replace=bool(notes or options.overwrite))
+        _check_rows(plan)
     if notes and options.resume and notes["step"] == plan.steps:
         outputs.check_noted(notes)
         note(f"{checkpoint} is at step {_length(plan, plan.steps)}: the run is complete")
@@ -129,6 +130,19 @@ def _resumed(options: Options, locks: FileLocks) -> Options:
     if not checkpoint.exists():
         return options
     return replace(options, restart=checkpoint, start=None)
+
+
+def _check_picture(path: Path, options: Options, outputs: Outputs, may_replace: bool) -> None:
+    """Refuse a picture that would destroy another file, or cannot be drawn."""
+    inputs = [each for each in (options.box, options.topology, options.start) if each]
+    canvas.check(path, [*inputs, *outputs.paths], may_replace)
+
+
+def _check_rows(plan: Plan) -> None:
+    """Refuse a picture of a log that will be too short for one."""
+    rows = plan.steps // plan.interval(plan.report_every) + 1
+    if rows < FEWEST_ROWS:
+        raise RunError(f"--plot needs a log of {FEWEST_ROWS} rows or more, it would have {rows}: lower --report-every")
 
 
 def _length(plan: Plan, steps: int) -> str:

@@ -1,5 +1,6 @@
 """`plot`: what the titles of a picture say of logs whose statistics are known, and what is refused."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from openmm_sier.cli import main
 from openmm_sier.cli.logged_runs import read_run, read_runs
 from openmm_sier.cli.pictures import drawing, series
-from tests.support.commands import SMALL, complaint, contents, run
+from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 from tests.support.logs import NOISE, write_log
 
 pytest.importorskip("matplotlib")
@@ -192,6 +193,22 @@ def test_a_run_draws_at_its_end(box, capsys):
     run(*short, "--overwrite")
 
 
+def test_a_run_too_short_for_a_picture_is_refused_before_it(box, capsys):
+    command = ["run", box, *SMALL, "--steps", "10", "--plot", "a.png"]
+    assert "--plot needs a log of 3 rows or more, it would have 2: lower" in complaint(capsys, *command)
+    assert not contents(Path())
+
+
+def test_a_molecule_alone(capsys):
+    """Its potential energy is constant, and it has no box."""
+    molecule = SYSTEMS / "tip4p-1.pdb"
+    run("run", molecule, "--time", "2", "--equilibrate", "0.1", "--platform", "Reference", "--plot", "a.png")
+    assert Path("a.png").exists()
+    _, found = findings("tip4p-1.csv")
+    assert re.match(r"The energy is held to \S+ kJ/mol; ", found[0])
+    assert found[1] == "The potential energy is 0 kJ/mol"
+
+
 def test_a_log_that_is_being_written_is_drawn():
     write_log("a.csv")
     with open("a.csv", "a") as file:
@@ -215,7 +232,7 @@ def test_a_log_that_is_being_written_is_drawn():
             "tensor.csv is no log of openmm-sier run, which has a column Potential Energy (kJ/mole)",
         ),
         (["a.dcd"], "a.dcd is no log of openmm-sier run: name the file of --report, which ends in .csv"),
-        (["short.csv"], "short.csv has 2 rows so far, at least 3 are needed: let the run go on"),
+        (["short.csv"], "short.csv needs 3 rows or more, has 2 so far: let the run go on"),
         (["a.csv", "--skip", "20"], "--skip 20 leaves nothing: the shortest run has 20 ps"),
     ],
 )

@@ -89,8 +89,10 @@ class Outputs:
 
     def _is_beginning(self, path: Path) -> bool:
         """Whether a file holds no more than a run writes before its first checkpoint."""
-        kinds = [KINDS[name] for name, mine in self._grown.items() if mine == path]
-        return all(kind.format(path).is_beginning(path) for kind in kinds) and kinds != [] and path.is_file()
+        if path == self.checkpoint or not path.is_file():
+            return False
+        kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)
+        return kind.format(path).is_beginning(path)
 
     def check_noted(self, notes: Mapping[str, Any]) -> None:
         """Check that the outputs are those of the run that a checkpoint notes; none is changed.

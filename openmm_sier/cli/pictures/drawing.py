@@ -141,11 +141,15 @@ def _moving(runs: Runs, column: str) -> bool:
 
 
 def conserved_energy(runs: Runs) -> Panel:
-    """The conserved energy about its mean, over the fluctuation of the potential energy."""
+    """The conserved energy about its mean, over the fluctuation of the potential energy if that has any."""
     drift = _over(runs, lambda run, log: slope_and_error(log["Time (ps)"], log[CONSERVED]))
-    error = _over(runs, lambda run, log: 100 * energy_error(log[CONSERVED], log[POTENTIAL]))
     spread = float(np.mean([rms(run.log[POTENTIAL]) for run in runs.runs]))
-    share = f"{error.value:.2g} % of rms(V)"
+    if spread:
+        error = _over(runs, lambda run, log: 100 * energy_error(log[CONSERVED], log[POTENTIAL]))
+        share, unit, factor = f"{error.value:.2g} % of rms(V)", "% of rms(V)", 100 / spread
+    else:
+        error = _over(runs, lambda run, log: rms(log[CONSERVED]))
+        share, unit, factor = f"{error.value:.2g} kJ/mol", "kJ/mol", 1.0
     if not math.isfinite(drift.error):
         finding = f"The energy is held to {share}; the run is too short to tell a drift"
     elif _is_told(drift):
@@ -155,10 +159,9 @@ def conserved_energy(runs: Runs) -> Panel:
 
     def draw(axes: Axes) -> None:
         axes.axhline(0, color="0.35", lw=1)
-        factor = 100 / spread if spread else 1.0
         series.draw(axes, series.means_of(runs, CONSERVED, factor, about_mean=True), Look(PURPLE))
 
-    return Panel(finding, "H, from its mean\n(% of rms(V))", draw)
+    return Panel(finding, f"H, from its mean\n({unit})", draw)
 
 
 def potential_energy(runs: Runs) -> Panel:
