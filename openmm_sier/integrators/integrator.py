@@ -56,7 +56,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
             substeps: number of steps into which a drift is divided. Without fast forces these are RATTLE steps of the
                 native engine: 3 and 5 make the drift fourth order, and None means 3, or 5 with SIER4, SIER4V and other
-                schemes with long drifts. The exact engine's drifts are then not divided. With fast forces they are
+                schemes with long drifts, or 1 in each half with SIER2 and a bath. The exact engine's drifts are then
+                not divided. With fast forces they are
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
                 longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts. With SIER2 and a bath
                 they are leapfrog steps, of which one has the bath in its middle and counts on both sides: n substeps
