@@ -10,6 +10,7 @@ from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.integrators.named import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
 from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
+from openmm_sier.prepare.frames import FramedSystem, with_frames
 from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
 from openmm_sier.system.find_bodies import RigidBodies
@@ -23,4 +24,4 @@ __all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PInt
 __all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
 __all__ += ["BodyState", "RigidBodies", "RigidityError", "make_whole"]
 __all__ += ["ForceCheck", "ForceFault", "check_forces"]
-__all__ += ["Preparation", "__version__", "balance_pme", "prepare_system"]
+__all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system", "with_frames"]

@@ -1,35 +1,40 @@
 """All changes to OpenMM's own classes.
 
-OpenMM tells a Python integrator nothing about its Context. These methods therefore do more than OpenMM's if the Context
-has a SIER integrator, and exactly what OpenMM's do if it has another:
+OpenMM tells a Python integrator nothing about its Context. The methods below therefore do more than OpenMM's if the
+Context has a SIER integrator, and exactly what OpenMM's do if it has another. They are for what users call; engines
+call OpenMM's own (`engines.own_methods`). Each stands beside what goes wrong without it:
 
-- `Context.__init__` and `Context.reinitialize` bind the integrator to the Context and refuse a System that it cannot
-  move. `reinitialize` without the state also clears the heat and the count of random numbers.
-- `Context.setState` accepts a State of any other integrator, and does not let a State bring back noise that was used.
-- `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature` and `loadCheckpoint` tell the integrator that
-  atoms were moved, which the native engine would not notice by itself.
-- `Context.setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where
-  OpenMM's solvers cannot satisfy the constraints.
-- `Context.setPeriodicBoxVectors` tells the integrator too: OpenMM would take the forces of the old box for valid.
-- `Context.createCheckpoint`, and `XmlSerializer.serialize` of a State with the integrator's parameters, make the run
-  continue exactly as a restart from their result would. `Context.getState` marks such a State and changes nothing.
-- `updateParametersInContext` of every Force tells the integrator that forces have changed.
-- `System.setParticleMass`, `setConstraintParameters` and `removeForce`, `Force.setForceGroup` and `setPMEParameters` of
-  every Force are counted, so that an integrator looks for changes of its System only after one of them.
-- `LocalEnergyMinimizer.minimize` keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
-  warns of overlaps that it leaves.
-- `XmlSerializer.deserialize` and `XmlSerializer.clone` give back the SIER integrator that was stored.
+- `Context.__init__`, `Context.reinitialize`: bind the integrator to the Context, and write its program for the System.
+  *Without*: it has no engine, and a System that it cannot move is refused by nobody.
+- `Context.setState`: accepts a State of any other integrator, and brings back no noise that was used. *Without*: OpenMM
+  sets half of such a State and fails, and replicas that start from one State repeat each other.
+- `Context.setPositions`, `setVelocities`, `setVelocitiesToTemperature`, `setPeriodicBoxVectors`, `loadCheckpoint`: tell
+  the integrator. *Without*: the native engine goes on with forces and constraints of before, and a hot start of the
+  user's counts as a runaway. A comparison before each call of `step` would read all atoms from a GPU.
+- `Context.setVelocitiesToTemperature`, `applyConstraints`, `applyVelocityConstraints`: are this package's where
+  OpenMM's solvers cannot satisfy the constraints. *Without*: these give velocities of 1e33 nm/ps, and positions that
+  are NaN.
+- `Context.createCheckpoint`, `XmlSerializer.serialize` of a State with the integrator's parameters: make the run go on
+  exactly as a restart from their result would. `Context.getState` marks such a State. *Without*: restarts on one thread
+  of the CPU platform are not bit-identical, since forces there depend on a list of neighbours that no file holds.
+- `updateParametersInContext` of every Force: tells the integrator. *Without*: kicks use the forces of before.
+- `System.setParticleMass`, `setConstraintParameters`, `removeForce`, `Force.setForceGroup`, `setPMEParameters` of every
+  Force: are counted. *Without*: a System that was changed too late goes unnoticed, or all of it is compared at each
+  call of `step`, which takes 5 to 10 us for each Force.
+- `LocalEnergyMinimizer.minimize`: keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
+  warns of overlaps that it leaves. *Without*: it tears them apart.
+- `XmlSerializer.deserialize`, `XmlSerializer.clone`: give back the SIER integrator that was stored. *Without*: they
+  give a CustomIntegrator whose steps are not those of the scheme.
 """
 
 import functools
-import inspect
 import weakref
 from collections.abc import Callable
 from typing import Any
 
 import openmm
 
-from openmm_sier.engines.overlaps import tell_of_overlaps
+from openmm_sier.engines.own_methods import mark_as_replaced, own_method
 from openmm_sier.integrators.binding import Binding, revived
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -69,13 +74,13 @@ def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
     if name not in vars(cls):
         return
     static = isinstance(vars(cls)[name], staticmethod)
-    method = inspect.unwrap(getattr(cls, name), stop=lambda function: not hasattr(function, "_of_openmm_sier"))
+    method = own_method(cls, name)
 
     @functools.wraps(method)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         return instead(method, *args, **kwargs)
 
-    wrapper._of_openmm_sier = True  # type: ignore[attr-defined]
+    mark_as_replaced(wrapper)
     setattr(cls, name, staticmethod(wrapper) if static else wrapper)
 
 
@@ -223,7 +228,6 @@ def _keep_bodies(
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if binding := _binding_of(context):
-        binding.engine.minimize(by_openmm, tolerance, maxIterations, reporter)
-        tell_of_overlaps(context, binding.engine.bodies)
+        binding.minimize(by_openmm, tolerance, maxIterations, reporter)
     else:
         by_openmm()

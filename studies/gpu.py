@@ -314,6 +314,8 @@ def measured(name: str, settings: GpuSettings, report: Report) -> tuple[list[dic
         integrator = method.make(settings.temperature, 1e-3 * method.step)
         contexts[method.name] = make_context(systems.of(method.masses, method.prepared), integrator, settings.platform)
         contexts[method.name].setState(state)
+        # Masses differ from those of the start.
+        contexts[method.name].setVelocitiesToTemperature(settings.temperature, settings.seed)
     timings = speeds(box, contexts, chosen, settings)
     for row in timings:
         report.note(records.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))

@@ -23,10 +23,12 @@ COMMANDS = {
         "--dt 3 4 5",
     ),
     "exactness.json": ("python -m studies.hmc.exactness",),
+    "frames.json": ("OPENMM_CPU_THREADS=1 python -m studies.frames",),
     "gpu.json": (
         "python -m studies.gpu --platform CUDA --benchmarks benchmarks --rounds 3 --turn 0.3 --time 60 --settle 5",
     ),
     "heat-bath.json": ("python -m studies.heat_bath",),
+    "launches.json": ("python -m studies.launches --processes 2",),
     "long-steps.json": (
         "python -m studies.step_study --boxes tip3p-512 --methods langevinmiddle sier2p3 --per-force 5 4 --times 50 40 "
         "--out long-steps",

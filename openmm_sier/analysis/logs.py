@@ -5,11 +5,12 @@ import os
 import numpy as np
 
 
-def read_log(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict[str, np.ndarray]:
     """Return all rows of a log, as the command and `ConservationReporter` write them, by column.
 
     Args:
         path: of the log.
+        whole_lines: whether a last line without its end, as a killed run leaves, is left out rather than refused.
 
     Returns:
         An array (rows,) for each name in the heading.
@@ -20,8 +21,9 @@ def read_log(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """
     with open(path) as file:
         columns = file.readline().rstrip().split(",")
+        lines = (line for line in file if line.endswith("\n")) if whole_lines else file
         try:
-            rows = np.loadtxt(file, delimiter=",", ndmin=2).reshape(-1, len(columns))
+            rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, len(columns))
         except ValueError as error:
             raise ValueError(f"{os.fspath(path)} below its heading: {error}") from error
     return dict(zip(columns, rows.T, strict=True))

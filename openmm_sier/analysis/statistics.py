@@ -20,6 +20,16 @@ GROUPS = 40
 #: Runs from which on their scatter tells the error of their mean.
 ENOUGH_RUNS = 5
 
+#: Beginnings of a series that are tried when it is asked where it settled, of at most so much of it: a shorter rest
+#: does not show how long it remembers.
+BEGINNINGS, LONGEST_BEGINNING = 50, 0.5
+
+#: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
+#: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
+#: and less scatter than they have. Of series without a trend one in a hundred then seems to have one, and of those that
+#: also have a slow part which a run hardly shows, one in twenty.
+UNSETTLED, FEW_SETTLED = 4.0, 10
+
 
 class Estimate(NamedTuple):
     """A value and its standard error.
@@ -110,6 +120,55 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
     edges = np.linspace(0, n, k + 1).astype(int)
     left_out = [estimate(np.r_[0:begin, end:n]) for begin, end in pairwise(edges)]
     return Estimate(value, math.sqrt(k - 1) * float(np.std(left_out)))
+
+
+# --- what has not settled ---
+
+
+def settled_from(series: np.ndarray) -> int:
+    """Return the index from which on a series (n,) fluctuates about one mean; 0 where its beginning is no other.
+
+    It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
+    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled: its length is returned.
+
+    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    """
+    values = np.asarray(series, dtype=float)
+    n = len(values)
+    if n < FEWEST or is_constant(values):
+        return 0
+    begins = np.unique(np.linspace(0, LONGEST_BEGINNING * n, BEGINNINGS).astype(int))
+    memories = np.array([inefficiency(values[begin:]) for begin in begins])
+    best = int(np.argmax((n - begins) / memories))
+    begin = int(begins[best])
+    if not (begin and _begins_elsewhere(values, begin)):
+        begin = 0
+    return n if _has_trend(values[begin:]) else begin
+
+
+def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
+    """Return whether the mean before an index differs from that of the rest by more than chance gives it."""
+    first, rest = values[:begin], values[begin:]
+    memory = inefficiency(rest)
+    samples = max(1.0, len(rest) / memory)
+    error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
+    return _is_told(abs(first.mean() - rest.mean()), error, samples)
+
+
+def _has_trend(values: np.ndarray) -> bool:
+    """Return whether a straight line through a series rises or falls by more than chance gives it."""
+    if len(values) < FEWEST:
+        return False
+    places = np.linspace(-0.5, 0.5, len(values))
+    line = np.polyval(np.polyfit(places, values, 1), places)
+    samples = len(values) / inefficiency(values - line)
+    # Of the difference between the ends of a line through so many independent values.
+    error = rms(values - line) * math.sqrt(12 / samples)
+    return _is_told(abs(line[-1] - line[0]), error, samples)
+
+
+def _is_told(difference: float, error: float, samples: float) -> bool:
+    return difference > UNSETTLED * error * (1 + FEW_SETTLED / samples)
 
 
 # --- slopes ---

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
 from openmm_sier.cli.streams import PROGRAM
-from openmm_sier.cli.values import number, whole
+from openmm_sier.cli.values import PICTURE, file, number, several, whole
 
 #: Exit code for wrong arguments.
 MISUSED = 2
@@ -18,7 +18,7 @@ EXIT_CODES = """exit codes:
   1    an error, in one line on standard error
   2    wrong arguments
   3    the temperature ran away, for example because the step is too long. The last checkpoint is kept
-  4    the run that --restart should continue is already complete
+  4    the run that --restart should continue is already complete; with --resume that is 0
   129, 130, 143
        ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint included,
        and --restart goes on
@@ -44,12 +44,19 @@ class Command:
     epilog: str = ""
 
 
-#: What to do in place of what earlier versions had, by words of argparse's message about it.
-REMOVED = {
-    "choice: 'ensemble'": "a loop of the shell over seeds",
-    "choice: 'properties'": "MDTraj or, for means of a log, mean_and_error of openmm_sier.analysis.statistics",
-    "arguments: --bodies": "BodyStateReporter in a script",
-}
+#: Options of the commands that read logs.
+LOGS = Option(
+    "logs",
+    several(file("RUN.csv")),
+    "logs of runs of one kind, which may still be going on; runs that differ in their seeds count as one sample each",
+    positional=True,
+)
+SKIP = Option(
+    "skip",
+    number("ps", 0, 1e9),
+    "time, or with hmc trials, at the beginning of each run that means leave out",
+    otherwise="what had not settled, if anything",
+)
 
 COMMANDS = {
     "run": Command(
@@ -73,6 +80,32 @@ COMMANDS = {
             Option("samples", whole(10), "trials of the first length, and as many steps of the other lengths", 200),
         ),
     ),
+    "plot": Command(
+        "draw the log of a run, or of several",
+        "Draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over equal "
+        "times, with what had not settled, and for several runs the error of their mean. Titles say what is found.",
+        own=(
+            LOGS,
+            Option(
+                "out",
+                PICTURE,
+                "the picture, which takes the place of an earlier one",
+                otherwise="beside the first log, with .png",
+            ),
+            SKIP,
+        ),
+    ),
+    "summary": Command(
+        "means over several runs",
+        "Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five "
+        "or more, else from the errors of each. --json and --plot replace earlier files.",
+        own=(
+            LOGS,
+            Option("json", file("FILE.json", "output"), "write all numbers there too", otherwise="nowhere"),
+            Option("plot", PICTURE, "draw the logs, as `plot` does", otherwise="no picture"),
+            SKIP,
+        ),
+    ),
     "info": Command(
         "show what rigid bodies there are",
         "Show the kinds of rigid body that coordinates have, with a force field or a topology.",
@@ -85,8 +118,7 @@ class Parser(argparse.ArgumentParser):
     """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        instead = "".join(f". Take {other} instead" for words, other in REMOVED.items() if words in message)
-        self.exit(MISUSED, f"{self.prog}: {message}{instead} (see {self.prog} --help)\n")
+        self.exit(MISUSED, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
-from openmm_sier.cli.values import SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
+from openmm_sier.cli.values import PICTURE, SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
@@ -46,6 +46,7 @@ class Option:
         default: the value without it; None where that depends on others.
         otherwise: the default in words, where there is no single value.
         restart: see `Restart`.
+        positional: whether a command line has its values without a flag.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Option:
     default: Any = None
     otherwise: str = ""
     restart: Restart = "keeps"
+    positional: bool = False
 
     @property
     def flag(self) -> str:
@@ -103,6 +105,7 @@ class Options:
         "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
         "OpenMM in XML",
         restart="may change",
+        positional=True,
     )
     topology: Path | None = _option(
         file(),
@@ -221,6 +224,17 @@ class Options:
         restart="not noted",
     )
     restart: Path | None = _option(file(), "checkpoint (.chk) to go on from", otherwise="none", restart="not noted")
+    resume: bool | None = _option(
+        SWITCH,
+        "go on from the checkpoint beside --out where there is one, begin where there is none, and end well where the "
+        "run is complete: one command line for a job that may be killed",
+        False,
+        otherwise="begin",
+        restart="not noted",
+    )
+    plot: Path | None = _option(
+        PICTURE, "draw the log at the end, as `plot` does", otherwise="no picture", restart="not noted"
+    )
     overwrite: bool | None = _option(
         SWITCH,
         "replace files of an earlier run, or with --restart cut back a longer one",
@@ -284,9 +298,10 @@ def add_options(parser: argparse.ArgumentParser, options: Collection[Option], wi
                 "metavar": option.kind.metavar,
                 "nargs": (option.kind.count or "+") if each else None,
             }
-        if option.name == "box":
+        if option.positional:
             # A checkpoint names the coordinates of its run.
-            parser.add_argument("box", **shared | {"nargs": "?" if "restart" in names else None})
+            may_lack = {"nargs": "?"} if "restart" in names else {}
+            parser.add_argument(option.name, **shared | may_lack)
             continue
         group = one_of_them if option.name in EXCLUSIVE else parser
         group.add_argument(option.flag, default=option.default if with_defaults else None, **shared)

@@ -113,11 +113,21 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
         values.setdefault("pressure", 1.0)
     values.setdefault("steps_per_trial", TRIAL if ensemble == "hmc" else 1)
     values.setdefault("steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values["steps_per_trial"]))
-    values.setdefault("out", Path(f"{options.box.stem}.dcd"))
+    values.setdefault("out", trajectory_of(options))
     values.setdefault("report", values["out"].with_suffix(".csv"))
     plan = Plan(**values)
     _check(plan)
     return plan
+
+
+def trajectory_of(options: Options) -> Path:
+    """The trajectory of a new run, after which its checkpoint is named."""
+    return options.out or Path(f"{options.box.stem}.dcd")
+
+
+def checkpoint_of(trajectory: Path) -> Path:
+    """The checkpoint of a run with this trajectory."""
+    return trajectory.with_suffix(".chk")
 
 
 def ignored_options(topology: Path | None, given: Collection[str]) -> tuple[str, ...]:

@@ -11,14 +11,25 @@ import openmm
 from openmm import unit
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import run_checks, summary
+from openmm_sier.cli import results, run_checks
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.logged_runs import FEWEST_ROWS, read_runs
 from openmm_sier.cli.methods import is_heavy
-from openmm_sier.cli.plan import NothingLeft, Options, Plan, RunError, continued_plan, new_plan
+from openmm_sier.cli.pictures import canvas, drawing
+from openmm_sier.cli.plan import (
+    NothingLeft,
+    Options,
+    Plan,
+    RunError,
+    checkpoint_of,
+    continued_plan,
+    new_plan,
+    trajectory_of,
+)
 from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.inputs.pdb_files import first_line
@@ -54,6 +65,8 @@ def execute(**given: Any) -> None:
 
 
 def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLocks) -> None:
+    if options.resume:
+        options = _resumed(options, locks)
     if options.restart:
         if options.restart.parent.is_dir():
             # Before it is read, so that nobody replaces it from here on. Where the file is missing, a run that has just
@@ -65,8 +78,16 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     else:
         notes, (state, origin) = None, read_start(options.start)
         plan = new_plan(options, origin)
-        checkpoint = plan.out.with_suffix(".chk")
+        checkpoint = checkpoint_of(plan.out)
     outputs = Outputs(plan, checkpoint)
+    if options.plot:
+        _check_picture(options.plot, options, outputs, may_replace=bool(notes or options.overwrite))
+        _check_rows(plan)
+    if notes and options.resume and notes["step"] == plan.steps:
+        outputs.check_noted(notes)
+        note(f"{checkpoint} is at step {_length(plan, plan.steps)}: the run is complete")
+        _report(plan, [], notes.get("unsettled"), options.plot)
+        return
     if 0 < plan.temperature < COLD:
         note(f"{plan.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
     if plan.ensemble == "nve" and is_heavy(plan.hydrogen_mass):
@@ -75,11 +96,10 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     outputs.check([*simulated.box.sources.values(), *([options.start] if options.start else [])])
     locks.hold(outputs.paths)
     if not (notes or options.overwrite):
-        outputs.refuse_existing()
+        outputs.refuse_existing(bool(options.resume))
     if notes:
         found = _cuts(plan, outputs, notes, may_lose=bool(options.overwrite))
-        # Checkpoints of earlier versions say nothing of it.
-        simulated.unsettled = notes.get("unsettled")
+        simulated.unsettled = notes["unsettled"]
     context = _restored(simulated, state, notes) if notes else simulated.begin(state, origin)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
@@ -94,21 +114,50 @@ def _begin_or_continue(options: Options, requests: StopRequests, locks: FileLock
     bounds = run_checks.bounds(plan, degrees_of_freedom(simulated.bodies, context.getIntegrator().conservesMomentum))
     cost = _advance(context, plan, outputs, bounds, requests)
     outputs.close()
-    _report(plan, cost, simulated.unsettled)
-    note(f"wrote {outputs}")
+    _report(plan, cost, simulated.unsettled, options.plot)
+    note(f"wrote {outputs}" + (f", {options.plot}" if options.plot else ""))
+
+
+def _resumed(options: Options, locks: FileLocks) -> Options:
+    """Return the options of a run that goes on where it has a checkpoint, and begins where it has none."""
+    if options.restart:
+        raise RunError("--resume finds the checkpoint beside --out: leave --restart out")
+    checkpoint = checkpoint_of(trajectory_of(options))
+    if checkpoint.parent.is_dir():
+        # Before anybody looks for it: a run that begins at the same time would make one.
+        locks.hold([checkpoint])
+    if not checkpoint.exists():
+        return options
+    return replace(options, restart=checkpoint, start=None)
+
+
+def _check_picture(path: Path, options: Options, outputs: Outputs, may_replace: bool) -> None:
+    """Refuse a picture that would destroy another file, or cannot be drawn."""
+    inputs = [each for each in (options.box, options.topology, options.start) if each]
+    canvas.check(path, [*inputs, *outputs.paths], may_replace)
+
+
+def _check_rows(plan: Plan) -> None:
+    """Refuse a picture of a log that will be too short for one."""
+    rows = plan.steps // plan.interval(plan.report_every) + 1
+    if rows < FEWEST_ROWS:
+        raise RunError(f"--plot needs a log of {FEWEST_ROWS} rows or more, it would have {rows}: lower --report-every")
 
 
 def _length(plan: Plan, steps: int) -> str:
     return f"{steps} ({steps * plan.step_time:g} ps)"
 
 
-def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None) -> None:
+def _report(plan: Plan, cost: list[tuple[str, str]], unsettled: str | None, picture: Path | None) -> None:
+    """Print the table at the end of a run, and draw its log."""
     log = read_log(plan.report)
     warning = run_checks.fluctuation_warning(plan, log)
-    rows = summary.rows(log, plan.ensemble, plan.moves_volume)
+    rows = results.rows(log, plan.ensemble, plan.moves_volume)
     rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{plan.title}, {plan.steps * plan.step_time:g} ps", ("", ""), rows + cost)
+    if picture:
+        drawing.draw(read_runs([plan.report]), picture)
 
 
 # --- the continuation ---
@@ -168,7 +217,7 @@ def _advance(
     """Run from the Context's step to the last one of the plan, or to a signal, writing what is due.
 
     Returns:
-        The rows of `summary.cost_rows`.
+        The rows of `results.cost_rows`.
     """
     integrator = context.getIntegrator()
     begun = step = context.getStepCount()
@@ -194,7 +243,7 @@ def _advance(
         message = f"stopped by {by} at step {where}, all files are written; go on with --restart {outputs.checkpoint}"
         raise Stopped(requests.received, message)
     evaluations = integrator.forceEvaluations - evaluations
-    return summary.cost_rows(step - begun, plan.step_time, seconds, evaluations)
+    return results.cost_rows(step - begun, plan.step_time, seconds, evaluations)
 
 
 @contextmanager

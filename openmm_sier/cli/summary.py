@@ -1,82 +1,122 @@
-"""The table at the end of a run: conservation and cost."""
+"""The command `openmm-sier summary`: means over runs that differ in their seeds, with their errors."""
 
+import json
 import math
+import os
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from openmm_sier.analysis.observables import energy_error
-from openmm_sier.analysis.statistics import Estimate, mean_and_error, rms, slope_and_error
-from openmm_sier.inputs.report import duration
-from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
-
-
-def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
-    """Names and values of the wall time of a run, without the time for its files.
-
-    Args:
-        steps: number of them.
-        ps: length of each.
-        seconds: that they took.
-        evaluations: force evaluations that the integrator counted.
-    """
-    if not steps or not seconds:
-        return []
-    return [
-        ("wall time per step", duration(seconds / steps)),
-        ("force evaluations per step", f"{evaluations / steps:.2f}"),
-        ("speed of the integration", f"{steps * ps / 1000 / seconds * 86400:.2f} ns/day"),
-    ]
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.cli.console import note, table
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.logged_runs import Runs, listed, read_runs
+from openmm_sier.cli.pictures import canvas, drawing
+from openmm_sier.cli.plan import RunError
+from openmm_sier.cli.results import Quantity
+from openmm_sier.version import __version__
 
 
-def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[tuple[str, str]]:
-    """Names and values for the table at the end.
-
-    H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
-    rms and that of V are about their means over the whole run. In a bath its drift is the heat of the steps, and rms(H)
-    tells nothing.
+def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float | None) -> None:
+    """Run `openmm-sier summary`.
 
     Args:
-        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
-        ensemble: of the run.
-        moves_volume: whether the pressure was constant.
+        logs: of runs of one kind.
+        json: where the numbers are written too; None for nowhere.
+        plot: the picture; None for none.
+        skip: what means leave out, ps or trials; None for what had not settled.
+
+    Raises:
+        RunError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
-    found = _conservation_rows(log) if ensemble == "nve" else _bath_rows(log, ensemble)
-    for name, kind in (("T_trans", "Translational"), ("T_rot", "Rotational"), ("T of flexible molecules", "Flexible")):
-        values = log[f"{kind} Temperature (K)"]
-        if kind != "Flexible" or not np.isnan(values).all():
-            found.append((name, _value(mean_and_error(values), "K")))
-    # Trials draw momenta anew, that of the whole box included: it says nothing there.
-    if "Acceptance" not in log:
-        momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
-        found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
-    if moves_volume:
-        found.append(("density", _value(mean_and_error(log["Density (g/mL)"]), "g/ml")))
-    if "Acceptance" in log:
-        errors = log["Energy Error (kT)"]
-        spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
-        found.append(("trials accepted", f"{100 * log['Acceptance'][-1]:.1f} %"))
-        found.append(("their energy errors", f"{spread:.2g} kT (sd)"))
-    return found
+    if json:
+        _check_json(json, logs)
+    if plot:
+        canvas.check(plot, [*logs, *([json] if json else [])], may_replace=True)
+    runs = read_runs(logs, skip)
+    means = runs.means()
+    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
+    table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
+    for remark in _remarks(runs):
+        note(remark)
+    written = [path for path in (json, plot) if path]
+    if json:
+        records.replace(json, memoryview(_as_json(runs, means).encode()))
+    if plot:
+        drawing.draw(runs, plot)
+    if written:
+        note(f"wrote {', '.join(map(str, written))}")
 
 
-def _conservation_rows(log: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    time, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
-    return [
-        ("drift of the conserved energy H", _value(slope_and_error(time, H), "kJ/mol/ps")),
-        ("fluctuation rms(H)", _value(rms(H) if len(H) > 2 else math.nan, "kJ/mol")),
-        ("rms(H)/rms(V)", _value(100 * energy_error(H, V), "%")),
-    ]
+def _counted(runs: Runs) -> str:
+    return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
 
 
-def _bath_rows(log: dict[str, np.ndarray], ensemble: str) -> list[tuple[str, str]]:
-    found = [("potential energy V", _value(mean_and_error(log[POTENTIAL]), "kJ/mol"))]
-    # Energy errors of trials have rows of their own. OpenMM does not count the heat of its baths.
-    if ensemble != "hmc" and not np.isnan(log[CONSERVED]).any():
-        drift = slope_and_error(log["Time (ps)"], log[CONSERVED])
-        found.append(("heat of the steps, which the bath takes up", _value(drift, "kJ/mol/ps")))
-    return found
+def _check_json(path: Path, logs: list[Path]) -> None:
+    """Refuse a file that would destroy a log or cannot be written."""
+    for log in logs:
+        if same_file(path, log):
+            raise RunError(f"{path} would destroy the log {log}: name another file")
+    if path.exists() and not path.is_file():
+        raise RunError(f"{path} is no regular file")
+    if not path.parent.is_dir():
+        raise RunError(f"there is no directory {path.parent} for {path.name}")
 
 
-def _value(found: Estimate | float, unit: str) -> str:
-    text = str(found) if isinstance(found, Estimate) else f"{found:.3g}"
-    return "-" if text in ("-", "nan") else f"{text} {unit}"
+def _remarks(runs: Runs) -> list[str]:
+    """Return what is to be known of the means: what they leave out, and what speaks against them."""
+    found = []
+    if runs.begin:
+        reason = f", in which {listed(runs.moving)} had not settled" if runs.moving and runs.settled else ""
+        found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
+    if not runs.settled:
+        found.append(f"warning: {listed(runs.moving)} had not settled at the end: make longer runs")
+    doubtful = [run for run in runs.runs if run.unsettled]
+    return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
+
+
+def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:
+    """Return the least and the greatest value of single runs with the names of their logs."""
+    named = [(_number(mine), run.path.stem) for run, mine in zip(runs.runs, each, strict=True)]
+    known = [(value, name) for value, name in named if math.isfinite(value)]
+    if not known or len(runs.runs) == 1:
+        return ["-", "-"]
+    digits = _digits(over_all)
+    return [f"{value:{digits}} ({name})" for value, name in (min(known), max(known))]
+
+
+def _number(quantity: Quantity) -> float:
+    return quantity.value.value if isinstance(quantity.value, Estimate) else quantity.value
+
+
+def _digits(quantity: Quantity) -> str:
+    """Return the form of values of single runs: as many digits as the mean over runs has, or those of the quantity."""
+    value = quantity.value
+    if not isinstance(value, Estimate) or not (math.isfinite(value.error) and value.error > 0):
+        return quantity.form
+    digits = max(0, 1 - math.floor(math.log10(value.error)))
+    return f".{digits}f" if digits < 7 else ".3g"
+
+
+def _as_json(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> str:
+    """Return all numbers as JSON, with null for what is unknown."""
+    content = {
+        "openmm_sier": __version__,
+        "runs": [os.fspath(run.path) for run in runs.runs],
+        "title": runs.title,
+        "clock": runs.unit,
+        "length": runs.length,
+        "left_out": runs.begin,
+        "moved_before": list(runs.moving),
+        "settled": runs.settled,
+        "means": [
+            {"name": over_all.name, "unit": over_all.unit, **_pair(over_all), "runs": [_pair(one) for one in each]}
+            for over_all, each in means
+        ],
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _pair(quantity: Quantity) -> dict[str, Any]:
+    value, error = _number(quantity), quantity.value.error if isinstance(quantity.value, Estimate) else math.nan
+    return {name: number if math.isfinite(number) else None for name, number in (("value", value), ("error", error))}

@@ -148,6 +148,9 @@ def step(least: float, most: float) -> Kind:
     return replace(kind, remark=remark)
 
 
+#: The name of a picture, whose format follows from its ending.
+PICTURE = file("FILE.png|svg", "output")
+
 #: A length of time.
 TIME = number("ps", 0, 1e9, beyond=True)
 

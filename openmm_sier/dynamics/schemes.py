@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 
 from openmm_sier.dynamics import step_limits
 from openmm_sier.dynamics.order import order_of
@@ -29,7 +30,9 @@ class Scheme:
         heavy_bath_step: the same with hydrogens of 4 dalton, those of solutes of 3, see `prepare_system`.
 
     Raises:
-        ValueError: there are no stages, the fractions of a flow do not sum to 1, or a plain operator has a shift.
+        ValueError: there are no stages, a number is not finite, the fractions of a flow do not sum to 1, or a plain
+            operator has a shift.
+        TypeError: a name is no text, or what should be a number is none.
     """
 
     name: str
@@ -43,9 +46,22 @@ class Scheme:
         return self.name
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
+        if not isinstance(self.name, str):
+            raise TypeError(f"the name of a scheme must be a text, got {self.name!r}")
+        try:
+            object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
+        except TypeError:
+            raise TypeError(
+                f"scheme {self.name}: each stage must be (operator name, fraction), got {self.stages!r}"
+            ) from None
         if not self.stages:
             raise ValueError(f"scheme {self.name} has no stages")
+        for stage in self.stages:
+            has_numbers = isinstance(stage.fraction, Real) and isinstance(stage.shift, Real)
+            if not (isinstance(stage.operator, str) and has_numbers):
+                raise TypeError(f"scheme {self.name}: a stage must be (operator name, fraction), got {tuple(stage)}")
+            if not (math.isfinite(stage.fraction) and math.isfinite(stage.shift)):
+                raise ValueError(f"scheme {self.name}: fractions and shifts must be finite, got {tuple(stage)}")
         if wrong := [stage.operator for stage in self.stages if stage.shift and stage.operator != GRADIENT_KICK]:
             raise ValueError(f"scheme {self.name}: only a '{GRADIENT_KICK}' has a shift, got one for '{wrong[0]}'")
         for flow in dict.fromkeys(stage.flow for stage in self.stages):

@@ -47,12 +47,29 @@ class Species:
         masses: (k,), dalton.
         sites: atom positions in the principal frame, (3, k), nm.
         moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
+
+    Raises:
+        ValueError: the arrays have other shapes, numbers are not finite, or particle indices are not whole.
     """
 
     atoms: np.ndarray
     masses: np.ndarray
     sites: np.ndarray
     moments: np.ndarray
+
+    def __post_init__(self) -> None:
+        numbers = self.masses, self.sites, self.moments
+        k = self.masses.size
+        found = self.atoms.shape[1:], *(each.shape for each in numbers)
+        if self.atoms.ndim != 2 or k == 0 or found != ((k,), (k,), (3, k), (3,)):
+            raise ValueError(
+                "species need atoms (m, k), masses (k,), sites (3, k) and moments (3,), got "
+                f"{self.atoms.shape}, {', '.join(str(each.shape) for each in numbers)}"
+            )
+        if self.atoms.dtype.kind not in "iu":
+            raise ValueError(f"species need particle indices, got atoms of type {self.atoms.dtype}")
+        if not all(each.dtype.kind == "f" and np.isfinite(each).all() for each in numbers):
+            raise ValueError("species need masses, sites and moments that are finite numbers")
 
     @classmethod
     def from_coordinates(

@@ -4,10 +4,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import Snapshot
-
-# OpenMM's methods before `hooks` replaces them, which would take what is tried here for a change by the user.
-set_positions, apply_constraints = openmm.Context.setPositions, openmm.Context.applyConstraints
 
 #: Relative tolerance of the constraints of a trial.
 TOLERANCE = 1e-5
@@ -43,12 +41,12 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
     groups = context.getIntegrator().getIntegrationForceGroups()
     try:
         # The minimizer does so first.
-        apply_constraints(context, TOLERANCE)
+        own_methods.constrain_positions(context, TOLERANCE)
         context.computeVirtualSites()
         constrained = Snapshot(context).positions
-        state = context.getState(energy=True, forces=True, groups=groups)
+        state = own_methods.get_state(context, energy=True, forces=True, groups=groups)
     finally:
-        set_positions(context, now.positions)
+        own_methods.set_positions(context, now.positions)
     is_finite = np.isfinite(constrained).all(axis=1)
     if not is_finite.all():
         raise openmm.OpenMMException(

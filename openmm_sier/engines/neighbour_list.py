@@ -9,6 +9,7 @@ two evaluations agree. `docs/measurements/platforms.md` has the measurements.
 import openmm
 from openmm import unit
 
+from openmm_sier.engines import own_methods
 from openmm_sier.system.inner_forces import parts
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
@@ -32,12 +33,12 @@ def forget(context: openmm.Context) -> None:
     """
     inner = {part.group for part in parts(context.getSystem()) if part.within and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
-    positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    positions = own_methods.get_state(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     try:
-        context.setPositions(positions + FAR)
-        context.getState(forces=True, groups=groups)
+        own_methods.set_positions(context, positions + FAR)
+        own_methods.get_state(context, forces=True, groups=groups)
     finally:
-        context.setPositions(positions)
+        own_methods.set_positions(context, positions)
 
 
 def _has_cutoff(force: openmm.Force) -> bool:

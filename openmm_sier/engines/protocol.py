@@ -16,15 +16,13 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom
-
-# OpenMM's method before `hooks` replaces it, which would take what an engine does for a change by the user.
-set_box = openmm.Context.setPeriodicBoxVectors
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -246,14 +244,14 @@ class Engine(ABC):
 
     def volume(self) -> float:
         """Volume of the box, nm^3."""
-        return self._context.getState().getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
+        return own_methods.get_state(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
 
     def _box(self) -> Any:
         """Periodic box vectors, nm."""
-        return box_of(self._context.getState())
+        return box_of(own_methods.get_state(self._context))
 
     def _set_box(self, box: Any) -> None:
-        set_box(self._context, *box)
+        own_methods.set_box(self._context, *box)
 
     # --- what users ask ---
 
@@ -282,7 +280,7 @@ class Engine(ABC):
         p, L = state.p, state.L
         for step, acting in ((self._flow.step, groups & ~fast), (self.inner_step(self._flow), groups & fast)):
             if acting:
-                forces = self._context.getState(forces=True, groups=acting).getForces(asNumpy=True)
+                forces = own_methods.get_state(self._context, forces=True, groups=acting).getForces(asNumpy=True)
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
@@ -351,7 +349,6 @@ class Engine(ABC):
         self._refuse_cut_molecules()
         refuse_hopeless_start(self._context)
         self._let_openmm_solve(by_openmm)
-        self.atoms_moved()
 
     def _refuse_cut_molecules(self) -> None:
         now = Snapshot(self._context)

@@ -8,6 +8,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.engines import own_methods
+
 
 def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:
     """Return the periodic box vectors of a State, nm."""
@@ -25,7 +27,7 @@ class Snapshot:
     """
 
     def __init__(self, context: openmm.Context) -> None:
-        state = context.getState(positions=True, velocities=True, parameters=True)
+        state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
         # Two arrays, since one of twice the size seldom fits where that of an older snapshot was.
         self.positions, self.velocities = (np.empty((state._getNumParticles(), 3)) for _ in range(2))
         # Like getPositions(asNumpy=True), but without its overhead for names and units.

@@ -31,7 +31,7 @@ UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 class Ensemble:
     """What an integrator holds besides its scheme. Without changes of a subclass it adds nothing to the flow.
 
-    The fields of a subclass are stored in XML by their types, see `integrators.settings`.
+    The fields of a subclass are stored in XML as JSON, and given back to its constructor, which must check them.
 
     Attributes:
         is_random: whether it draws random numbers.

@@ -28,6 +28,8 @@ class Langevin(ConstantTemperature):
         make_number(self, "friction", "frictionCoeff", "1/ps", least=0)
         if self.rotational_friction is not None:
             make_number(self, "rotational_friction", "rotationalFriction", "1/ps", least=0)
+        if self.counts_heat not in (None, True, False):
+            raise TypeError(f"countsHeat must be True, False or None, got {self.counts_heat!r}")
 
     @property
     def turning(self) -> float:

@@ -7,7 +7,6 @@ import secrets
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from threading import RLock
 from typing import Any
 
@@ -24,6 +23,7 @@ from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.program import WORK
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, program_for
+from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, Record
 from openmm_sier.integrators import settings
@@ -222,7 +222,10 @@ class Binding:
         if not self._stepping.acquire(blocking=False):
             raise openmm.OpenMMException("Another thread is stepping this Context: give each a Context of its own")
         try:
-            self.watch.advance(partial(self._advance, engine), steps, context, length, bath)
+            self.watch.begin(context)
+            with interrupts.deferred():
+                self._advance(engine, steps)
+            self.watch.look(context, steps, length, bath)
         finally:
             self._stepping.release()
 
@@ -241,14 +244,14 @@ class Binding:
         self.engine.check_step(self._flow())
 
     def _advance(self, engine: Engine, steps: int) -> None:
-        with interrupts.deferred():
-            self.record.restore()
-            flow = self._flow()
-            try:
-                with engine.following(flow):
-                    self.ensemble.advance(engine, flow, self.record, steps)
-            finally:
-                self.record.keep()
+        """Let the engine take over what was changed, the ensemble advance, and the engine publish."""
+        self.record.restore()
+        flow = self._flow()
+        try:
+            with engine.following(flow):
+                self.ensemble.advance(engine, flow, self.record, steps)
+        finally:
+            self.record.keep()
 
     # --- news from outside ---
 
@@ -265,6 +268,12 @@ class Binding:
         else:
             self._engine.draw_velocities(by_openmm, temperature, seed)
         self.moved()
+
+    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
+        """Somebody minimizes the energy; see `Engine.minimize`. Warn of bodies that still overlap."""
+        self.engine.minimize(by_openmm, tolerance, iterations, reporter)
+        self.moved()
+        tell_of_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
         """Somebody asks for positions that satisfy constraints, or for velocities; see `Engine.satisfy_positions`."""

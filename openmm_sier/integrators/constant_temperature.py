@@ -7,10 +7,12 @@ from typing import Any
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.operators import Rotation
+from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.ensemble import ConstantTemperature
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.system.arguments import quantity_to_float, whole_number
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, quantity_to_float, whole_number
 
 
 class SIERThermostatIntegrator(SIERIntegrator):
@@ -19,7 +21,17 @@ class SIERThermostatIntegrator(SIERIntegrator):
     Its noise is a function of the seed and of the number of draws so far, which both travel in checkpoints.
     """
 
-    def __init__(self, thermostat: ConstantTemperature, stepSize: Any, scheme: Scheme | str = SIER4G, **options: Any):
+    def __init__(
+        self,
+        thermostat: ConstantTemperature,
+        stepSize: Quantity,
+        scheme: Scheme | str = SIER4G,
+        bodies: Bodies = None,
+        rotation: Rotation = exact,
+        engine: str = "auto",
+        substeps: int | None = None,
+        fastForceGroups: ForceGroups | None = None,
+    ):
         """
         Args:
             thermostat: what keeps the temperature and, with its `pressure`, the pressure, see `openmm_sier.ensembles`.
@@ -27,7 +39,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
                 0.5/sqrt(number of molecules).
             stepSize: step, a time quantity or a number in ps.
             scheme: splitting scheme or its name.
-            options: bodies, rotation, engine, substeps, fastForceGroups; see `SIERIntegrator`, also for errors.
+            bodies, rotation, engine, substeps, fastForceGroups: see `SIERIntegrator`, also for errors.
 
         Raises:
             ValueError: the thermostat cannot be sampled by the scheme.
@@ -35,7 +47,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         """
         if not isinstance(thermostat, ConstantTemperature):
             raise TypeError(f"thermostat must be like VelocityRescaling(300*kelvin, 1/picosecond), got {thermostat!r}")
-        super().__init__(stepSize, scheme, ensemble=thermostat, **options)
+        super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble=thermostat)
 
     def _change_ensemble(self, **changes: Any) -> None:
         self.binding.change(ensemble=replace(self.binding.ensemble, **changes))
@@ -44,7 +56,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         """Temperature of the bath, a quantity in K."""
         return self.binding.ensemble.temperature * unit.kelvin
 
-    def setTemperature(self, temp: Any) -> None:
+    def setTemperature(self, temp: Quantity) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
         self._change_ensemble(temperature=temp)
 
@@ -53,7 +65,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         pressure = self.binding.ensemble.pressure
         return None if pressure is None else pressure * unit.bar
 
-    def setPressure(self, pressure: Any) -> None:
+    def setPressure(self, pressure: Quantity) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
         if self.binding.ensemble.pressure is None:
             raise ValueError("this integrator keeps the volume: create it with a pressure")

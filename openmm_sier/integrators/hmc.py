@@ -1,8 +1,6 @@
 """Hybrid Monte Carlo of rigid bodies and constrained molecules, for OpenMM users."""
 
 import math
-from collections.abc import Iterable
-from typing import Any
 
 from openmm import unit
 
@@ -11,7 +9,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import Bodies, step_size
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, step_size
 
 
 class SIERHMCIntegrator(SIERThermostatIntegrator):
@@ -43,18 +41,18 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     def __init__(
         self,
-        temperature: Any,
-        stepSize: Any,
+        temperature: Quantity,
+        stepSize: Quantity,
         scheme: Scheme | str = SIER4G,
         stepsPerTrial: int = 10,
-        frictionCoeff: Any = None,
-        pressure: Any = None,
+        frictionCoeff: Quantity | None = None,
+        pressure: Quantity | None = None,
         barostatInterval: int = 1,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups: Iterable[int] | int | None = None,
+        fastForceGroups: ForceGroups | None = None,
     ):
         """
         Args:
@@ -73,8 +71,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             TypeError: a quantity has the wrong dimension.
         """
         trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, pressure=pressure, interval=barostatInterval)
-        options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
-        super().__init__(trials, stepSize, scheme, bodies=bodies, **options)
+        super().__init__(trials, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     # --- what users ask ---
 
@@ -93,7 +90,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         """The step of the scheme, a quantity in ps."""
         return self.binding.settings.step * unit.picosecond
 
-    def setSchemeStepSize(self, size: Any) -> None:
+    def setSchemeStepSize(self, size: Quantity) -> None:
         """Set the step of the scheme, a time quantity or a number in ps; the number of steps in a trial stays."""
         self.binding.change(step=step_size(size))
 
@@ -102,7 +99,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
-    def setFriction(self, coeff: Any) -> None:
+    def setFriction(self, coeff: Quantity | None) -> None:
         """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew."""
         self._change_ensemble(friction=coeff)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import openmm
@@ -17,7 +16,7 @@ from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding, unpickled
 from openmm_sier.integrators.settings import Settings, place_of
 from openmm_sier.system import arguments
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 from openmm_sier.system.temperature import Temperatures
 
 
@@ -38,13 +37,13 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __init__(
         self,
-        stepSize: Any,
+        stepSize: Quantity,
         scheme: Scheme | str = SIER4G,
         bodies: Bodies = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups: Iterable[int] | int | None = None,
+        fastForceGroups: ForceGroups | None = None,
         ensemble: Ensemble | None = None,
     ):
         """
@@ -57,7 +56,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
             substeps: number of steps into which a drift is divided. Without fast forces these are RATTLE steps of the
                 native engine: 3 and 5 make the drift fourth order, and None means 3, or 5 with SIER4, SIER4V and other
-                schemes with long drifts. The exact engine's drifts are then not divided. With fast forces they are
+                schemes with long drifts, or 1 in each half with SIER2 and a bath. The exact engine's drifts are then
+                not divided. With fast forces they are
                 inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
                 longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts. With SIER2 and a bath
                 they are leapfrog steps, of which one has the bath in its middle and counts on both sides: n substeps
@@ -76,18 +76,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
             TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
                 have the wrong type.
         """
-        ensemble = ensemble or ConstantEnergy()
         given = Settings(
             kind=place_of(type(self)),
-            scheme=ensemble.suited(arguments.checked_scheme(scheme)),
-            step=arguments.step_size(stepSize),
+            scheme=arguments.checked_scheme(scheme),
+            step=stepSize,
             engine=engine,
-            substeps=None if substeps is None else arguments.whole_number("substeps", substeps),
+            substeps=substeps,
             fast_groups=arguments.group_mask("fastForceGroups", fastForceGroups),
             finds_fast_groups=fastForceGroups is None,
-            bodies=arguments.checked_bodies(bodies),
+            bodies=bodies,
             rotation=rotation,
-            ensemble=ensemble,
+            ensemble=ConstantEnergy() if ensemble is None else ensemble,
         )
         super().__init__(given.step)
         self.binding = Binding(self, given)
@@ -153,7 +152,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""
         return self.binding.settings.step * self.binding.ensemble.steps * unit.picosecond
 
-    def setStepSize(self, size: Any) -> None:
+    def setStepSize(self, size: Quantity) -> None:
         """Set the time by which `step(1)` advances the Context, a time quantity or a number in ps."""
         self.binding.change(step=arguments.step_size(size) / self.binding.ensemble.steps)
 
@@ -221,7 +220,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self.binding.engine.forces_changed()
 
-    def setIntegrationForceGroups(self, groups: Iterable[int] | int) -> None:
+    def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
         super().setIntegrationForceGroups(groups)
         self.binding.groups_changed()

@@ -1,8 +1,5 @@
 """Langevin dynamics of rigid bodies, for OpenMM users."""
 
-from collections.abc import Iterable
-from typing import Any
-
 from openmm import unit
 
 from openmm_sier.dynamics.operators import Rotation
@@ -10,7 +7,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, Scheme
 from openmm_sier.ensembles.langevin import Langevin
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 
 
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
@@ -34,18 +31,18 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
 
     def __init__(
         self,
-        temperature: Any,
-        frictionCoeff: Any,
-        stepSize: Any,
+        temperature: Quantity,
+        frictionCoeff: Quantity,
+        stepSize: Quantity,
         scheme: Scheme | str = SIER2,
         bodies: Bodies = None,
         rotation: Rotation = exact,
-        rotationalFriction: Any = None,
-        pressure: Any = None,
+        rotationalFriction: Quantity | None = None,
+        pressure: Quantity | None = None,
         barostatInterval: int = 25,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups: Iterable[int] | int | None = None,
+        fastForceGroups: ForceGroups | None = None,
         countsHeat: bool | None = None,
     ):
         """
@@ -72,16 +69,21 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign.
             TypeError: a quantity has the wrong dimension.
         """
-        volume = {"pressure": pressure, "interval": barostatInterval}
-        bath = Langevin(temperature, frictionCoeff, rotationalFriction, **volume, counts_heat=countsHeat)
-        options = {"rotation": rotation, "engine": engine, "substeps": substeps, "fastForceGroups": fastForceGroups}
-        super().__init__(bath, stepSize, scheme, bodies=bodies, **options)
+        bath = Langevin(
+            temperature,
+            frictionCoeff,
+            rotationalFriction,
+            pressure=pressure,
+            interval=barostatInterval,
+            counts_heat=countsHeat,
+        )
+        super().__init__(bath, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     def getFriction(self) -> unit.Quantity:
         """Friction of the translation, a quantity in 1/ps."""
         return self.binding.ensemble.friction / unit.picosecond
 
-    def setFriction(self, coeff: Any) -> None:
+    def setFriction(self, coeff: Quantity) -> None:
         """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
         self._change_ensemble(friction=coeff)
 
@@ -89,6 +91,6 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         """Friction of the rotation, a quantity in 1/ps."""
         return self.binding.ensemble.turning / unit.picosecond
 
-    def setRotationalFriction(self, coeff: Any) -> None:
+    def setRotationalFriction(self, coeff: Quantity) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
         self._change_ensemble(rotational_friction=coeff)

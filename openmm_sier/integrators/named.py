@@ -1,12 +1,11 @@
 """Integrators with a fixed scheme."""
 
-from collections.abc import Iterable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 
 
 class IntegratorWithScheme(SIERIntegrator):
@@ -19,11 +18,11 @@ class IntegratorWithScheme(SIERIntegrator):
 
     def __init__(
         self,
-        stepSize: Any,
+        stepSize: Quantity,
         bodies: Bodies = None,
         engine: str = "auto",
         substeps: int | None = None,
-        fastForceGroups: Iterable[int] | int | None = None,
+        fastForceGroups: ForceGroups | None = None,
     ):
         """
         Args:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 #: Attributes of the root, besides `wrapped`.
 CONVENTIONS = {
-    "layout": 3,
+    "layout": 1,
     "program": "openmm_sier",
     "frame": "lab: q, p and L have components along the axes of the laboratory",
     "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "

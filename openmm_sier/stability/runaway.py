@@ -4,7 +4,6 @@ Energy that an integrator creates ends as heat, so temperatures show every runaw
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import openmm
@@ -72,31 +71,31 @@ class RunawayWatch:
         self._start: float | None = None
         self._steps, self._pause = 0, FIRST_LOOK
 
-    def advance(
-        self, make: Callable[[int], None], steps: int, context: openmm.Context, step: float, bath: float = 0.0
-    ) -> None:
-        """Make steps by a function of their number, and look.
+    def begin(self, context: openmm.Context) -> None:
+        """Note the temperature of a new start, before steps are made from it."""
+        if self._start is None:
+            self._start = self._temperature(context)
+
+    def look(self, context: openmm.Context, steps: int, step: float, bath: float = 0.0) -> None:
+        """Look at what steps have made, if it is time.
 
         Args:
-            make: makes them.
+            context: openmm.Context, for which `begin` was called before the steps.
             steps: their number.
-            context: openmm.Context.
             step: the length of each, ps.
             bath: temperature of the heat bath, K; 0 without one.
 
         Raises:
             RunawayError: the System is too hot, or a velocity is not finite.
         """
-        start = self._temperature(context) if self._start is None else self._start
-        taken, pause = self._steps + steps, self._pause
-        make(steps)
-        # What the steps themselves set is no new start.
-        self._start, self._steps, self._pause = start, taken, pause
-        if taken < min(pause, INTERVAL):
+        self._steps += steps
+        if self._start is None or self._steps < min(self._pause, INTERVAL):
             return
         # What a hot bath has heated may be cooled later.
-        self._start = max(start, bath)
-        self._steps, self._pause, now = 0, 2 * pause, self._temperature(context)
+        self._start = max(self._start, bath)
+        self._steps = 0
+        self._pause *= 2
+        now = self._temperature(context)
         if not math.isfinite(now):
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have made velocities that are not finite. Is the step too long, or did "

@@ -16,6 +16,12 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 #: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
 
+#: Values of the argument `fastForceGroups` of integrators: numbers of groups, or a bit mask.
+ForceGroups = Iterable[int] | int
+
+#: A quantity of OpenMM, or a number in the unit that the argument names.
+Quantity = unit.Quantity | float
+
 #: OpenMM has this many force groups.
 GROUPS = 32
 
@@ -103,6 +109,8 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         raise wrong
     try:
         value = float(value)
+    except OverflowError:
+        value = math.inf
     except (TypeError, ValueError):
         raise wrong from None
     if not math.isfinite(value):
@@ -111,9 +119,13 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) -> int:
-    """A nonnegative integer within bounds, from an int or a float without a fraction."""
+    """Return a nonnegative integer within bounds, from an int or a float without a fraction.
+
+    Raises:
+        ValueError: it is something else, True and False included, or out of bounds.
+    """
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
-    if not whole or value < 0:
+    if not whole or isinstance(value, bool) or value < 0:
         raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")
@@ -122,7 +134,7 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
     return int(value)
 
 
-def group_mask(name: str, groups: Iterable[int] | int | None) -> int:
+def group_mask(name: str, groups: ForceGroups | None) -> int:
     """Force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
 
     Raises:

@@ -294,7 +294,7 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
     return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
 
 
-def linked(system: openmm.System, bodies: dynamics.RigidBodies) -> dynamics.RigidBodies:
+def linked(system: openmm.System, bodies: Linked) -> Linked:
     """Bodies that a user gave, with a System's constraints between them and its molecules.
 
     Raises:

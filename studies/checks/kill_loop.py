@@ -1,6 +1,6 @@
 """`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
-    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM]
+    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM] [--resume]
 
 At the end the trajectory must have every frame once, in order. Trajectory and log must be those of an undisturbed run,
 byte for byte. A signal that can be handled must give its exit code and, after the first step, leave a checkpoint of the
@@ -60,15 +60,17 @@ class Lost(ValueError):
     """Something did not survive the kills."""
 
 
-def line_of(directory: Path, out: str, steps: int) -> list[str]:
-    """The command that begins a run, or goes on from its checkpoint if there is one."""
+def line_of(directory: Path, out: str, steps: int, resume: bool) -> list[str]:
+    """The command that begins a run, or goes on from its checkpoint if there is one: always the same with `resume`."""
+    if resume:
+        return [*COMMAND, *PLAN, "--out", out, "--resume", "--steps", str(steps)]
     checkpoint = Path(out).with_suffix(".chk")
     begin = [*PLAN, "--overwrite", "--out", out]
     way = ["--restart", str(checkpoint)] if (directory / checkpoint).exists() else begin
     return [*COMMAND, *way, "--steps", str(steps)]
 
 
-def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, name: str) -> None:
+def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, name: str, resume: bool) -> None:
     """Start or continue the endless run and end it by a signal.
 
     Raises:
@@ -78,7 +80,7 @@ def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, 
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
     with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(line_of(directory, out, ENDLESS), cwd=directory, stdout=said, stderr=said)
+        process = subprocess.Popen(line_of(directory, out, ENDLESS, resume), cwd=directory, stdout=said, stderr=said)
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
             raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
@@ -110,9 +112,9 @@ def last_step(directory: Path, out: str) -> int:
     return checkpoints.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
 
 
-def finish(directory: Path, out: str, steps: int) -> None:
+def finish(directory: Path, out: str, steps: int, resume: bool) -> None:
     """Run to a step undisturbed."""
-    line = line_of(directory, out, steps)
+    line = line_of(directory, out, steps, resume)
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode:
         raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
@@ -141,11 +143,13 @@ class LoopSettings(Settings):
         kills: how many.
         suffix: of the trajectory.
         signals: which take turns.
+        resume: whether the command finds its checkpoint by itself.
     """
 
     kills: int = 50
     suffix: Literal[".dcd", ".xtc"] = ".dcd"
     signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
+    resume: bool = False
     out: Path = Path("killed")
 
 
@@ -164,11 +168,14 @@ def kill_loop(settings: LoopSettings) -> Counter[str]:
     for number in range(settings.kills):
         # Shifted by one in every `ONE_IN` kills, so that early kills meet all signals.
         name = settings.signals[(number + number // ONE_IN) % len(settings.signals)]
-        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, name)
+        killed_at(directory, out, rng, number % ONE_IN == ONE_IN - 1, name, settings.resume)
         met[f"kills by SIG{name}"] += 1
     met["steps"] = last_step(directory, out) + CHECKPOINTS
     for each in (out, whole):
-        finish(directory, each, met["steps"])
+        finish(directory, each, met["steps"], settings.resume)
+    if settings.resume:
+        # Once more, where the run is complete.
+        finish(directory, out, met["steps"], resume=True)
     compare(directory, out, whole, met["steps"])
     return met
 

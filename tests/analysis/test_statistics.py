@@ -12,6 +12,7 @@ from openmm_sier.analysis.statistics import (
     mean_and_error,
     of_independent,
     pooled,
+    settled_from,
     slope_and_error,
 )
 from tests.support.series import correlated
@@ -111,3 +112,28 @@ def test_jackknife_of_a_correlated_series_covers_the_truth(rng):
     """Variances from 8 groups of 50, correlated over 9: 63 to 68 % of 300 lie within an error, to 2.7 % by chance."""
     found = [jackknife(lambda kept, x=x: float(np.var(x[kept])), 400, 8) for x in correlated(rng, 400, 0.8, 300).T]
     assert np.mean([abs(estimate.value - 1) < estimate.error for estimate in found]) == pytest.approx(0.65, abs=0.11)
+
+
+# --- what has not settled ---
+
+
+def test_where_a_series_settles_agrees_with_pymbar(rng):
+    """Beginnings that are tried are 5 values apart with 490 of them."""
+    timeseries = pytest.importorskip("pymbar.timeseries")
+    for series in (correlated(rng, 490, 0.7, 10) + 8 * np.exp(-np.arange(490) / 20)[:, None]).T:
+        expected, *_ = timeseries.detect_equilibration(series, fast=False, nskip=5)
+        assert settled_from(series) == expected
+        assert 20 < expected < 245
+
+
+def test_a_series_without_a_trend_has_settled_from_its_start(rng):
+    """One in a hundred may seem not to; of 200 more than 9 do so with a probability of 5e-5."""
+    found = [settled_from(series) for series in correlated(rng, 300, 0.6, 200).T]
+    assert np.count_nonzero(found) <= 9
+    assert settled_from(np.full(100, 0.997)) == 0
+    assert settled_from(rng.normal(size=FEWEST - 1)) == 0
+
+
+def test_a_drift_to_the_end_settles_late_if_at_all(rng):
+    for series in (correlated(rng, 400, 0.5, 100) + np.linspace(0, 10, 400)[:, None]).T:
+        assert settled_from(series) == 400

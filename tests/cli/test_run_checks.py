@@ -8,7 +8,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import main, run_checks, summary
+from openmm_sier.cli import main, results, run_checks
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.plan import Options, new_plan
 from openmm_sier.inputs import starts
@@ -141,13 +141,13 @@ def test_table_of_a_bath():
     """The mean of V, and the drift of H as heat; with OpenMM's baths H is not known, and trials have errors instead."""
     log = fluctuating(0.0, drift=2.0) | {f"Momentum {axis} (dalton nm/ps)": np.zeros(251) for axis in "xyz"}
     log |= {name: np.full(251, 297.0) for name in conservation.TEMPERATURES}
-    rows = dict(summary.rows(log, "nvt", moves_volume=False))
+    rows = dict(results.rows(log, "nvt", moves_volume=False))
     # V has an rms of 60 kJ/mol, and 251 samples.
     assert float(rows["potential energy V"].split()[0]) == pytest.approx(-20000, abs=5 * 60 / np.sqrt(251))
     assert float(rows["heat of the steps, which the bath takes up"].split()[0]) == pytest.approx(2)
     assert "rms(H)/rms(V)" not in rows
     unknown = log | {"Conserved Energy (kJ/mole)": np.full(251, np.nan)}
-    for table in (summary.rows(unknown, "nvt", moves_volume=False), summary.rows(log, "hmc", moves_volume=False)):
+    for table in (results.rows(unknown, "nvt", moves_volume=False), results.rows(log, "hmc", moves_volume=False)):
         assert not any(name.startswith("heat") for name, _ in table)
 
 

@@ -99,7 +99,7 @@ def test_installs_of_either_kind_follow_each_other_and_leave_nothing(environment
 
 
 @pytest.mark.slow
-def test_a_folder_that_an_earlier_version_left_does_not_hide_an_editable_install(environment):
+def test_a_folder_that_is_left_does_not_hide_an_editable_install(environment):
     left = environment.packages / "openmm_sier" / "dynamics" / "backend" / "__pycache__"
     left.mkdir(parents=True)
     (left / "numba_loops.kick_4db012e0adcf-110.py311.nbi").touch()

@@ -11,13 +11,15 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator, with_frames
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.inputs.starts import make_context
 from tests.support import opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
+from tests.support.framed import moved, polar, system_of
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
 from tests.support.systems import assembled
@@ -180,3 +182,57 @@ def test_mixed_precision_is_a_property_of_one_context(gpu):
     context = make_context(system, openmm.VerletIntegrator(0.001), gpu)
     assert chosen.getPropertyValue(context, "Precision") == "mixed"
     assert chosen.getPropertyDefaultValue("Precision") == usual != "mixed"
+
+
+@pytest.fixture(scope="module")
+def framed():
+    """Two domains, benzene and carbon dioxide with frames, and their phase point at 300 K."""
+    system, positions, bodies = system_of("36 beads", "benzene", "36 beads", "carbon dioxide", apart=2.2)
+    system.addForce(polar(system, bodies, charge=0.4))
+    found = with_frames(system, moved(positions, bodies), bodies)
+    context = openmm.Context(found.system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(found.positions)
+    context.setVelocitiesToTemperature(300, 4)
+    return found, phase_point(context), bodies
+
+
+@pytest.mark.parametrize(("precision", "error"), [("double", 2e-8), ("mixed", 2e-6)])
+def test_bodies_with_frames_move_as_on_reference(gpu, framed, precision, error):
+    """By Verlet; forces of mixed precision are good to 1e-6, and SETTLE, which holds benzene, to 5e-9 nm."""
+    made, point, _ = framed
+    found = []
+    for name in ("Reference", gpu):
+        integrator = openmm.VerletIntegrator(0.001)
+        integrator.setConstraintTolerance(1e-10 if precision == "double" else 1e-7)
+        if name == gpu:
+            context = gpu_context(gpu, precision, made.system, integrator, point)
+        else:
+            context = context_at(made.system, integrator, point)
+        integrator.step(200)
+        found.append(made.getAtomPositions(context.getState(positions=True)))
+    assert np.abs(found[0] - point[0][: made.numAtoms]).max() > 0.02
+    assert np.abs(found[1] - found[0]).max() < error
+
+
+def test_bodies_with_frames_in_a_bath_and_under_pressure(gpu, framed):
+    made, point, bodies = framed
+    system = openmm.XmlSerializer.clone(made.system)
+    system.setDefaultPeriodicBoxVectors([12, 0, 0], [0, 12, 0], [0, 0, 12])
+    system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    system.addForce(seeded(openmm.MonteCarloBarostat(50.0, 300, 5), 3))
+    integrator = seeded(openmm.LangevinMiddleIntegrator(300, 20.0, 0.004), 2)
+    context = gpu_context(gpu, "mixed", system, integrator, point)
+    kinetic, volumes = [], set()
+    for _ in range(60):
+        integrator.step(20)
+        state = context.getState(energy=True)
+        kinetic.append(state.getKineticEnergy()._value)
+        volumes.add(state.getPeriodicBoxVolume()._value)
+    assert len(volumes) > 10
+    # 23 freedoms; the bath makes samples independent, so that the mean is good to sqrt(2/(23 60)).
+    assert np.mean(kinetic) == pytest.approx(23 / 2 * GAS_CONSTANT * 300, rel=4 * math.sqrt(2 / (23 * 60)))
+    x = made.getAtomPositions(context.getState(positions=True))
+    for atoms in bodies[:3]:
+        shapes = [np.linalg.norm(each[atoms][:, None] - each[atoms][None], axis=2) for each in (x, point[0])]
+        # Axes and centres of single precision, 6e-8 of 10 nm.
+        assert np.abs(shapes[0] - shapes[1]).max() < 5e-6

@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator
+from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.flexible import Points, chains
@@ -59,6 +59,25 @@ def test_fast_forces_may_be_in_several_groups(engine):
     both = end_of(split, start, 0.003, 20, engine, groups=(7, FAST))
     # Sums in another order.
     assert both == pytest.approx(end_of(system, start, 0.003, 20, engine), abs=1e-9)
+
+
+def test_counting_heat_changes_no_trajectory_of_a_molecule():
+    points = chains()
+    _, start = start_of(points)
+    ends = []
+    for counts in (True, False):
+        options = {"engine": "native", "fastForceGroups": {FAST}, "countsHeat": counts}
+        # At 0 K, since Reference draws noise for each statement of a program.
+        integrator = SIERLangevinIntegrator(0, 20, 0.003, **options)
+        integrator.setConstraintTolerance(1e-12)
+        context = context_at(system_of(points)[0], integrator, start, steps=6)
+        ends.append((*phase_point(context), integrator.computeTemperatures().in_kelvin().total))
+    # Rounding of 6 steps of some ten operations, and iterations that end at 1e-12 of a bond.
+    assert np.abs(ends[0][0] - ends[1][0]).max() < 1e-9
+    assert np.abs(ends[0][0] - start[0]).max() > 1e-3
+    # The temperature is that just after the bath. What it leaves along the constraints is taken away at the end of the
+    # step, and bonds turn by a few hundredths in between.
+    assert ends[0][2] == pytest.approx(ends[1][2], rel=0.02)
 
 
 def test_program_prints_its_inner_step_once():

@@ -50,6 +50,12 @@ REFUSED = [
     (partial(langevin().setRandomNumberSeed, 2**40), "seed must be at most 2147483647, got 1099511627776"),
     (partial(SIERIntegrator, 0.002, engine=0), "engine"),
     (partial(SIERIntegrator, 0.002, substeps=0), "substeps"),
+    (partial(SIERIntegrator, 0.002, substeps=True), "substeps must be a whole number .* got True"),
+    (partial(SIERIntegrator, 10**400), "stepSize must be finite"),
+    (partial(SIERIntegrator, 0.002, rotation="exact"), r"rotation must be a free-rotation map, .*, got 'exact'"),
+    (partial(SIERIntegrator, 0.002, ensemble="npt"), "ensemble must be one of .*, got 'npt'"),
+    (partial(SIERIntegrator, 0.002, ensemble=0), "ensemble must be one of .*, got 0"),
+    (partial(langevin, countsHeat="no"), "countsHeat must be True, False or None, got 'no'"),
     *((partial(SIERIntegrator, 0.004, fastForceGroups=groups), "fastForceGroups") for groups in ({32}, {-1}, "a", 2.5)),
     *((partial(SIER2Integrator, 0.001, bodies), LISTS) for bodies in (3, "0 1 2", [[0, 1.5]], [0, 1, 2])),
 ]

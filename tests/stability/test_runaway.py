@@ -8,6 +8,7 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
+from openmm_sier.engines import own_methods
 from openmm_sier.stability import runaway
 from tests.support.silence import silence
 from tests.support.systems import assembled
@@ -120,11 +121,11 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity,
     context.setPositions(positions)
     context.setVelocitiesToTemperature(300, 1)
 
-    def make(steps):
-        context.setVelocities(np.full((100, 3), velocity))
-
+    watch = integrator.binding.watch
+    watch.begin(context)
+    own_methods.set_velocities(context, np.full((100, 3), velocity))
     with pytest.raises(runaway.RunawayError, match=f"Steps of 2 fs {complaint}"):
-        integrator.binding.watch.advance(make, runaway.FIRST_LOOK, context, 0.002)
+        watch.look(context, runaway.FIRST_LOOK, 0.002)
 
 
 def test_copies_have_a_watch_of_their_own(box):

@@ -16,6 +16,13 @@ def test_killed_at_random_moments_again_and_again(tmp_path):
     assert met["steps"] >= 30
 
 
+@pytest.mark.slow
+def test_one_command_line_goes_on_after_every_kill(tmp_path):
+    """Four kills, so that one comes early, before there is a checkpoint or while the command reads it."""
+    met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
+    assert met["steps"] >= 30
+
+
 def test_pairs_of_commands_are_known_ones(tmp_path):
     with pytest.raises(ValueError, match=r"unknown pair 'run,walk'; known are run,run, run,restart"):
         two_commands.study(TwoSettings(pairs=("run,walk",), out=tmp_path))

@@ -1,10 +1,10 @@
-"""OpenMM's OpenCL platform on the CPU, by Intel's runtime from the package index (the extra `opencl-test`)."""
+"""GPU platforms of OpenMM that work here, of which OpenCL may run on the CPU."""
 
 import functools
-import os
 import subprocess
 import sys
-from pathlib import Path
+
+from studies.launches.opencl import environment
 
 #: Prints the names of the platforms on which a Context can be made.
 PROBE = """
@@ -19,17 +19,6 @@ for i in range(openmm.Platform.getNumPlatforms()):
         continue
     print(platform.getName())
 """
-
-
-def environment() -> dict[str, str]:
-    """The environment in which Python must be started for OpenMM to find the runtime."""
-    variables = dict(os.environ)
-    library = Path(sys.prefix) / "lib"
-    if runtimes := sorted(library.glob("libintelocl.so.*")):
-        found = [str(library), *filter(None, [variables.get("LD_LIBRARY_PATH")])]
-        variables["LD_LIBRARY_PATH"] = os.pathsep.join(found)
-        variables.setdefault("OCL_ICD_FILENAMES", str(runtimes[-1]))
-    return variables
 
 
 @functools.cache

@@ -13,8 +13,8 @@ import openmm
 
 from openmm_sier.cli.files import records
 
-#: Version of what a checkpoint holds. Those of version 3 may be of runs with files of body states.
-FORMAT = 4
+#: Version of what a checkpoint holds.
+FORMAT = 1
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:

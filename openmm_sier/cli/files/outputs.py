@@ -69,14 +69,30 @@ class Outputs:
             if not path.parent.is_dir():
                 raise RunError(f"there is no directory {path.parent} for {path.name}")
 
-    def refuse_existing(self) -> None:
+    def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.
+
+        Args:
+            resumes: whether those may be replaced that a run left which was killed before its first checkpoint.
 
         Raises:
             RunError: naming the file that is in the way.
         """
         for path in filter(os.path.lexists, self.paths):
-            raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
+            if not resumes:
+                raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
+            if not self._is_beginning(path):
+                raise RunError(
+                    f"{path} exists, but there is no checkpoint {self.checkpoint} to go on from: name another file, or "
+                    "allow --overwrite"
+                )
+
+    def _is_beginning(self, path: Path) -> bool:
+        """Whether a file holds no more than a run writes before its first checkpoint."""
+        if path == self.checkpoint or not path.is_file():
+            return False
+        kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)
+        return kind.format(path).is_beginning(path)
 
     def check_noted(self, notes: Mapping[str, Any]) -> None:
         """Check that the outputs are those of the run that a checkpoint notes; none is changed.

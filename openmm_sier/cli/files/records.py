@@ -22,6 +22,9 @@ WINDOW = 2**16
 #: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
 CHANGING = 48
 
+#: What the heading of every table of a run begins with, and more bytes than a heading and a row have.
+FIRST_COLUMNS, LONGEST_BEGINNING = b"Step,Time (ps),", 2**13
+
 
 class RecordError(ValueError):
     """A file of a run is missing or damaged, or belongs to another run."""
@@ -107,6 +110,15 @@ class GrowingFile(ABC):
             OSError: it cannot be read.
         """
 
+    @staticmethod
+    @abstractmethod
+    def is_beginning(path: Path) -> bool:
+        """Return whether a file holds no more than a run writes before its first checkpoint.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
 
@@ -183,6 +195,14 @@ class Log(GrowingFile):
         with naming(path), open(path, "rb") as file:
             file.seek(size)
             return sum(1 for _ in file)
+
+    @staticmethod
+    def is_beginning(path: Path) -> bool:
+        with naming(path), open(path, "rb") as file:
+            heading, _, later = file.read(LONGEST_BEGINNING).partition(b"\n")
+        # The heading may have been cut off too.
+        begins = heading.startswith(FIRST_COLUMNS) or FIRST_COLUMNS.startswith(heading)
+        return begins and later.count(b"\n") <= 1 and len(later) + len(heading) + 1 < LONGEST_BEGINNING
 
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())

@@ -71,6 +71,10 @@ class DCDTrajectory(Trajectory):
         frame = (48 + 8) * has_box + 3 * (4 * atoms + 8)
         return math.ceil((end - max(size, DCD_HEADER)) / frame)
 
+    @staticmethod
+    def is_beginning(path: Path) -> bool:
+        return path.stat().st_size <= DCD_HEADER
+
     def write(self, positions: Quantity, box: Quantity) -> None:
         self._dcd.writeModel(positions, periodicBoxVectors=box)
         everything = self._memory.getvalue()
@@ -93,6 +97,10 @@ class XTCTrajectory(Trajectory):
                 size = end if length is None else size + length
                 count += 1
         return count
+
+    @staticmethod
+    def is_beginning(path: Path) -> bool:
+        return path.stat().st_size == 0
 
     def write(self, positions: Quantity, box: Quantity) -> None:
         with tempfile.TemporaryDirectory() as directory:

@@ -1,7 +1,16 @@
-"""Functions of this folder compiled by Numba together with all that they call, and kept on disk (`numba_cache`)."""
+"""Functions of this folder compiled by Numba together with all that they call, and kept on disk by Numba's own cache.
+
+The cache is in `NUMBA_CACHE_DIR` if that is set, and otherwise where the platform keeps caches: in `XDG_CACHE_HOME` or
+`~/.cache` on Linux, in `~/Library/Caches` on macOS, in `%LOCALAPPDATA%` on Windows. Numba would choose the folder of
+the sources, where `pip uninstall` leaves its files behind, and with them an empty package of this name.
+"""
 
 import hashlib
-from collections.abc import Callable
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FunctionType
@@ -21,19 +30,74 @@ LOOPS: dict[Any, Any] = {
 
 
 def compiled(function: FunctionType) -> Callable[..., Any]:
-    """A function compiled, and kept on disk where a directory for it can be written.
+    """Return a function compiled, and kept on disk where a directory for it can be written.
 
     Functions of its own module that it calls are compiled separately; those of other modules, which are formulas for
     one body, are inlined.
     """
+    return with_cache(_linked(function))
+
+
+def with_cache(function: FunctionType) -> Callable[..., Any]:
+    """Return a function compiled by Numba, which goes on without a cache where that fails.
+
+    Numba raises what goes wrong with its files: one that was cut off when the machine stopped, a full disk. A damaged
+    cache is begun anew, once.
+    """
     import numba
 
-    from openmm_sier.dynamics.backend.numba_cache import UserCache
+    try:
+        with _cache_directory():
+            chosen = numba.njit(function, cache=True, **OPTIONS)
+    except RuntimeError as error:
+        _tell_of_no_cache(error)
+        return numba.njit(function, **OPTIONS)
 
-    linked = _linked(function)
-    dispatcher: Any = numba.njit(linked, **OPTIONS)
-    dispatcher._cache = UserCache(linked.__qualname__)
-    return dispatcher
+    def call(*arguments: Any) -> Any:
+        nonlocal chosen
+        try:
+            return chosen(*arguments)
+        except Exception:
+            try:
+                chosen.recompile()
+                return chosen(*arguments)
+            except OSError as error:
+                _tell_of_no_cache(error)
+            chosen = numba.njit(function, **OPTIONS)
+            return chosen(*arguments)
+
+    return call
+
+
+def _tell_of_no_cache(error: Exception) -> None:
+    warnings.warn(
+        f"every process compiles its loops anew, since they cannot be kept on disk ({error}): let NUMBA_CACHE_DIR name "
+        "a directory that can be written",
+        stacklevel=4,
+    )
+
+
+@contextmanager
+def _cache_directory() -> Iterator[None]:
+    """Let Numba choose the user's cache directory for the functions that are made meanwhile."""
+    import numba
+
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or str(_user_cache() / "openmm_sier")
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def _user_cache() -> Path:
+    """Return the directory where the platform keeps a user's caches."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 @cache
@@ -44,7 +108,10 @@ def _called(function: FunctionType, is_inlined: bool) -> Any:
 
 
 def _linked(function: FunctionType) -> FunctionType:
-    """The function, calling compiled functions."""
+    """Return the function with compiled functions in place of those that it calls.
+
+    So formulas are plain functions, which NumPy executes without Numba being imported.
+    """
     namespace = dict(function.__globals__)
     for name in function.__code__.co_names:
         value = namespace.get(name)
@@ -52,13 +119,13 @@ def _linked(function: FunctionType) -> FunctionType:
             chosen = LOOPS.get(value, value)
             namespace[name] = _called(chosen, chosen.__module__ != function.__module__)
     linked = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__)
-    # Code from the disk is linked by names, which must not be those of other code that this process has compiled.
+    # Numba's cache finds code by this name, and watches the file of the function alone.
     linked.__module__, linked.__qualname__ = function.__module__, f"{function.__name__}_{_version()}"
     return linked
 
 
 @cache
 def _version() -> str:
-    """A digest of all that is compiled: Numba's own cache would watch a single file."""
+    """Return a digest of all that is compiled."""
     sources = sorted(Path(__file__).parent.glob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]

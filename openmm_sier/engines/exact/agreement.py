@@ -9,6 +9,7 @@ import openmm
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.protocol import Clock
@@ -42,7 +43,7 @@ class Agreement:
         if (state, clock) == self._published and forces.is_at(state.q, state.A):
             return
         forces.place(state.q, state.A)
-        context.setVelocities(bodies.move(state, forces.velocities))
+        own_methods.set_velocities(context, bodies.move(state, forces.velocities))
         for name, values in zip(STATE_VARIABLES, packing.pack(bodies, state), strict=True):
             integrator.setPerDofVariableByName(name, values)
         integrator.setGlobalVariableByName(HEAT, state.heat)
@@ -74,7 +75,7 @@ class Agreement:
         moving, before, integrator = self._moving, self._agreed, self._context.getIntegrator()
         if known is None and not now.positions.any():
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
-            self._context.getState(energy=True, groups=0)
+            own_methods.get_state(self._context, energy=True, groups=0)
         moved = known is None or not now.same_positions(before)
         if moved:
             moving.start_anew()

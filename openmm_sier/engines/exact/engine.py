@@ -18,7 +18,7 @@ from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import interrupts
+from openmm_sier.engines import interrupts, own_methods
 from openmm_sier.engines.exact import in_place_of_openmm
 from openmm_sier.engines.exact.agreement import Agreement
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
@@ -124,12 +124,12 @@ class ExactEngine(Engine):
     def _step_after_update(self, step: operators.Stepper) -> None:
         """Make one step, after the System's barostats and thermostats have acted."""
         update = self._update_box if self._only_barostats_act else self._update_all
-        before, mark = self._state, self._context.getState(positions=True)
+        before, mark = self._state, own_methods.get_state(self._context, positions=True)
         try:
             self._complete(update(), step)
         except BaseException:
             if self._state is before:
-                self._context.setPeriodicBoxVectors(*mark.getPeriodicBoxVectors())
+                own_methods.set_box(self._context, *mark.getPeriodicBoxVectors())
                 # A barostat also moves atoms of no body.
                 self.forces.positions[:] = mark.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
             raise

@@ -7,6 +7,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
@@ -22,14 +23,10 @@ class BodyForces:
             are stored here.
         evaluations: number of force evaluations so far.
         step: number of the step that is being made, for messages.
-        get_state, set_positions: the methods of Context that are called, as `hooks` finds them: no integrator has to be
-            told of these calls.
     """
 
     bodies: RigidBodies
     _placed: tuple[np.ndarray | None, np.ndarray | None]
-    get_state = staticmethod(openmm.Context.getState)
-    set_positions = staticmethod(openmm.Context.setPositions)
 
     def __init__(self, context: openmm.Context):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
@@ -63,7 +60,7 @@ class BodyForces:
             positions = self.bodies.place(q, A, self.positions)
         except NotFiniteError as error:
             raise self._blown_up("position of", error) from None
-        self.set_positions(self._context, positions)
+        own_methods.set_positions(self._context, positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
         self._placed = q, A
@@ -103,7 +100,7 @@ class BodyForces:
 
     def _energy_of(self, groups: int) -> float:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
-        return _potential(self.get_state(self._context, energy=True, groups=groups))
+        return _potential(own_methods.get_state(self._context, energy=True, groups=groups))
 
     def _keep_energy(self, found: tuple[np.ndarray, np.ndarray, float]) -> None:
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
@@ -120,11 +117,11 @@ class BodyForces:
         self.evaluations += 1
         self.place(q, A)
         if self.evaluations == self._with_energy:
-            found = self.get_state(self._context, forces=True, energy=True, groups=groups)
+            found = own_methods.get_state(self._context, forces=True, energy=True, groups=groups)
             others = self._groups & ~groups
             self._keep_energy((q, A, _potential(found) + (self._energy_of(others) if others else 0.0)))
         else:
-            found = self.get_state(self._context, forces=True, groups=groups)
+            found = own_methods.get_state(self._context, forces=True, groups=groups)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:

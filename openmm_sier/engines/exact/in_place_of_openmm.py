@@ -11,6 +11,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
@@ -46,10 +47,10 @@ def draw_velocities(
 
 def write_velocities(context: openmm.Context, bodies: RigidBodies, state: BodyState) -> None:
     """Set the velocities of a state's atoms; those of other particles stay."""
-    context.setVelocities(bodies.move(state, Snapshot(context).velocities))
+    own_methods.set_velocities(context, bodies.move(state, Snapshot(context).velocities))
 
 
 def write_positions(context: openmm.Context, bodies: RigidBodies, state: BodyState) -> None:
     """Set the positions of a state's atoms and of virtual sites; those of other particles stay."""
-    context.setPositions(bodies.place(state.q, state.A, Snapshot(context).positions))
+    own_methods.set_positions(context, bodies.place(state.q, state.A, Snapshot(context).positions))
     context.computeVirtualSites()

@@ -7,6 +7,7 @@ import openmm
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics.backend.sites import as_slice
+from openmm_sier.engines import own_methods
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
 
@@ -80,11 +81,7 @@ class SoluteForces:
 
     Attributes:
         atoms: particle indices of the System, (m,).
-        get_state, set_positions: the methods of Context that are called, see `BodyForces`.
     """
-
-    get_state = staticmethod(openmm.Context.getState)
-    set_positions = staticmethod(openmm.Context.setPositions)
 
     def __init__(self, reduced: openmm.System, atoms: ArrayLike, platform: openmm.Platform, properties: dict[str, str]):
         """
@@ -111,8 +108,8 @@ class SoluteForces:
     def __call__(self, q: np.ndarray, A: np.ndarray | None = None) -> tuple[np.ndarray]:
         """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm, alone in a tuple."""
         self._positions[self._members] = q.T
-        self.set_positions(self._context, self._positions)
-        self.get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
+        own_methods.set_positions(self._context, self._positions)
+        own_methods.get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
         return (np.ascontiguousarray(self._values[self._members].T),)
 
     def follow(self, context: openmm.Context) -> bool:
@@ -120,14 +117,14 @@ class SoluteForces:
 
         If so, forces computed before are out of date.
         """
-        theirs = context.getState(parameters=True)
-        parameters, own = theirs.getParameters(), self._context.getState(parameters=True)
+        theirs = own_methods.get_state(context, parameters=True)
+        parameters, own = theirs.getParameters(), own_methods.get_state(self._context, parameters=True)
         changed = False
         for name, value in own.getParameters().items():
             if parameters[name] != value:
                 self._context.setParameter(name, parameters[name])
                 changed = True
         if theirs.getPeriodicBoxVectors() != own.getPeriodicBoxVectors():
-            self._context.setPeriodicBoxVectors(*theirs.getPeriodicBoxVectors())
+            own_methods.set_box(self._context, *theirs.getPeriodicBoxVectors())
             changed = True
         return changed

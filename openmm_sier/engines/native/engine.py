@@ -15,20 +15,20 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import neighbour_list
+from openmm_sier.engines import neighbour_list, own_methods
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.program import V0, WORK, Program
+from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, Record
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
-from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperature, temperatures, thermal_energies
 
@@ -41,18 +41,6 @@ SINGLE_TOLERANCE = 1e-6
 
 #: Steps of one native step each in one call of OpenMM, after which signals are looked at.
 AT_ONCE = 10
-
-#: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
-#: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
-OFF = 1e-7
-
-#: Atoms still further off than this afterwards, in nm, have not converged.
-NOT_CONVERGED = 1e-4
-
-# OpenMM's methods before `hooks` replaces them: after them forces and energy are still known.
-set_velocities, draw_velocities = openmm.Context.setVelocities, openmm.Context.setVelocitiesToTemperature
-constrain_velocities = openmm.Context.applyVelocityConstraints
-
 
 #: Box, nm, and parameters of a Context, on which the potential energy depends.
 Environment = tuple[Any, dict[str, float]]
@@ -180,13 +168,13 @@ class NativeEngine(Engine):
         if self._is_box_new:
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
             # they are the same, makes it compute them.
-            velocities = self._context.getState(velocities=True).getVelocities(asNumpy=True)
-            set_velocities(self._context, velocities)
+            velocities = own_methods.get_state(self._context, velocities=True).getVelocities(asNumpy=True)
+            own_methods.set_velocities(self._context, velocities)
             self._is_box_new = self._has_force = False
         self._known.keep()
 
     def _environment_now(self) -> Environment:
-        return _environment_of(self._context.getState(parameters=True))
+        return _environment_of(own_methods.get_state(self._context, parameters=True))
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
         if self._flow.step == 0:
@@ -209,8 +197,7 @@ class NativeEngine(Engine):
                 act_on_pending()
         finally:
             if not self._program.ends_constrained:
-                # By OpenMM's own method, since nobody has to be told of it.
-                constrain_velocities(self._context, self._integrator.getConstraintTolerance())
+                own_methods.constrain_velocities(self._context, self._integrator.getConstraintTolerance())
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
@@ -275,50 +262,18 @@ class NativeEngine(Engine):
         refuse_what_is_not_finite(Snapshot(self._context))
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
-        self._satisfy_constraints()
+        if len(self._constraints.pairs):
+            refusals.refuse_unsolved(self._trial.unsolved(self.positions))
+            satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
         if self._has_sites:
             # OpenMM places them at the end of a step, and the first needs forces before that.
             self._context.computeVirtualSites()
         self._known.forget()
         self._is_fresh = False
 
-    def _satisfy_constraints(self) -> None:
-        """Move atoms and velocities onto the constraints; those that satisfy them are unchanged, bit for bit.
-
-        Raises:
-            RigidityError: OpenMM cannot satisfy them, or would pull together what the periodic boundary cuts.
-            openmm.OpenMMException: it never could, see `SolverTrial`.
-        """
-        if not len(self._constraints.pairs):
-            return
-        refusals.refuse_unsolved(self._trial.unsolved(self.positions))
-        context, tolerance = self._context, self._integrator.getConstraintTolerance()
-        errors, speeds = self._constraint_errors()
-        if not errors.max() <= OFF:
-            self._refuse_cut_molecules()
-            context.applyConstraints(tolerance)
-            errors, speeds = self._constraint_errors()
-            worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
-            if not errors[worst] <= NOT_CONVERGED:
-                i, j = self._constraints.pairs[worst].tolist()
-                raise RigidityError(
-                    f"the constraint of atoms {i} and {j} wants them {self._constraints.lengths[worst]:.4f} nm apart, "
-                    f"and OpenMM could move them no nearer to that than {errors[worst]:.2g} nm: give positions that "
-                    f"satisfy the constraints. {IF_CUT}"
-                )
-        if not speeds.max() <= OFF:
-            context.applyVelocityConstraints(tolerance)
-
     def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
         refusals.refuse_unsolved(self._trial.unsolved(self.positions))
         by_openmm()
-
-    def _constraint_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
-        now, (first, second) = Snapshot(self._context), self._constraints.pairs.T
-        arms, velocities = (vectors[second] - vectors[first] for vectors in (now.positions, now.velocities))
-        errors = np.abs(np.linalg.norm(arms, axis=1) - self._constraints.lengths)
-        return errors, np.abs((arms * velocities).sum(axis=1)) / self._constraints.lengths
 
     def forces_changed(self) -> None:
         # OpenMM itself considers no force valid after that.
@@ -337,7 +292,7 @@ class NativeEngine(Engine):
         self._settle()
         if self._potential is None:
             groups = self._integrator.getIntegrationForceGroups()
-            state = self._context.getState(energy=True, parameters=True, groups=groups)
+            state = own_methods.get_state(self._context, energy=True, parameters=True, groups=groups)
             self._potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             self._environment = _environment_of(state)
         return self._potential
@@ -395,7 +350,7 @@ class NativeEngine(Engine):
         # OpenMM replaces a zero by a seed of its own choice.
         seed = int(generator(bath.seed, self.draws).integers(1, 2**31 - 1))
         known.forget_velocities()
-        draw_velocities(self._context, bath.temperature, seed)
+        own_methods.draw_velocities(self._context, bath.temperature, seed)
         self._has_force = False
         kept = math.exp(-bath.friction * time)
         if kept:
@@ -421,8 +376,8 @@ class NativeEngine(Engine):
         return self._known.box
 
     def _set_box(self, box: Any) -> None:
-        super()._set_box(box)
         self._known.forget()
+        super()._set_box(box)
 
     # --- what users ask ---
 
@@ -443,13 +398,15 @@ class NativeEngine(Engine):
     def temperatures(self, conserved: bool) -> Temperatures:
         """Temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
 
-        Flexible molecules have those just after the bath. After a step with several baths these are those at its end.
+        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
         thermal = self._velocities_after_bath()
         if not isinstance(self._found, RigidityError):
             bodies, state = self.bodies, self.state()
             if thermal is not None:
                 p, _ = bodies.momenta(thermal, state.A)
+                # Where heat is not counted, the bath leaves noise along the constraints.
+                p = bodies.constraints.project(state.q, p)
                 state = replace(state, p=np.where(bodies.flexible, p, state.p))
             return temperatures(bodies, state, conserved)
         bodies, state = self.movers.bodies, self.point
@@ -459,9 +416,8 @@ class NativeEngine(Engine):
         return Temperatures(temperature(kinetic, self.degrees_of_freedom(conserved)), math.nan, math.nan)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
-        """Return velocities of all particles just after the bath of the last step, nm/ps, where it has just one."""
-        has_one = self._flow.scheme.bath_divides_drift and self._program.counts_heat
-        if self._follows_bath and has_one and self._flow.fast_groups:
+        """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
+        if self._follows_bath and self._flow.scheme.bath_divides_drift and self._flow.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 

@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 import openmm
 
+from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.system import tables
-
-# OpenMM's methods before `hooks` replaces them, which would take what an engine does for a change by the user.
-get_state = openmm.Context.getState
-set_positions, set_velocities = openmm.Context.setPositions, openmm.Context.setVelocities
 
 #: The names by which `Context.getState` is asked for vectors, each with its number.
 POSITIONS, VELOCITIES = "positions", "velocities"
@@ -84,7 +81,7 @@ class KnownAtoms:
     @property
     def box(self) -> Any:
         """Periodic box vectors, nm."""
-        box = box_of(get_state(self._context)) if self._box is None else self._box
+        box = box_of(own_methods.get_state(self._context)) if self._box is None else self._box
         if self._is_keeping:
             self._box = box
         return box
@@ -99,7 +96,7 @@ class KnownAtoms:
         found = dict(self._known)
         missing = [name for name in names if name not in found]
         if missing:
-            state = get_state(self._context, **dict.fromkeys(missing, True))
+            state = own_methods.get_state(self._context, **dict.fromkeys(missing, True))
             for name in missing:
                 found[name] = np.empty((len(self._masses), 3))
                 # Like getPositions(asNumpy=True), but without its overhead for names and units.
@@ -114,7 +111,7 @@ class KnownAtoms:
     def write_positions(self, positions: np.ndarray) -> None:
         """Set positions. GPU platforms may round them, so that they are read anew."""
         self._known.pop(POSITIONS, None)
-        set_positions(self._context, positions)
+        own_methods.set_positions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
         """Set velocities, which are known then."""
@@ -122,7 +119,7 @@ class KnownAtoms:
             # A run that goes on must know what a restart would read.
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
-        set_velocities(self._context, velocities)
+        own_methods.set_velocities(self._context, velocities)
         if self._is_keeping:
             velocities.flags.writeable = False
             self._known[VELOCITIES] = velocities

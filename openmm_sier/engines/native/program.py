@@ -16,7 +16,6 @@ to, since that takes four more projections of the velocities.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import partial
@@ -51,9 +50,6 @@ INNER_SUBSTEPS = 3
 
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
-
-#: The longest step of leapfrog under fast forces, ps: bonds between heavy atoms are stable up to 6 fs.
-LONGEST_LEAPFROG = 0.0045
 
 #: The condition of a block that is never executed: no native step has such a number.
 NEVER = -9
@@ -193,17 +189,6 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
     return 5 if is_long else 3
 
 
-def leapfrog_steps(step: float, longest: float = math.inf) -> int:
-    """Return the least number of equal steps of leapfrog in a step, ps, each with a bath in the middle of its drift.
-
-    Args:
-        step: of the scheme, ps.
-        longest: that the fastest bond allows, ps.
-    """
-    # Nine femtoseconds are two steps of 4.5, whatever the rounding.
-    return max(1, math.ceil(step / min(LONGEST_LEAPFROG, longest) * (1 - 1e-9)))
-
-
 def write(
     scheme: Scheme,
     substeps: int | None = None,
@@ -212,7 +197,7 @@ def write(
     bath: Thermostat | None = None,
     slow_group: int | None = None,
     has_virtual_sites: bool = True,
-    baths: int | None = None,
+    counts_heat: bool = True,
 ) -> Program:
     """Write the program of a scheme.
 
@@ -222,10 +207,10 @@ def write(
     springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the drift is
     an odd number of leapfrog steps with the bath in the middle of one.
 
-    Velocities are constrained where they are read, at the end of the step and before a bath whose heat is counted, and
+    Velocities are constrained where they are read, before a bath whose heat is counted and at the end of the step, and
     not after every stage: what they have along the constraints changes no position that is constrained next, since the
-    constraint forces take it up. Only forces at displaced positions are constrained where they act. Where velocities
-    are constrained in each step of leapfrog, the engine constrains those that users see, once after a call of `step`.
+    constraint forces take it up. Only forces at displaced positions are constrained where they act. A step with a bath
+    in its middle leaves its end to the engine, which constrains velocities once after a call of `step`.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
@@ -234,12 +219,12 @@ def write(
             middle counted half. None: `usual_substeps`.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
-            counted as heat, unless `baths` are not.
+            counted as heat, unless that of a bath is not.
         bath: executes the scheme's bath, with whatever temperature and friction it is given later.
         slow_group: the only force group of the slow forces; None: the sum of all forces less the fast ones.
         has_virtual_sites: whether the System may have virtual sites; without them one native step is enough.
-        baths: None counts the heat of the bath. A number does not. A scheme with a bath in the middle of its drift then
-            has so many leapfrog steps, each with a bath, see `_leapfrog_with_bath`, in place of `substeps`.
+        counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
+            the bath; the trajectory is the same without them, to rounding.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
@@ -247,28 +232,30 @@ def write(
     """
     fast = [f"f{group}" for group in sorted(fast_groups)]
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
-    counts_heat = baths is None or BATH not in scheme.operators
+    counts_heat = counts_heat or BATH not in scheme.operators
     slow = [("+", "f"), *(("-", name) for name in fast)] if slow_group is None else [("+", f"f{slow_group}")]
 
     def drift(stage: Stage) -> Line:
         return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
 
+    def bathe(time: str) -> Line:
+        if bath is None:
+            raise ValueError(f"the operator '{BATH}' cannot be written out")
+        keeps = bool(fast) and scheme.bath_divides_drift
+        return _bath(bath.velocity(time, FRICTION, THERMAL), counts_heat, keeps)
+
     lines = _update(counts_heat) if updates_context else []
-    if scheme.bath_divides_drift and bath is not None and baths is not None:
-        lines += _lines(scheme.stages[:1], "h", slow, drift)
-        within = _leapfrog_with_bath([("+", name) for name in fast], bath)
-        lines.append(Line("leapfrog with a bath", (), (1 / baths,) * baths, "e/h", tuple(within)))
-        fraction = 1 / baths
+    lines += _lines(scheme.stages, "h", slow, drift, bathe)
+    if scheme.bath_divides_drift:
         ends_constrained = False
     else:
-        lines += _lines(scheme.stages, "h", slow, drift, bath, counts_heat)
-        fraction = scheme.inner_fraction(number) if fast else 1.0
         ends_constrained = True
         if not (scheme.stages[-1].operator == BATH and counts_heat):
             lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
+    fraction = scheme.inner_fraction(number) if fast else 1.0
     return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained)
 
 
@@ -311,38 +298,14 @@ def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) ->
     return Line(title, (), (e,), "e/h", tuple(within))
 
 
-def _leapfrog_with_bath(fast: Force, bath: Thermostat) -> list[Line]:
-    """Write a step e of leapfrog: kick, half drift, bath, half drift, as OpenMM's LangevinMiddleIntegrator has it.
-
-    Constraints move the positions once, at its end. They take up the noise along them. Before, they take what the kick
-    has given along them: the bath would leave half of what it takes away of that, and as molecules turn, this heats
-    them by some percent. Velocities at the end of the step are those after the last bath, with half of its noise along
-    the constraints.
-
-    Source: Zhang et al., J. Phys. Chem. A 123, 6056 (2019).
-    """
-    kick = [Line("kick", tuple(_summed("v", "v", "e*", fast)))] if fast else []
-    halves = (
-        Statement(CONSTRAIN_V),
-        Statement("x", "x + 0.5*e*v"),
-        Statement("v", bath.velocity("e", FRICTION, THERMAL)),
-        Statement(KEPT, "x + 0.5*e*v"),
-        Statement("x", KEPT),
-        Statement(CONSTRAIN_X),
-        Statement("v", f"v + (x - {KEPT})/e"),
-    )
-    return [*kick, Line("half drift, bath, half drift", halves)]
-
-
 def _lines(
     stages: Iterable[Stage],
     h: str,
     force: Force,
     drift: Drift,
-    bath: Thermostat | None = None,
-    counts_heat: bool = True,
+    bathe: Callable[[str], Line] | None = None,
 ) -> list[Line]:
-    """Write stages for a step called `h`; `drift` writes one from its stage."""
+    """Write stages for a step called `h`; `drift` writes one from its stage, and `bathe` a bath from its time."""
     lines: list[Line] = []
     for stage in stages:
         time = f"{stage.fraction!r}*{h}"
@@ -352,8 +315,8 @@ def _lines(
             lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
         elif stage.operator == GRADIENT_KICK:
             lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
-        elif stage.operator == BATH and bath is not None:
-            lines.append(_bath(bath.velocity(time, FRICTION, THERMAL), counts_heat))
+        elif stage.operator == BATH and bathe is not None:
+            lines.append(bathe(time))
         else:
             raise ValueError(f"the operator '{stage.operator}' cannot be written out")
     return lines
@@ -413,10 +376,14 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(velocity: str, counts_heat: bool = True) -> Line:
-    """Write a bath. Where its heat is counted, velocities are constrained before and after it, and kept."""
+def _bath(velocity: str, counts_heat: bool, keeps: bool) -> Line:
+    """Write a bath. Where its heat is counted, velocities are constrained before and after it.
+
+    Otherwise the drift that follows takes away what they have along the constraints. `keeps` keeps those after the bath
+    as `V0`, for temperatures; where heat is counted they are always kept.
+    """
     drawn = Statement("v", velocity)
     if not counts_heat:
-        return Line("bath", (drawn,))
+        return Line("bath", (drawn, Statement(V0, "v")) if keeps else (drawn,))
     after = Statement(CONSTRAIN_V), GAINED, Statement(V0, "v")
     return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, *after))

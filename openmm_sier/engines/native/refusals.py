@@ -58,7 +58,8 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
             if pair not in held:
                 return (
                     f"keeps rigid what constraints do, and none joins atoms {pair[0]} and {pair[1]} of a body in "
-                    "`bodies`: constrain every two atoms of it"
+                    "`bodies`: make a copy of the System by with_frames(system, positions, bodies); or, for up to four "
+                    "atoms, constrain every two of them"
                 )
     return None
 

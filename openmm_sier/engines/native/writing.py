@@ -5,9 +5,7 @@ from typing import Any
 import openmm
 
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.engines.native import refusals
-from openmm_sier.engines.native.program import Program, leapfrog_steps, write
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.engines.native.program import Program, write
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 
@@ -30,26 +28,12 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         A program, or one without parts where the flow cannot be written out.
     """
     slow = groups_of(_acting_groups(system) & groups & ~flow.fast_groups)
-    counts_heat = counts_heat if flow.counts_heat is None else flow.counts_heat
     return _written(
         flow,
         # By its name the force of a group is right only if no other slow force acts.
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
         has_virtual_sites=any(map(system.isVirtualSite, range(system.getNumParticles()))),
-        baths=None if counts_heat else _baths(flow, system, groups),
-    )
-
-
-def _baths(flow: Flow, system: openmm.System, groups: int) -> int:
-    """Return the number of baths in a step whose heat is not counted."""
-    if flow.substeps is not None:
-        return 2 * flow.substeps - 1
-    if not flow.fast_groups:
-        # One RATTLE step of 9 fs has the averages of water with heavy hydrogens (docs/measurements/gpu.md).
-        return 1
-    vibrations = Vibrations(system, refusals.points(system))
-    return leapfrog_steps(
-        flow.step, vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
+        counts_heat=counts_heat if flow.counts_heat is None else flow.counts_heat,
     )
 
 

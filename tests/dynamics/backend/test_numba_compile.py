@@ -2,14 +2,13 @@
 
 import os
 import sys
-from pathlib import Path
 
 import pytest
 
+from openmm_sier.dynamics.backend import numba_compile
 from tests.support.subprocesses import run_python
 
 numba = pytest.importorskip("numba")
-numba_cache = pytest.importorskip("openmm_sier.dynamics.backend.numba_cache")
 
 #: Rotates a body and moves constrained points by Numba, and prints their positions.
 MOVED = """
@@ -29,51 +28,63 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def adding(value):
-    """A compiled function, with code from the disk where there is some, under a name that does not say what it adds."""
-
-    def add(x):
-        return x + value
-
-    function = numba.njit(add)
-    function._cache = numba_cache.UserCache("add")
-    return function
+def doubled(x):
+    return 2 * x
 
 
-def test_each_signature_has_a_file_and_is_found_again(folder):
-    """So two processes that compile at the same time cannot take the code of each other for their own."""
-    first, second = adding(1), adding(1)
-    assert (first(2), second(2.5)) == (3, 3.5)
-    assert len(list(folder.rglob("*.nbc"))) == 2
-    # It is the code on the disk that is executed.
-    again = adding(5)
-    assert (again(2.5), again(2)) == (3.5, 3)
+def doubling():
+    return numba_compile.with_cache(doubled)
+
+
+def test_code_is_kept_on_disk(folder):
+    assert doubling()(2) == 4
+    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+    assert [path.suffix for path in sorted(kept)] == [".nbc", ".nbi"]
+    assert doubling()(2) == 4
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
 
 
 @pytest.mark.parametrize("rest", [0, 100], ids=["empty", "cut"])
-def test_a_broken_file_is_replaced(folder, rest):
-    adding(1)(2)
-    (path,) = folder.rglob("*.nbc")
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+def test_a_broken_file_is_replaced(folder, kind, rest):
+    """As a machine that stops leaves it."""
+    doubling()(2)
+    (path,) = folder.rglob(f"*.{kind}")
     whole = path.read_bytes()
     path.write_bytes(whole[:rest])
-    assert adding(1)(2) == 3
+    assert doubling()(2) == 4
     assert len(path.read_bytes()) == len(whole)
-    assert list(path.parent.iterdir()) == [path]
 
 
-def test_where_nothing_can_be_written_every_process_compiles(folder, monkeypatch):
-    (folder / "file").touch()
-    monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(folder / "file"))
-    with pytest.warns(UserWarning, match=r"cannot be kept in .*file.*Not a directory.*NUMBA_CACHE_DIR"):
-        assert adding(1)(2) == 3
+def test_a_full_disk_stops_nothing(folder, monkeypatch):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    function = doubling()
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.warns(UserWarning, match=r"cannot be kept on disk .*No space left.*NUMBA_CACHE_DIR"):
+        assert function(2) == 4
+    assert function(3) == 6
+
+
+def test_where_numba_finds_no_place_every_process_compiles():
+    """A function without a file of its own stands for a place where nothing can be written."""
+    made = {}
+    exec("def tripled(x):\n    return 3 * x", made)
+    with pytest.warns(UserWarning, match=r"cannot be kept on disk .*no locator available.*NUMBA_CACHE_DIR"):
+        function = numba_compile.with_cache(made["tripled"])
+    assert function(2) == 6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other platforms keep caches elsewhere")
 def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monkeypatch):
-    assert Path(numba_cache.UserCache("add").cache_path).parent == folder
-    monkeypatch.setattr(numba.core.config, "CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "caches"))
-    assert Path(numba_cache.UserCache("add").cache_path).is_relative_to(folder / "caches")
+    doubling()(2)
+    assert not (folder / "caches").exists()
+    monkeypatch.setattr(numba.core.config, "CACHE_DIR", "")
+    doubling()(2)
+    assert list((folder / "caches" / "openmm_sier").rglob("*.nbc"))
+    assert numba.core.config.CACHE_DIR == ""
 
 
 @pytest.mark.slow
@@ -84,6 +95,6 @@ def test_another_process_finds_the_code_on_disk(tmp_path):
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONHASHSEED": seed, "OPENMM_SIER_NUMBA": "1"}
         printed = run_python(MOVED, environment=environment)
         found.append((printed, {(path.name, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.nb*")}))
-    # The rotation, the projection and the drift.
-    assert len(found[0][1]) == 3
+    # The rotation, the projection and the drift, with an index each.
+    assert len(found[0][1]) == 6
     assert found[1] == found[0]

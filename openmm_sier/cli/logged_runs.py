@@ -1,0 +1,302 @@
+"""Logs of a run, or of several that differ in their seeds: read, compared, and cut where they settled."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from openmm_sier.analysis import read_log
+from openmm_sier.analysis.observables import blocks
+from openmm_sier.analysis.statistics import Estimate, of_independent, pooled, rms, settled_from
+from openmm_sier.cli import results
+from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.options import CONTINUED
+from openmm_sier.cli.plan import Plan, RunError, checkpoint_of, noted_plan
+from openmm_sier.cli.results import DENSITY, Quantity
+from openmm_sier.dynamics.correlation import is_constant
+from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
+
+#: Columns without which there is nothing to tell.
+NEEDED = ("Step", "Time (ps)", POTENTIAL, "Total Energy (kJ/mole)", CONSERVED, *TEMPERATURES)
+
+#: Fewest rows of a log from which anything is told.
+FEWEST_ROWS = 3
+
+#: Options in which runs of one kind may differ.
+MAY_DIFFER = {
+    *("seed", "out", "unwrapped", "report", "pressure_tensor"),
+    *("every", "report_every", "checkpoint_every", "pressure_tensor_every"),
+}
+
+#: Heat that a bath gave, in means over 1 ps, over the fluctuation of the potential energy, above which there is a bath.
+#: At constant energy what is left are errors of the integrator, some hundredths.
+HEAT = 0.1
+
+#: Relative error of energies.
+ROUNDING = 1e-9
+
+#: Bins of time in which it is looked for where runs settled.
+BINS = 400
+
+#: Of a run that has not settled, the part that means leave out.
+LEFT_OUT = 0.5
+
+#: What settles, in words, by its column.
+SETTLES = {
+    POTENTIAL: "potential energy",
+    **dict(zip(TEMPERATURES, ("translation", "rotation", "temperature of flexible molecules"), strict=True)),
+    DENSITY: "density",
+}
+
+
+class Run(NamedTuple):
+    """The log of a run.
+
+    Attributes:
+        path: of the log.
+        log: its columns.
+        plan: of the run, by the checkpoint beside the log; None if there is none.
+        unsettled: how a doubtful equilibration ended, by that checkpoint; None without one.
+    """
+
+    path: Path
+    log: dict[str, np.ndarray]
+    plan: Plan | None = None
+    unsettled: str | None = None
+
+    @property
+    def ensemble(self) -> str:
+        """The ensemble as far as the log tells it: "hmc", "nve" or, with any bath, "nvt"."""
+        if "Acceptance" in self.log:
+            return "hmc"
+        time, total, conserved = (self.log[name] for name in ("Time (ps)", "Total Energy (kJ/mole)", CONSERVED))
+        if np.isnan(conserved).any():
+            return "nvt"
+        parts = blocks(time, total - conserved)
+        parts = parts if len(parts) >= FEWEST_ROWS else np.array_split(total - conserved, FEWEST_ROWS)
+        heat = rms(np.array([part.mean() for part in parts]))
+        # The potential energy of a molecule alone is constant.
+        return "nvt" if heat > HEAT * rms(self.log[POTENTIAL]) + ROUNDING * np.abs(total).max() else "nve"
+
+    @property
+    def moves_volume(self) -> bool:
+        """Whether the density changes."""
+        values = self.log.get(DENSITY, np.array([math.nan]))
+        return not np.isnan(values).any() and not is_constant(values)
+
+    @property
+    def clock(self) -> np.ndarray:
+        """Where its rows are (n,) since its first one: ps, or steps where these are trials, which are no motion."""
+        column = self.log["Step" if self.ensemble == "hmc" else "Time (ps)"]
+        return column - column[0]
+
+    def after(self, begin: float) -> dict[str, np.ndarray]:
+        """Columns of the log from a time of its clock on."""
+        kept = self.clock >= begin
+        return {name: column[kept] for name, column in self.log.items()}
+
+    def quantities(self, begin: float) -> list[Quantity]:
+        """All that the log tells from a time of its clock on."""
+        log = self.after(begin)
+        found = results.energies(log, self.ensemble)
+        if self.ensemble == "nve":
+            found.insert(0, results.potential_energy(log))
+        found += results.temperatures(log)
+        return found + ([results.density(log)] if self.moves_volume else []) + results.trials(log)
+
+
+class Runs(NamedTuple):
+    """Runs of one kind.
+
+    Attributes:
+        runs: at least one.
+        begin: time of their clocks from which on means are taken.
+        moving: names of what had not settled before.
+        settled: whether all that moved settled; if not, means are those of the last half.
+    """
+
+    runs: list[Run]
+    begin: float = 0.0
+    moving: tuple[str, ...] = ()
+    settled: bool = True
+
+    @property
+    def first(self) -> Run:
+        """The first run, which shows of what kind they are."""
+        return self.runs[0]
+
+    @property
+    def unit(self) -> str:
+        """What the clocks of the runs count."""
+        return "trials" if self.first.ensemble == "hmc" else "ps"
+
+    @property
+    def length(self) -> float:
+        """How far all runs go."""
+        return min(float(run.clock[-1]) for run in self.runs)
+
+    @property
+    def title(self) -> str:
+        """Number and length of the runs, and method and ensemble where a checkpoint tells them."""
+        plan = self.first.plan
+        number = self.first.path.name if len(self.runs) == 1 else f"{len(self.runs)} runs"
+        return f"{number}, {self.length:g} {self.unit}" + (f", {plan.title}" if plan else "")
+
+    def means(self) -> list[tuple[Quantity, list[Quantity]]]:
+        """Each quantity over all runs, and in each of them."""
+        each = zip(*(run.quantities(self.begin) for run in self.runs), strict=True)
+        return [(mine[0]._replace(value=over_runs([one.value for one in mine])), list(mine)) for mine in each]
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
+    """The mean over runs, with an error from their scatter or, for few runs, from their errors.
+
+    Where few runs have no errors, their scatter is taken all the same, and marked as of few samples.
+    """
+    if len(values) == 1:
+        return values[0]
+    estimates = [value if isinstance(value, Estimate) else Estimate(value, math.nan) for value in values]
+    found = pooled(estimates)
+    if math.isfinite(found.error):
+        return found
+    return of_independent(np.array([each.value for each in estimates]))._replace(samples=len(values))
+
+
+# --- to read them ---
+
+
+def read_run(path: Path) -> Run:
+    """The log of a run, which may still be going on.
+
+    Raises:
+        RunError: it is no log of a run, or has hardly begun.
+        RecordError: a row is damaged.
+        OSError: it cannot be read.
+    """
+    try:
+        log = read_log(path, whole_lines=True)
+    except UnicodeDecodeError:
+        raise RunError(f"{path} is no log of openmm-sier run: name the file of --report, which ends in .csv") from None
+    if missing := [name for name in NEEDED if name not in log]:
+        raise RunError(
+            f"{path} is no log of openmm-sier run, which has a column {missing[0]}: name the file of --report"
+        )
+    if (rows := len(log["Step"])) < FEWEST_ROWS:
+        raise RunError(f"{path} needs {FEWEST_ROWS} rows or more, has {rows} so far: let the run go on")
+    checkpoint = checkpoint_of(path)
+    # The checkpoint tells no more than names, which are not needed.
+    with suppress(ValueError, LookupError, TypeError, OSError):
+        notes = checkpoints.read_notes(checkpoint)
+        plan = noted_plan(checkpoint, notes["plan"])
+        if same_file(plan.report, path):
+            return Run(path, log, plan, notes.get("unsettled"))
+    return Run(path, log)
+
+
+def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
+    """Runs of one kind, from their logs, and where they settled.
+
+    Warns of runs that are shorter than others, or whose options differ in more than the seed.
+
+    Args:
+        paths: of the logs.
+        skip: what to leave out of each in any case, ps or trials; None for what had not settled.
+
+    Raises:
+        RunError: the logs are not of one kind, one is given twice, or nothing is left.
+        RecordError, OSError: as for `read_run`.
+    """
+    found = [read_run(path) for path in paths]
+    for i, path in enumerate(paths):
+        if any(same_file(path, other) for other in paths[:i]):
+            raise RunError(f"{path} is given twice: each run counts once")
+    first, *others = found
+    for run in others:
+        if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):
+            raise RunError(
+                f"{run.path} is {_described(run)}, {first.path} is {_described(first)}: give runs of one kind together"
+            )
+    _warn_of_differences(found)
+    runs = Runs(found)
+    if skip is None:
+        return _with_settling(runs)
+    if skip >= runs.length:
+        raise RunError(f"--skip {skip:g} leaves nothing: the shortest run has {runs.length:g} {runs.unit}")
+    return runs._replace(begin=skip)
+
+
+def _described(run: Run) -> str:
+    kind = {"nve": "at constant energy", "nvt": "in a bath", "hmc": "of trials"}[run.ensemble]
+    return f"{kind}, {'at constant pressure' if run.moves_volume else 'at constant volume'}"
+
+
+def _warn_of_differences(runs: Sequence[Run]) -> None:
+    ends = [float(run.clock[-1]) for run in runs]
+    shortest, longest = int(np.argmin(ends)), int(np.argmax(ends))
+    if ends[shortest] < 0.99 * ends[longest]:
+        warnings.warn(
+            f"{runs[shortest].path} ends after {ends[shortest]:g}, {runs[longest].path} after {ends[longest]:g}: "
+            "runs of different lengths have the same weight in means",
+            stacklevel=3,
+        )
+    first = runs[0].plan
+    for run in runs[1:]:
+        if first is None or run.plan is None:
+            continue
+        differing = [n for n in CONTINUED if n not in MAY_DIFFER and getattr(run.plan, n) != getattr(first, n)]
+        if differing:
+            warnings.warn(
+                f"{run.path} and {runs[0].path} are runs with different {', '.join(differing)}: their mean is of no "
+                "ensemble",
+                stacklevel=3,
+            )
+            return
+
+
+# --- where they settled ---
+
+
+def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> np.ndarray:
+    """Means (count,) of values in bins of a clock; NaN where a bin has none. What comes after the last bin is left out.
+
+    Args:
+        clock, values: (n,).
+        width: of a bin, which includes its end; the first includes 0 too.
+        count: number of bins.
+    """
+    # Times are sums of steps, whose rounding must not move a row into the next bin.
+    places = np.maximum(np.ceil(np.round(clock / width, 6)).astype(int) - 1, 0)
+    kept = (places < count) & np.isfinite(values)
+    numbers = np.bincount(places[kept], minlength=count)
+    sums = np.bincount(places[kept], values[kept], minlength=count)
+    return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
+
+
+def _with_settling(runs: Runs) -> Runs:
+    """Return runs with where the means over all of them settled."""
+    rows = min(len(run.clock) for run in runs.runs)
+    count = min(rows - 1, BINS)
+    width = runs.length / count
+    found = {}
+    for column, name in SETTLES.items():
+        if column == DENSITY and not runs.first.moves_volume:
+            continue
+        series = np.mean([binned(run.clock, run.log[column], width, count) for run in runs.runs], axis=0)
+        if np.isfinite(series).all() and (index := settled_from(series)):
+            found[name] = index * width
+    begin = max(found.values(), default=0.0)
+    settled = begin < runs.length
+    return runs._replace(begin=begin if settled else LEFT_OUT * runs.length, moving=tuple(found), settled=settled)

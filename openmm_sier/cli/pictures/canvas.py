@@ -1,0 +1,104 @@
+"""Picture files: their formats, what is checked before one is drawn, and the look that all of them have."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.plan import RunError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Endings of names, and for each what matplotlib shall write into the file: no time, so that a log gives the same bytes
+#: again.
+FORMATS: dict[str, dict[str, Any]] = {".png": {}, ".svg": {"Date": None}}
+
+#: Inches.
+WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_HEADINGS = 9.0, 2.6, 1.1
+
+#: Type that can be read at half the size.
+TITLE, PANEL_TITLE, LABEL, SMALL = 17, 14, 13, 11.5
+
+RC: Any = {
+    "font.size": LABEL,
+    "axes.titlelocation": "left",
+    "axes.titlesize": PANEL_TITLE,
+    "axes.titleweight": "bold",
+    "axes.labelsize": LABEL,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "legend.fontsize": LABEL,
+    "savefig.dpi": 160,
+    "svg.hashsalt": "openmm-sier",
+}
+
+
+def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
+    """Refuse a picture that cannot be drawn, or would destroy another file.
+
+    Args:
+        path: of the picture.
+        others: files that are read and written besides.
+        may_replace: whether it may take the place of an earlier one.
+
+    Raises:
+        RunError: naming the file, and what is expected.
+        ModuleNotFoundError: there is no matplotlib; the message says how to install it.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise RunError(f"a picture ends in {' or '.join(FORMATS)}, got {path}")
+    for other in others:
+        if same_file(path, other):
+            raise RunError(f"{path} would destroy {other}: name another file")
+    if path.exists() and not path.is_file():
+        raise RunError(f"{path} is no regular file")
+    if not path.parent.is_dir():
+        raise RunError(f"there is no directory {path.parent} for {path.name}")
+    if path.exists() and not may_replace:
+        raise RunError(f"{path} exists: name another file by --plot, or allow --overwrite")
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "pictures need matplotlib; install it with: pip install 'openmm-sier[plot]'"
+        ) from error
+
+
+@contextmanager
+def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[Axes]]:
+    """Panels below each other with one axis of time, which become a file after they were drawn.
+
+    Args:
+        path: of the picture.
+        number: of panels.
+        title: the finding, above all.
+        caption: below all, in small letters.
+
+    Raises:
+        OSError: the file cannot be written. An earlier one is still there.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with mpl.rc_context(RC):
+        size = WIDTH, HEIGHT_OF_PANEL * number + HEIGHT_OF_HEADINGS
+        made = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
+        made.suptitle(title, x=0.01, ha="left", fontsize=TITLE, fontweight="bold")
+        made.supxlabel(caption, x=0.01, ha="left", fontsize=SMALL, color="0.25")
+        axes = list(made.subplots(number, 1, squeeze=False, sharex=True).flat)
+        yield axes
+        made.align_ylabels(axes)
+        content, suffix = io.BytesIO(), path.suffix.lower()
+        made.savefig(content, format=suffix[1:], metadata=FORMATS[suffix])
+    records.replace(path, content.getbuffer())

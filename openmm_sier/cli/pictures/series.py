@@ -1,0 +1,150 @@
+"""Series in means over equal times, and how they are drawn: one run with its scatter, several with their error."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from openmm_sier.analysis.statistics import ENOUGH_RUNS, Estimate
+from openmm_sier.cli.logged_runs import Runs, binned
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Most means of a series that are drawn.
+MOST_MEANS = 60
+
+#: Fewest rows whose scatter is drawn as a band.
+FEWEST_IN_A_BAND = 4
+
+#: Lengths over which means are taken, in powers of ten.
+ROUND = (1.0, 2.0, 5.0)
+
+
+class Look(NamedTuple):
+    """How a series is told from others, also without colours."""
+
+    colour: str
+    line: str = "-"
+    marker: str = "o"
+
+
+#: Of Okabe and Ito, who chose them for the colour-blind.
+BLUE, VERMILION, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
+
+
+class Means(NamedTuple):
+    """Means of a series of runs over equal times.
+
+    Attributes:
+        middles: of these times, (n,).
+        values: of each run, (runs, n).
+        scatter: standard deviation within each time, (runs, n); None where there are too few rows.
+    """
+
+    middles: np.ndarray
+    values: np.ndarray
+    scatter: np.ndarray | None
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Means over runs (n,)."""
+        return self.values.mean(axis=0)
+
+    @property
+    def error(self) -> np.ndarray | None:
+        """Standard errors of the mean over runs (n,), from their scatter; None for too few runs to tell."""
+        number = len(self.values)
+        return self.values.std(axis=0, ddof=1) / math.sqrt(number) if number >= ENOUGH_RUNS else None
+
+
+def width_of_means(runs: Runs) -> tuple[float, int]:
+    """Return over how long means are taken, and over how many rows of the log with the fewest.
+
+    It is a whole number of rows near a round time, so that there are no more than `MOST_MEANS` or little more.
+    """
+    interval = max(float(np.diff(run.clock).max()) for run in runs.runs)
+    if runs.length <= MOST_MEANS * interval:
+        return interval, 1
+    least = runs.length / MOST_MEANS
+    power = 10.0 ** math.floor(math.log10(least))
+    width = next(power * step for step in (*ROUND, 10.0) if power * step >= least)
+    rows = round(width / interval)
+    return rows * interval, rows
+
+
+def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = False) -> Means:
+    """Means of a column of the log.
+
+    Args:
+        runs: of one kind.
+        column: of their logs.
+        factor: by which values are multiplied.
+        about_mean: whether the mean of each run is taken off.
+    """
+    width, rows = width_of_means(runs)
+    count = max(1, math.floor(runs.length / width * (1 + 1e-6)))
+    values, squares = [], []
+    for run in runs.runs:
+        series = run.log[column] - (np.nanmean(run.after(runs.begin)[column]) if about_mean else 0.0)
+        # About its mean, so that squares do not lose the scatter in rounding.
+        middle = np.nanmean(series)
+        means = binned(run.clock, series - middle, width, count)
+        values.append(factor * (means + middle))
+        variance = binned(run.clock, (series - middle) ** 2, width, count) - means**2
+        squares.append(factor * np.sqrt(np.maximum(variance, 0)))
+    scatter = np.array(squares) if rows >= FEWEST_IN_A_BAND else None
+    return Means(width * (np.arange(count) + 0.5), np.array(values), scatter)
+
+
+def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = True) -> None:
+    """Draw a series.
+
+    One run is a line with a band of its scatter; several are thin lines, and their mean a thick one, with a band of its
+    standard error where there are enough of them.
+
+    Args:
+        axes: to draw on.
+        means: of the series.
+        look: of it.
+        label: in a legend.
+        scatter: whether one run has its band, or several their thin lines; series that share a panel have none.
+    """
+    at, several = means.middles, len(means.values) > 1
+    if several and scatter:
+        axes.plot(at, means.values.T, color=look.colour, lw=0.8, alpha=0.4)
+    error = means.error
+    if not several and scatter and means.scatter is not None:
+        error = means.scatter[0]
+    if error is not None:
+        axes.fill_between(at, means.mean - error, means.mean + error, color=look.colour, alpha=0.3, lw=0)
+    every = max(1, len(at) // 15)
+    axes.plot(
+        at,
+        means.mean,
+        look.line,
+        color=look.colour,
+        lw=2.2,
+        marker=look.marker,
+        markevery=every,
+        ms=6,
+        label=label or None,
+    )
+
+
+def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
+    """Draw a mean with its standard error, over the part that it was taken from."""
+    if not math.isfinite(found.value):
+        return
+    error = found.error if math.isfinite(found.error) else 0.0
+    ends = [runs.begin, runs.length]
+    axes.fill_between(ends, found.value - error, found.value + error, color=BLACK, alpha=0.22, lw=0)
+    axes.plot(ends, [found.value] * 2, color=BLACK, lw=1.3, ls="--")
+
+
+def shade_unsettled(axes: Axes, runs: Runs) -> None:
+    """Shade what means leave out."""
+    if runs.begin:
+        axes.axvspan(0, runs.begin, facecolor="0.94", edgecolor="0.8", hatch="//", lw=0, zorder=0)

@@ -1,0 +1,28 @@
+"""The command `openmm-sier plot`: a picture of the logs of one run or of several."""
+
+from pathlib import Path
+
+from openmm_sier.cli.console import note
+from openmm_sier.cli.logged_runs import read_runs
+from openmm_sier.cli.pictures import canvas, drawing
+
+
+def execute(logs: list[Path], out: Path | None, skip: float | None) -> None:
+    """Run `openmm-sier plot`.
+
+    Args:
+        logs: of runs of one kind.
+        out: the picture; None for one beside the first log.
+        skip: what means leave out, ps or trials; None for what had not settled.
+
+    Raises:
+        RunError, RecordError, OSError, ModuleNotFoundError: as their messages say.
+    """
+    path = out or logs[0].with_suffix(".png")
+    canvas.check(path, logs, may_replace=True)
+    runs = read_runs(logs, skip)
+    drawing.draw(runs, path)
+    note(drawing.title_of(runs))
+    for panel in drawing.panels(runs):
+        note(panel.finding)
+    note(f"wrote {path}")

@@ -1,0 +1,124 @@
+"""What a log tells: conservation, temperatures, density, acceptance. The table at the end of a run."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from openmm_sier.analysis.observables import energy_error
+from openmm_sier.analysis.statistics import Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.inputs.report import duration
+from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
+
+#: Names of the temperatures in tables, in the order of their columns.
+NAMES_OF_TEMPERATURES = ("T_trans", "T_rot", "T of flexible molecules")
+
+DENSITY = "Density (g/mL)"
+
+
+class Quantity(NamedTuple):
+    """A number that a log tells.
+
+    Attributes:
+        name: for tables.
+        value: with its error where there is one.
+        unit: of both.
+        form: of a value without an error, as Python formats it.
+    """
+
+    name: str
+    value: Estimate | float
+    unit: str
+    form: str = ".3g"
+
+    def __str__(self) -> str:
+        text = str(self.value) if isinstance(self.value, Estimate) else f"{self.value:{self.form}}"
+        return "-" if text in ("-", "nan") else f"{text} {self.unit}"
+
+
+def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
+    """Names and values of the wall time of a run, without the time for its files.
+
+    Args:
+        steps: number of them.
+        ps: length of each.
+        seconds: that they took.
+        evaluations: force evaluations that the integrator counted.
+    """
+    if not steps or not seconds:
+        return []
+    return [
+        ("wall time per step", duration(seconds / steps)),
+        ("force evaluations per step", f"{evaluations / steps:.2f}"),
+        ("speed of the integration", f"{steps * ps / 1000 / seconds * 86400:.2f} ns/day"),
+    ]
+
+
+def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[tuple[str, str]]:
+    """Names and values for the table at the end.
+
+    Args:
+        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
+        ensemble: of the run.
+        moves_volume: whether the pressure was constant.
+    """
+    found = [(each.name, str(each)) for each in (*energies(log, ensemble), *temperatures(log))]
+    # Trials draw momenta anew, that of the whole box included: it says nothing there.
+    if "Acceptance" not in log:
+        momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
+        found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
+    further = [density(log)] if moves_volume else []
+    return found + [(each.name, str(each)) for each in (*further, *trials(log))]
+
+
+def energies(log: dict[str, np.ndarray], ensemble: str) -> list[Quantity]:
+    """What a log tells of energies.
+
+    H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
+    rms and that of V are about their means over the whole log. In a bath its drift is the heat of the steps, and rms(H)
+    tells nothing.
+    """
+    time, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
+    if ensemble == "nve":
+        return [
+            Quantity("drift of the conserved energy H", slope_and_error(time, H), "kJ/mol/ps"),
+            Quantity("fluctuation rms(H)", rms(H) if len(H) > 2 else math.nan, "kJ/mol"),
+            Quantity("rms(H)/rms(V)", 100 * energy_error(H, V), "%"),
+        ]
+    found = [potential_energy(log)]
+    # Energy errors of trials have rows of their own. OpenMM does not count the heat of its baths.
+    if ensemble != "hmc" and not np.isnan(H).any():
+        found.append(Quantity("heat of the steps, which the bath takes up", slope_and_error(time, H), "kJ/mol/ps"))
+    return found
+
+
+def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
+    """The mean of the potential energy."""
+    return Quantity("potential energy V", mean_and_error(log[POTENTIAL]), "kJ/mol")
+
+
+def temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
+    """Means of the temperatures, those of flexible molecules only where there are any."""
+    found = [(name, log[column]) for name, column in zip(NAMES_OF_TEMPERATURES, TEMPERATURES, strict=True)]
+    return [
+        Quantity(name, mean_and_error(values), "K")
+        for name, values in found
+        if name != NAMES_OF_TEMPERATURES[-1] or not np.isnan(values).all()
+    ]
+
+
+def density(log: dict[str, np.ndarray]) -> Quantity:
+    """The mean density."""
+    return Quantity("density", mean_and_error(log[DENSITY]), "g/ml")
+
+
+def trials(log: dict[str, np.ndarray]) -> list[Quantity]:
+    """What a log tells of the trials of hybrid Monte Carlo; nothing if there were none."""
+    if "Acceptance" not in log:
+        return []
+    errors = log["Energy Error (kT)"]
+    spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
+    return [
+        Quantity("trials accepted", 100 * float(log["Acceptance"][-1]), "%", ".1f"),
+        Quantity("their energy errors", spread, "kT (sd)", ".2g"),
+    ]

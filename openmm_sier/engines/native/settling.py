@@ -1,0 +1,54 @@
+"""Atoms that somebody has put off their constraints: OpenMM moves them onto these before a run goes on."""
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.engines import own_methods
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system.cut_molecules import IF_CUT, refuse_cut_molecules
+from openmm_sier.system.tables import Constraints
+
+#: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
+#: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
+OFF = 1e-7
+
+#: Atoms still further off than this afterwards, in nm, have not converged.
+NOT_CONVERGED = 1e-4
+
+
+def satisfy_constraints(context: openmm.Context, constraints: Constraints, tolerance: float) -> None:
+    """Move atoms and velocities onto the constraints; those that satisfy them are unchanged, bit for bit.
+
+    Args:
+        context: openmm.Context.
+        constraints: of its System, at least one.
+        tolerance: relative, for OpenMM's solvers.
+
+    Raises:
+        RigidityError: OpenMM cannot satisfy them, or would pull together what the periodic boundary cuts.
+    """
+    errors, speeds = _errors(context, constraints)
+    if not errors.max() <= OFF:
+        now = Snapshot(context)
+        refuse_cut_molecules(context.getSystem(), now.positions, now.box)
+        own_methods.constrain_positions(context, tolerance)
+        errors, speeds = _errors(context, constraints)
+        worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
+        if not errors[worst] <= NOT_CONVERGED:
+            i, j = constraints.pairs[worst].tolist()
+            raise RigidityError(
+                f"the constraint of atoms {i} and {j} wants them {constraints.lengths[worst]:.4f} nm apart, "
+                f"and OpenMM could move them no nearer to that than {errors[worst]:.2g} nm: give positions that "
+                f"satisfy the constraints. {IF_CUT}"
+            )
+    if not speeds.max() <= OFF:
+        own_methods.constrain_velocities(context, tolerance)
+
+
+def _errors(context: openmm.Context, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
+    now, (first, second) = Snapshot(context), constraints.pairs.T
+    arms, velocities = (vectors[second] - vectors[first] for vectors in (now.positions, now.velocities))
+    errors = np.abs(np.linalg.norm(arms, axis=1) - constraints.lengths)
+    return errors, np.abs((arms * velocities).sum(axis=1)) / constraints.lengths

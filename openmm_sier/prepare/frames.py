@@ -1,0 +1,372 @@
+"""Rigid bodies of any size for OpenMM's own integrators, by frames that constraints hold."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_sier.dynamics import bodies as dynamics
+from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.species import Species
+from openmm_sier.prepare.carried_forces import Added, carry_forces
+from openmm_sier.prepare.frame_shapes import FrameShape
+from openmm_sier.prepare.frame_topology import with_frame_atoms
+from openmm_sier.system import checks, tables
+from openmm_sier.system.arguments import checked_positions, checked_system
+from openmm_sier.system.cut_molecules import MAKE_WHOLE
+from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
+from openmm_sier.system.molecules import Bonds
+from openmm_sier.system.solver_trial import SolverTrial
+
+#: Constraints between all of more atoms are redundant.
+MOST_HELD = 4
+
+
+class Frame(NamedTuple):
+    """The frame of one body.
+
+    Attributes:
+        body: its number.
+        shape: of the frame.
+        particles: of the frame, (f,).
+        atoms: of the body, with its virtual sites, (k,).
+        places: of these in the body's principal frame, (k, 3), nm.
+    """
+
+    body: int
+    shape: FrameShape
+    particles: np.ndarray
+    atoms: np.ndarray
+    places: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FramedSystem:
+    """What `with_frames` made.
+
+    Atoms have the numbers that they had, and the particles of frames come after them.
+
+    Attributes:
+        system: openmm.System, the copy with frames.
+        topology: openmm.app.Topology of it, with a last chain of a residue FRM for each frame; None if none was given.
+        positions: of all particles, (P, 3), nm.
+        bodies: the bodies of the original System.
+        frames: for each body that got a frame what belongs to it.
+    """
+
+    system: openmm.System
+    topology: app.Topology | None
+    positions: np.ndarray
+    bodies: RigidBodies
+    frames: tuple[Frame, ...]
+
+    @property
+    def numAtoms(self) -> int:
+        """The number of particles of the original System, N."""
+        return self.bodies.n_particles
+
+    def getAtomPositions(self, positions: Any) -> np.ndarray:
+        """Return the positions of the original System's particles.
+
+        Args:
+            positions: a State of a Context of the copy, or all positions, (P, 3), nm or a Quantity.
+
+        Returns:
+            (N, 3), nm.
+
+        Raises:
+            ValueError: the positions have another shape.
+        """
+        return self._all_positions(positions)[: self.numAtoms]
+
+    def getAtomVelocities(self, state: openmm.State) -> np.ndarray:
+        """Return the velocities of the original System's particles. OpenMM keeps none for virtual sites.
+
+        Args:
+            state: of a Context of the copy, with positions and velocities.
+
+        Returns:
+            (N, 3), nm/ps. Virtual sites that belong to no body have what the State has.
+
+        Raises:
+            RigidityError: the particles of a frame are not where its constraints hold them.
+        """
+        found = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
+        turned = self._turned(self._moving, self._all_positions(state), found)
+        velocities = found[: self.numAtoms].copy()
+        for number, frame in enumerate(self.frames):
+            velocities[frame.atoms] = turned.velocities(number, frame.places)
+        return velocities
+
+    def addFramePositions(self, positions: Any) -> np.ndarray:
+        """Return positions of all particles of the copy, to set in its Context.
+
+        Args:
+            positions: of the original System's particles, (N, 3), nm or a Quantity.
+
+        Returns:
+            (P, 3), nm. Atoms of bodies are where the bodies have them.
+
+        Raises:
+            ValueError: the positions have another shape.
+            RigidityError: they are not those of the bodies, see `RigidBodies`.
+        """
+        x = checked_positions(positions, self.numAtoms)
+        q, A, misfit = self.bodies.fit_with_misfit(x)
+        checks.tell_of_misfit(self.bodies, misfit)
+        found = np.zeros((self.system.getNumParticles(), 3))
+        found[: self.numAtoms] = self.bodies.place(q, A, x)
+        for frame in self.frames:
+            centre, attitude = q[:, frame.body], A[:, :, frame.body]
+            found[frame.atoms] = centre + frame.places @ attitude
+            found[frame.particles] = centre + frame.shape.corners.T @ attitude
+        return found
+
+    def addFrameVelocities(self, positions: Any, velocities: Any) -> np.ndarray:
+        """Return velocities of all particles of the copy, to set in its Context.
+
+        Args:
+            positions: of the original System's particles, (N, 3), nm or a Quantity.
+            velocities: of these, (N, 3), nm/ps or a Quantity. Of bodies the rigid part of the motion counts.
+
+        Returns:
+            (P, 3), nm/ps; 0 for virtual sites.
+
+        Raises:
+            ValueError: they have another shape.
+            RigidityError: the positions are not those of the bodies, see `RigidBodies`.
+        """
+        if unit.is_quantity(velocities):
+            velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
+        v = np.array(velocities, dtype=float)
+        if v.shape != (self.numAtoms, 3):
+            raise ValueError(f"velocities must have the shape ({self.numAtoms}, 3) of the atoms, got {v.shape}")
+        turned = self._turned(self.bodies, checked_positions(positions, self.numAtoms), v)
+        found = np.zeros((self.system.getNumParticles(), 3))
+        found[: self.numAtoms] = v
+        for frame in self.frames:
+            found[frame.atoms] = 0.0
+            found[frame.particles] = turned.velocities(frame.body, frame.shape.corners.T)
+        return found
+
+    def _all_positions(self, positions: Any) -> np.ndarray:
+        if isinstance(positions, openmm.State):
+            positions = positions.getPositions(asNumpy=True)
+        return checked_positions(positions, self.system.getNumParticles())
+
+    @property
+    def _moving(self) -> dynamics.RigidBodies:
+        """The frames as bodies of the copy."""
+        species = [
+            Species.from_sites(frame.particles[None], frame.shape.masses, frame.shape.corners) for frame in self.frames
+        ]
+        return dynamics.RigidBodies(species, self.system.getNumParticles())
+
+    @staticmethod
+    def _turned(bodies: dynamics.RigidBodies, x: np.ndarray, v: np.ndarray) -> _Turned:
+        _, A = bodies.fit(x)
+        p, L = bodies.momenta(v, A)
+        spin = np.einsum("axn,an,ayn,yn->xn", A, bodies.inverse_moments, A, L)
+        return _Turned(p / bodies.masses, A, spin)
+
+
+class _Turned(NamedTuple):
+    """Velocities of centres, (3, n), attitudes, (3, 3, n), and angular velocities, (3, n), of bodies."""
+
+    centre: np.ndarray
+    A: np.ndarray
+    spin: np.ndarray
+
+    def velocities(self, body: int, places: np.ndarray) -> np.ndarray:
+        """Return velocities (k, 3) at places (k, 3) in the principal frame of a body."""
+        return self.centre[:, body] + np.cross(self.spin[:, body], places @ self.A[:, :, body])
+
+
+def with_frames(
+    system: openmm.System,
+    positions: Any,
+    bodies: RigidBodies | Rigid = None,
+    topology: app.Topology | None = None,
+) -> FramedSystem:
+    """Copy a System with a frame for each rigid body, so that OpenMM's own integrators keep bodies of any size rigid.
+
+    OpenMM holds bodies by constraints, and its solvers bear those of a few atoms. In the copy a frame of four particles
+    moves for the body, three if it is flat and two if it is a line, and has its mass, its centre and its moments of
+    inertia, all of them exactly. Six constraints hold it, three or one. The atoms of the body become virtual sites of
+    the frame, without mass, and their forces act on it. So any integrator, barostat and platform of OpenMM moves them
+    as a rigid body, with six degrees of freedom, and those of this package do too.
+
+    >>> framed = with_frames(system, positions, [[0, 1, 2, 3, 4]])              # doctest: +SKIP
+    >>> simulation = Simulation(topology, framed.system, integrator)            # doctest: +SKIP
+    >>> simulation.context.setPositions(framed.positions)                       # doctest: +SKIP
+
+    Bodies that constraints define already, and that OpenMM can solve, such as water, stay as they are. Constraints
+    within the others are left out. Particles of frames interact with nothing: each Force that wants parameters for them
+    gets some, with which energies and forces stay what they were. In custom Forces these are a factor in the
+    expression. Long-range corrections alone depend on the number of particles N, as N/(N + 1).
+
+    Call it before `prepare_system`, which the copy is given to like any other System.
+
+    Args:
+        system: openmm.System; it stays as it is.
+        positions: of its particles, (N, 3), nm or a Quantity, with bodies whole.
+        bodies: the bodies, as RigidBodies, or as `rigid` of `RigidBodies.from_system` has them, such as lists of
+            particle indices; None: those of the System's constraints.
+        topology: openmm.app.Topology; the copy of it has the frames in a chain of their own.
+
+    Returns:
+        The copy with its topology and positions, and with methods that give atoms back.
+
+    Raises:
+        TypeError: it is no System, such as a Simulation.
+        ValueError: no body needs a frame, or a Force cannot be carried over: multipoles of AMOEBA and HIPPO, plugins, a
+            GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
+        RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
+            body; or a barostat scales every atom apart.
+    """
+    system = checked_system(system)
+    x = checked_positions(positions, system.getNumParticles())
+    checks.refuse_impossible_numbers(system)
+    checks.refuse_scaled_atoms(system)
+    if isinstance(bodies, RigidBodies):
+        known = linked(system, bodies)
+    else:
+        known = RigidBodies.from_system(system, topology, bodies, x)
+    _refuse_cut(system, known, x)
+    frames = tuple(_frames(system, known, x))
+    if not frames:
+        raise ValueError(
+            "no body needs a frame: bodies must name one of two atoms or more that constraints do not hold already, "
+            f"got {known!r}"
+        )
+    framed = _copied(system)
+    _hold(framed, frames)
+    held = np.concatenate([frame.atoms for frame in frames])
+    models = [int(frame.atoms[0]) for frame in frames for _ in frame.particles]
+    carry_forces(framed, Added(tables.masses(system), held, models))
+    of_frames = [frame.particles.tolist() for frame in frames]
+    named = None if topology is None else with_frame_atoms(topology, of_frames)
+    found = FramedSystem(framed, named, np.empty((0, 3)), known, frames)
+    object.__setattr__(found, "positions", found.addFramePositions(x))
+    return found
+
+
+def _copied(system: openmm.System) -> openmm.System:
+    try:
+        return copy.deepcopy(system)
+    except Exception as error:
+        raise ValueError(f"the System cannot be copied, which with_frames does by XML: {error}") from error
+
+
+def _refuse_cut(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> None:
+    """Refuse bodies with bonds that are far too long at positions x."""
+    bonds = Bonds.of_system(system)
+    owners = bodies.owners[bonds.pairs]
+    cut = (bonds.measured(x, None) > bonds.longest) & (owners[:, 0] == owners[:, 1]) & (owners[:, 0] >= 0)
+    if cut.any():
+        number = int(cut.argmax())
+        one, other = bonds.pairs[number].tolist()
+        raise RigidityError(
+            f"atoms {one} and {other} of {bodies.describe(int(owners[number, 0]))} are bonded and "
+            f"{np.linalg.norm(x[one] - x[other]):.4g} nm apart: the periodic boundary cuts the body. {MAKE_WHOLE}"
+        )
+
+
+def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> Iterator[Frame]:
+    """Give the frames of all bodies that need one, whose particles come after those of the System."""
+    q, A = bodies.fit(x)
+    followers = _virtual_sites(system, bodies)
+    sited = _with_sites_placed(system, bodies.place(q, A, x.copy())) if followers else x
+    number = bodies.n_particles
+    for species, part in zip(bodies.species, bodies.parts, strict=True):
+        if not species.sites.any():
+            continue
+        free = ~tables.constraints(system).hold(species.atoms)
+        solved = _is_solved(species)
+        for row, body in enumerate(range(part.start, part.stop)):
+            if solved and not free[row]:
+                continue
+            sites = followers.get(body, [])
+            beside = (sited[sites] - q[:, body]) @ A[:, :, body].T
+            places = np.concatenate([species.sites.T, beside.reshape(-1, 3)])
+            shape = FrameShape.of(species, places)
+            particles = np.arange(number, number + len(shape.masses))
+            number += len(particles)
+            yield Frame(body, shape, particles, np.array([*species.atoms[row].tolist(), *sites]), places)
+
+
+def _is_solved(species: Species) -> bool:
+    """Return whether OpenMM can solve constraints between all atoms of such a body."""
+    if len(species.masses) > MOST_HELD:
+        return False
+    alone = openmm.System()
+    for mass in species.masses.tolist():
+        alone.addParticle(mass)
+    for i, j in combinations(range(len(species.masses)), 2):
+        alone.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
+    return SolverTrial(alone).unsolved() is None
+
+
+def _virtual_sites(system: openmm.System, bodies: dynamics.RigidBodies) -> dict[int, list[int]]:
+    """Give the virtual sites that move with a body, as all particles do that they depend on, by its number."""
+    owners = bodies.owners.copy()
+    sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
+    followers: dict[int, list[int]] = {}
+    # Sites may depend on others, in any order.
+    for _ in range(len(sites)):
+        found = [(i, _owner(system.getVirtualSite(i), owners)) for i in sites if owners[i] < 0]
+        if not any(body >= 0 for _, body in found):
+            break
+        for i, body in found:
+            owners[i] = body
+            if body >= 0:
+                followers.setdefault(body, []).append(i)
+    return followers
+
+
+def _owner(site: openmm.VirtualSite, owners: np.ndarray) -> int:
+    """Return the body to which all particles of a virtual site belong, or -1."""
+    # Those by symmetry turn with the axes of the box, not with the body.
+    if isinstance(site, openmm.SymmetrySite):
+        return -1
+    found = {int(owners[site.getParticle(i)]) for i in range(site.getNumParticles())}
+    return found.pop() if len(found) == 1 else -1
+
+
+def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
+    """Return positions (N, 3) with virtual sites where their particles have them."""
+    alone = _copied(system)
+    for number in reversed(range(alone.getNumForces())):
+        alone.removeForce(number)
+    reference = openmm.Platform.getPlatformByName("Reference")
+    context = openmm.Context(alone, openmm.VerletIntegrator(0.001), reference)
+    context.setPositions(x)
+    context.computeVirtualSites()
+    return context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+
+
+def _hold(system: openmm.System, frames: tuple[Frame, ...]) -> None:
+    """Add the particles of frames with their constraints, and make atoms of bodies virtual sites of them."""
+    owner = np.full(system.getNumParticles(), -1)
+    for frame in frames:
+        owner[frame.atoms] = frame.body
+    for i in reversed(range(system.getNumConstraints())):
+        a, b, _ = system.getConstraintParameters(i)
+        if owner[a] >= 0 or owner[b] >= 0:
+            system.removeConstraint(i)
+    for frame in frames:
+        particles, corners = frame.particles.tolist(), frame.shape.corners.T
+        for mass in frame.shape.masses.tolist():
+            system.addParticle(mass)
+        for i, j in combinations(range(len(particles)), 2):
+            system.addConstraint(particles[i], particles[j], float(np.linalg.norm(corners[i] - corners[j])))
+        for atom, place in zip(frame.atoms.tolist(), frame.places, strict=True):
+            system.setParticleMass(atom, 0.0)
+            system.setVirtualSite(atom, frame.shape.virtual_site(particles, place))

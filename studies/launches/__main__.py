@@ -1,0 +1,9 @@
+"""What a step sends to a GPU, as a command."""
+
+from __future__ import annotations
+
+from studies import launches
+from studies.command import command
+from studies.launches.study import LaunchesSettings, study
+
+main = command(LaunchesSettings, study, launches.__doc__, __name__)

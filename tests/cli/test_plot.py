@@ -1,0 +1,279 @@
+"""`plot`: what the titles of a picture say of logs whose statistics are known, and what is refused."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from openmm_sier.cli import main
+from openmm_sier.cli.logged_runs import read_run, read_runs
+from openmm_sier.cli.pictures import drawing, series
+from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
+from tests.support.logs import NOISE, write_log
+
+pytest.importorskip("matplotlib")
+
+POTENTIAL, ROTATION, DENSITY = "Potential Energy (kJ/mole)", "Rotational Temperature (K)", "Density (g/mL)"
+
+
+def findings(*paths, skip=None):
+    """The title of the picture of some logs, and those of its panels."""
+    runs = read_runs([Path(path) for path in paths], skip)
+    return drawing.title_of(runs), [panel.finding for panel in drawing.panels(runs)]
+
+
+def eight(ensemble, **options):
+    names = [f"seed{seed}.csv" for seed in range(1, 9)]
+    for seed, name in enumerate(names, 1):
+        write_log(name, ensemble, seed=seed, **options)
+    return names
+
+
+# --- what is told ---
+
+
+@pytest.mark.parametrize(
+    ("ensemble", "begins"),
+    [
+        ("nve", ["The energy is held to", "The potential energy is", "Rotation has the temperature of translation"]),
+        ("nvt", ["The potential energy is", "No heat of the steps shows", "Rotation has"]),
+        ("npt", ["The potential energy is", "No heat of the steps shows", "Rotation has", "The density is 0."]),
+        ("hmc", ["The potential energy is", "Rotation has", ""]),
+    ],
+)
+def test_each_ensemble_has_its_panels(ensemble, begins):
+    write_log("a.csv", ensemble)
+    title, found = findings("a.csv")
+    clock = "500 trials" if ensemble == "hmc" else "20 ps"
+    assert title.startswith(f"{clock} without a trend of energy")
+    assert len(found) == len(begins)
+    for finding, begin in zip(found, begins, strict=True):
+        assert finding.startswith(begin)
+    if ensemble == "hmc":
+        # 0.9 and 0.3 kT, each within some standard errors of 501 trials: 0.013 and 0.01.
+        assert float(found[-1].split()[0]) == pytest.approx(90, abs=5)
+        assert "% of the trials are accepted; the sd of their energy errors is 0.3" in found[-1]
+
+
+def test_the_ensemble_is_known_by_the_heat_alone(box):
+    """Also where the kinetic energy of a scheme is that of other times than its positions."""
+    for ensemble, options in (("nve", ["--scheme", "verlet", "--dt", "2"]), ("nve", []), ("nvt", [])):
+        command = [*SMALL, *options, "--report-every", "0.02", "--time", "0.6", "--ensemble", ensemble, "--overwrite"]
+        run("run", box, *command)
+        assert read_run(Path("box.csv")).ensemble == ensemble
+
+
+def test_a_drift_is_told_with_its_error():
+    """From 20 ps, the slope of white noise of 0.5 kJ/mol has an error of 0.004 kJ/mol/ps."""
+    write_log("a.csv", drift=0.1)
+    _, (energy, *_) = findings("a.csv")
+    # Within three errors, as the slopes below.
+    assert float(energy.split("drifts by ")[1].split()[0]) == pytest.approx(0.1, abs=0.012)
+    # rms(H) is that of the drift, 0.1*20/sqrt(12), and of the noise; rms(V) is 50 to some per cent.
+    share = float(energy.split("held to ")[1].split(" %")[0])
+    assert share == pytest.approx(100 * np.hypot(2 / np.sqrt(12), NOISE) / 50, rel=0.2)
+    for drift, verb in ((0.1, "heat"), (-0.1, "cool")):
+        write_log("b.csv", "nvt", drift=drift)
+        heat = findings("b.csv")[1][1]
+        assert heat.startswith(f"The steps {verb} by ")
+        assert float(heat.split(" by ")[1].split()[0]) == pytest.approx(0.1, abs=0.012)
+
+
+def test_a_cold_rotation_is_told():
+    """The error of a mean of 501 temperatures of which three are worth one is 0.9 K; that of a difference 1.3 K."""
+    write_log("a.csv", change=lambda log: log.update({ROTATION: log[ROTATION] - 15}))
+    assert findings("a.csv")[1][-1].startswith("Rotation is colder than translation by 1")
+
+
+def test_what_had_not_settled_is_left_out_of_means():
+    """Six standard deviations off at first, which fade within 1 ps of 20."""
+
+    def warm(log):
+        log[POTENTIAL] = log[POTENTIAL] + 300 * np.exp(-log["Time (ps)"])
+
+    write_log("a.csv", "nvt", change=warm)
+    runs = read_runs([Path("a.csv")])
+    assert runs.moving == ("potential energy",)
+    assert runs.settled
+    assert 1 < runs.begin < 6
+    title, (energy, *_) = findings("a.csv")
+    assert title == f"Settled after {runs.begin:.4g} ps: potential energy. Means are of the rest"
+    # The mean of the whole is off by 300/20 = 15. The error of the mean of the rest is 4.4, and its transient below 6.
+    assert float(energy.split("is ")[1].split()[0]) == pytest.approx(-5000, abs=16)
+    # What is left out can be chosen.
+    assert findings("a.csv", skip=8.0)[0] == "The first 8 ps are left out of all means"
+    assert read_runs([Path("a.csv")], 0).begin == 0
+
+
+def test_a_short_log_tells_no_trend():
+    """Of 24 rows every third is independent."""
+    write_log("a.csv", rows=24)
+    title, found = findings("a.csv")
+    assert title == "0.92 ps: too short to tell a trend of potential energy, translation and rotation"
+    assert all("≥" in finding or finding.startswith(("The energy", "Rotation")) for finding in found)
+
+
+def test_what_never_settles_is_told():
+    write_log("a.csv", "npt", change=lambda log: log.update({DENSITY: log[DENSITY] + 0.01 * log["Time (ps)"]}))
+    title, found = findings("a.csv")
+    assert title == "Not settled in 20 ps: density. Means are of the last half"
+    assert found[-1].startswith("The density still drifts")
+
+
+def test_means_over_equal_times_are_those_of_their_rows():
+    write_log("a.csv")
+    runs = read_runs([Path("a.csv")])
+    means = series.means_of(runs, POTENTIAL)
+    width, rows = series.width_of_means(runs)
+    values = runs.first.log[POTENTIAL]
+    # Every 0.5 ps would be 12.5 rows.
+    assert (width, rows) == (pytest.approx(0.48), 12)
+    assert means.values[0] == pytest.approx([values[:13].mean(), *values[13:493].reshape(-1, 12).mean(axis=1)])
+    assert means.scatter[0][1:] == pytest.approx(values[13:493].reshape(-1, 12).std(axis=1))
+    assert means.error is None
+
+
+def test_the_band_of_eight_runs_is_their_standard_error():
+    runs = read_runs([Path(name) for name in eight("npt")])
+    means = series.means_of(runs, DENSITY)
+    assert means.values.shape[0] == 8
+    np.testing.assert_allclose(means.error, means.values.std(axis=0, ddof=1) / np.sqrt(8))
+    # 12 values, of which three are worth one, with a standard deviation of 0.01. Over 41 times, of which each error is
+    # known to 27 %, the mean is known to 4 %, and the memory of 12 values is shorter than that of many.
+    assert means.error.mean() == pytest.approx(0.01 / np.sqrt(4 * 8), rel=0.3)
+    assert read_runs(runs_of_four(runs)).first.path == Path("seed1.csv")
+    assert series.means_of(read_runs(runs_of_four(runs)), DENSITY).error is None
+
+
+def runs_of_four(runs):
+    return [run.path for run in runs.runs[:4]]
+
+
+# --- files ---
+
+
+@pytest.mark.parametrize("ensemble", ["nve", "nvt", "npt", "hmc"])
+@pytest.mark.parametrize("ending", [".png", ".svg"])
+def test_pictures_of_one_and_of_eight(ensemble, ending, capsys):
+    names = eight(ensemble, rows=101)
+    logs = contents(Path())
+    for paths in (names[:1], names):
+        run("plot", *paths, "--out", f"a{ending}")
+        first = Path(f"a{ending}").read_bytes()
+        assert first.startswith(b"\x89PNG" if ending == ".png" else b"<?xml")
+        # Drawn again, it takes the place of the first, to the byte.
+        run("plot", *paths, "--out", f"a{ending}")
+        assert Path(f"a{ending}").read_bytes() == first
+    assert f"wrote a{ending}" in capsys.readouterr().out
+    Path(f"a{ending}").unlink()
+    assert contents(Path()) == logs
+
+
+def test_the_picture_lies_beside_the_first_log():
+    Path("there").mkdir()
+    write_log("there/a.csv", rows=50)
+    run("plot", "there/a.csv")
+    assert sorted(contents(Path())) == ["there/a.csv", "there/a.png"]
+
+
+def test_a_run_draws_at_its_end(box, capsys):
+    short = ["run", box, *SMALL, "--report-every", "0.004", "--steps", "10", "--plot", "a.svg"]
+    run(*short)
+    assert "wrote box.chk, box.dcd, box.csv, a.svg" in capsys.readouterr().out
+    # The title of the run is that of its checkpoint.
+    assert read_run(Path("box.csv")).plan.title == "SIER2, NVE, 4 fs"
+    before = contents(Path())
+    for name in ("box.chk", "box.dcd", "box.csv"):
+        Path(name).unlink()
+    before = contents(Path())
+    assert "a.svg exists: name another file by --plot, or allow --overwrite" in complaint(capsys, *short)
+    assert contents(Path()) == before
+    run(*short, "--overwrite")
+
+
+def test_a_run_too_short_for_a_picture_is_refused_before_it(box, capsys):
+    command = ["run", box, *SMALL, "--steps", "10", "--plot", "a.png"]
+    assert "--plot needs a log of 3 rows or more, it would have 2: lower" in complaint(capsys, *command)
+    assert not contents(Path())
+
+
+def test_a_molecule_alone(capsys):
+    """Its potential energy is constant, and it has no box."""
+    molecule = SYSTEMS / "tip4p-1.pdb"
+    run("run", molecule, "--time", "2", "--equilibrate", "0.1", "--platform", "Reference", "--plot", "a.png")
+    assert Path("a.png").exists()
+    _, found = findings("tip4p-1.csv")
+    assert re.match(r"The energy is held to \S+ kJ/mol; ", found[0])
+    assert found[1] == "The potential energy is 0 kJ/mol"
+
+
+def test_a_log_that_is_being_written_is_drawn():
+    write_log("a.csv")
+    with open("a.csv", "a") as file:
+        file.write("501,20.04,-50")
+    assert len(read_run(Path("a.csv")).log["Step"]) == 501
+
+
+# --- refusals ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.csv", "--out", "a.jpg"], "a picture ends in .png or .svg, got a.jpg"),
+        (["a.csv", "--out", "none/a.png"], "there is no directory none for a.png"),
+        (["none.csv"], "none.csv: No such file or directory"),
+        (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),
+        (["a.csv", "bath.csv"], "bath.csv is in a bath, at constant volume, a.csv is at constant energy, at constant"),
+        (
+            ["tensor.csv"],
+            "tensor.csv is no log of openmm-sier run, which has a column Potential Energy (kJ/mole)",
+        ),
+        (["a.dcd"], "a.dcd is no log of openmm-sier run: name the file of --report, which ends in .csv"),
+        (["short.csv"], "short.csv needs 3 rows or more, has 2 so far: let the run go on"),
+        (["a.csv", "--skip", "20"], "--skip 20 leaves nothing: the shortest run has 20 ps"),
+    ],
+)
+def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
+    write_log("a.csv")
+    write_log("bath.csv", "nvt")
+    write_log("short.csv", rows=2)
+    write_log("tensor.csv", columns=["Step", "Time (ps)"])
+    Path("a.dcd").write_bytes(bytes(range(256)))
+    before = contents(Path())
+    assert message in complaint(capsys, "plot", *arguments)
+    assert contents(Path()) == before
+
+
+def test_a_picture_destroys_no_log(capsys):
+    write_log("a.png")
+    before = contents(Path())
+    assert "a.png would destroy a.png: name another file" in complaint(capsys, "plot", "a.png", "--out", "a.png")
+    assert contents(Path()) == before
+
+
+def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):
+    """Before a run begins, not at its end."""
+    write_log("a.csv")
+    before = contents(Path())
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    picture = ["--plot", "a.png"]
+    for command in (["plot", "a.csv"], ["summary", "a.csv", *picture], ["run", box, *SMALL, *picture]):
+        message = complaint(capsys, *command)
+        assert "pictures need matplotlib; install it with: pip install 'openmm-sier[plot]'" in message
+    assert contents(Path()) == before
+
+
+def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys):
+    for out, options in (("a", []), ("b", ["--seed", "2"]), ("c", ["--seed", "2", "--dt", "2"])):
+        run("run", box, *SMALL, "--steps", "20", "--report-every", "0.004", *options, "--out", f"{out}.dcd")
+    capsys.readouterr()
+    assert main.main(["plot", "a.csv", "b.csv"]) == 0
+    assert "warning" not in capsys.readouterr().out
+    run("plot", "a.csv", "b.csv", "c.csv")
+    said = capsys.readouterr().out
+    assert "warning: c.csv and a.csv are runs with different dt: their mean is of no ensemble" in said
+    assert "warning: c.csv ends after 0.04, a.csv after 0.08: runs of different lengths have the same weight" in said

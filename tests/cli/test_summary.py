@@ -1,0 +1,113 @@
+"""`summary`: means over runs whose statistics are known."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.cli.logged_runs import over_runs
+from tests.support.commands import complaint, contents, run
+from tests.support.logs import write_log
+
+POTENTIAL, DENSITY = "Potential Energy (kJ/mole)", "Density (g/mL)"
+
+
+def written(name="a.json"):
+    """The means of a file by their names, and the rest of it."""
+    read = json.loads(Path(name).read_text())
+    return {each["name"]: each for each in read.pop("means")}, read
+
+
+@pytest.fixture
+def logs():
+    names = [f"seed{seed}.csv" for seed in range(1, 9)]
+    return {name: write_log(name, "npt", seed=seed) for seed, name in enumerate(names, 1)}
+
+
+def test_means_are_over_runs_and_errors_from_their_scatter(logs, capsys):
+    run("summary", *logs, "--json", "a.json")
+    means, rest = written()
+    values = [log[DENSITY].mean() for log in logs.values()]
+    density = means["density"]
+    assert density["unit"] == "g/ml"
+    assert [each["value"] for each in density["runs"]] == pytest.approx(values)
+    assert density["value"] == pytest.approx(np.mean(values))
+    assert density["error"] == pytest.approx(np.std(values, ddof=1) / math.sqrt(8))
+    assert (rest["runs"], rest["length"], rest["left_out"], rest["settled"]) == (list(logs), 20, 0, True)
+    said = capsys.readouterr().out
+    assert "8 runs, 20 ps" in said
+    assert "mean over 8 runs" in said
+    assert f"{Estimate(density['value'], density['error'])} g/ml" in said
+    lowest = list(logs)[int(np.argmin(values))].removesuffix(".csv")
+    # As many digits as the mean has.
+    digits = len(str(Estimate(density["value"], density["error"])).split()[0].partition(".")[2])
+    assert f"{min(values):.{digits}f} ({lowest})" in said
+    assert "wrote a.json" in said
+
+
+def test_of_fewer_than_five_runs_the_errors_are_those_of_each(logs):
+    run("summary", *list(logs)[:3], "--json", "a.json")
+    density = written()[0]["density"]
+    assert density["error"] == pytest.approx(math.hypot(*(each["error"] for each in density["runs"])) / 3)
+
+
+def test_what_had_not_settled_is_left_out_and_said(capsys):
+    def warm(log):
+        log[POTENTIAL] = log[POTENTIAL] + 300 * np.exp(-log["Time (ps)"])
+
+    for seed in (1, 2, 3):
+        write_log(f"seed{seed}.csv", "nvt", seed=seed, change=warm)
+    run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--json", "a.json")
+    _, rest = written()
+    assert rest["moved_before"] == ["potential energy"]
+    told = f"means leave out the first {rest['left_out']:.4g} ps, in which potential energy had not settled"
+    assert told in capsys.readouterr().out
+    run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--skip", "2", "--json", "a.json")
+    means, rest = written()
+    assert rest["left_out"] == 2
+    assert "the first 2 ps" in capsys.readouterr().out
+    # Rows come every 0.04 ps.
+    kept = np.loadtxt("seed1.csv", delimiter=",", skiprows=1)[50:, 2]
+    assert means["potential energy V"]["runs"][0]["value"] == pytest.approx(kept.mean())
+
+
+@pytest.mark.parametrize("ensemble", ["nve", "nvt", "npt", "hmc"])
+def test_every_ensemble_and_a_single_run(ensemble):
+    """JSON has no NaN, which is what most readers refuse."""
+    for seed in (1, 2):
+        write_log(f"seed{seed}.csv", ensemble, seed=seed)
+    run("summary", "seed1.csv", "--json", "one.json")
+    run("summary", "seed1.csv", "seed2.csv", "--json", "two.json")
+    one, two = written("one.json")[0], written("two.json")[0]
+    assert list(one) == list(two)
+    for name, mean in two.items():
+        first, second = (each["value"] for each in mean["runs"])
+        assert one[name]["value"] == first
+        assert mean["value"] == pytest.approx((first + second) / 2)
+    assert ("trials accepted" in two) == (ensemble == "hmc")
+    assert ("rms(H)/rms(V)" in two) == (ensemble == "nve")
+    assert ("density" in two) == (ensemble == "npt")
+
+
+def test_numbers_without_errors_have_that_of_their_scatter_over_runs():
+    assert over_runs([2.0]) == 2.0
+    assert str(over_runs([1.0, 3.0])) == "2.0 ± ≥1.0"
+    assert over_runs([Estimate(1, 0.3, 10), Estimate(3, 0.4, 20)]) == (2, 0.25, 30)
+
+
+def test_a_picture_with_it():
+    pytest.importorskip("matplotlib")
+    for seed in (1, 2):
+        write_log(f"seed{seed}.csv", rows=60, seed=seed)
+    run("summary", "seed1.csv", "seed2.csv", "--plot", "a.png")
+    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_no_log_is_destroyed(logs, capsys):
+    before = contents(Path())
+    for option, name in (("--json", "seed2.csv"), ("--json", "none/a.json"), ("--plot", "seed2.csv")):
+        complaint(capsys, "summary", *logs, option, name)
+    assert contents(Path()) == before

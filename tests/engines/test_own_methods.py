@@ -1,0 +1,60 @@
+"""Engines call OpenMM's own methods, and users those that `hooks` has put in their place."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import openmm
+import pytest
+
+import openmm_sier
+from openmm_sier.engines import own_methods
+
+PACKAGE = Path(openmm_sier.__file__).parent
+
+#: What engines must not call as a method of a Context.
+REPLACED = [name for name, method in vars(openmm.Context).items() if own_methods.is_replaced(method)]
+
+#: Whoever calls these is no user: what moves a Context, and what decides between flows.
+INSIDE = ("engines", "ensembles", "integrators")
+
+
+def calls(text: str) -> list[str]:
+    """The replaced methods that a module calls, with lines."""
+    found = [node.func for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    return [
+        f"{call.lineno} {call.attr}"
+        for call in found
+        if isinstance(call, ast.Attribute)
+        and call.attr in REPLACED
+        and not ast.unparse(call.value).startswith("super()")
+    ]
+
+
+def test_no_engine_calls_a_replaced_method():
+    assert "setPositions" in REPLACED
+    assert "setVelocities" in REPLACED
+    found = {
+        f"{path.relative_to(PACKAGE)}:{call}"
+        for folder in INSIDE
+        for path in (PACKAGE / folder).rglob("*.py")
+        for call in calls(path.read_text())
+    }
+    # Groups are fixed when OpenMM reads a program, and a Context that is reinitialized gets another engine.
+    assert {call.partition(":")[0] for call in found if call.endswith("reinitialize")} <= {"engines/native/engine.py"}
+    assert [call for call in found if not call.endswith("reinitialize")] == []
+    # What the check is to find.
+    assert calls("context.setPositions(x)") == ["1 setPositions"]
+
+
+@pytest.mark.parametrize("first", ["openmm_sier", "openmm_sier.engines.own_methods", "openmm_sier.hooks"])
+def test_the_order_of_imports_does_not_matter(first):
+    program = (
+        f"import {first}, openmm_sier, openmm\n"
+        "from openmm_sier.engines import own_methods as own\n"
+        "assert own.is_replaced(openmm.Context.setPositions)\n"
+        "assert not own.is_replaced(own.set_positions)\n"
+        "assert openmm.Context.setPositions.__wrapped__ is own.set_positions\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
