@@ -210,7 +210,8 @@ def write(
     Velocities are constrained where they are read, before a bath whose heat is counted and at the end of the step, and
     not after every stage: what they have along the constraints changes no position that is constrained next, since the
     constraint forces take it up. Only forces at displaced positions are constrained where they act. A step with a bath
-    in its middle leaves its end to the engine, which constrains velocities once after a call of `step`.
+    in its middle whose heat is not counted leaves its end to the engine, which constrains velocities once after a call
+    of `step`; trajectories then depend by rounding on how steps are divided into calls.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
@@ -246,12 +247,9 @@ def write(
 
     lines = _update(counts_heat) if updates_context else []
     lines += _lines(scheme.stages, "h", slow, drift, bathe)
-    if scheme.bath_divides_drift:
-        ends_constrained = False
-    else:
-        ends_constrained = True
-        if not (scheme.stages[-1].operator == BATH and counts_heat):
-            lines.append(Line("end", (Statement(CONSTRAIN_V),)))
+    ends_constrained = counts_heat or not scheme.bath_divides_drift
+    if ends_constrained and not (scheme.stages[-1].operator == BATH and counts_heat):
+        lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
