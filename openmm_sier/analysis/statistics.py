@@ -20,9 +20,11 @@ GROUPS = 40
 #: Runs from which on their scatter tells the error of their mean.
 ENOUGH_RUNS = 5
 
-#: Beginnings of a series that are tried when it is asked where it settled, of at most so much of it: a shorter rest
-#: does not show how long it remembers.
-BEGINNINGS, LONGEST_BEGINNING = 50, 0.5
+#: Number of beginnings of a series that are tried when it is asked where it settled.
+BEGINNINGS = 50
+
+#: The longest of them, as a share of the series. A shorter rest does not show how long it remembers.
+LONGEST_BEGINNING = 0.5
 
 #: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
 #: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
