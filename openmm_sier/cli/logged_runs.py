@@ -87,13 +87,13 @@ class Run(NamedTuple):
 
     @property
     def moves_volume(self) -> bool:
-        """Whether the density changes."""
+        """Return whether the density changes."""
         values = self.log.get(DENSITY, np.array([math.nan]))
         return not np.isnan(values).any() and not is_constant(values)
 
     @property
     def clock(self) -> np.ndarray:
-        """Where its rows are (n,) since its first one: ps, or steps where these are trials, which are no motion."""
+        """Return where its rows are since its first one, (n,), ps, or steps where these are trials."""
         column = self.log["Step" if self.ensemble == "hmc" else "Time (ps)"]
         return column - column[0]
 
@@ -103,7 +103,7 @@ class Run(NamedTuple):
         return {name: column[kept] for name, column in self.log.items()}
 
     def quantities(self, begin: float) -> list[Quantity]:
-        """All that the log tells from a time of its clock on."""
+        """Return all that the log tells from a time of its clock on."""
         log = self.after(begin)
         found = results.energies(log, self.ensemble)
         if self.ensemble == "nve":
@@ -134,17 +134,17 @@ class Runs(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """What the clocks of the runs count."""
+        """Return what the clocks of the runs count."""
         return "trials" if self.first.ensemble == "hmc" else "ps"
 
     @property
     def length(self) -> float:
-        """How far all runs go."""
+        """Return how far all runs go."""
         return min(float(run.clock[-1]) for run in self.runs)
 
     @property
     def title(self) -> str:
-        """Number and length of the runs, and method and ensemble where a checkpoint tells them."""
+        """Return number and length of the runs, and method and ensemble where a checkpoint tells them."""
         plan = self.first.plan
         number = self.first.path.name if len(self.runs) == 1 else f"{len(self.runs)} runs"
         return f"{number}, {self.length:g} {self.unit}" + (f", {plan.title}" if plan else "")

@@ -1,4 +1,4 @@
-"""What a log tells: conservation, temperatures, density, acceptance. The table at the end of a run."""
+"""Tell what a log has: conservation, temperatures, density, acceptance. The table at the end of a run."""
 
 import math
 from typing import NamedTuple
@@ -72,7 +72,7 @@ def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[
 
 
 def energies(log: dict[str, np.ndarray], ensemble: str) -> list[Quantity]:
-    """What a log tells of energies.
+    """Return what a log tells of energies.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
     rms and that of V are about their means over the whole log. In a bath its drift is the heat of the steps, and rms(H)
@@ -113,7 +113,7 @@ def density(log: dict[str, np.ndarray]) -> Quantity:
 
 
 def trials(log: dict[str, np.ndarray]) -> list[Quantity]:
-    """What a log tells of the trials of hybrid Monte Carlo; nothing if there were none."""
+    """Return what a log tells of the trials of hybrid Monte Carlo; nothing if there were none."""
     if "Acceptance" not in log:
         return []
     errors = log["Energy Error (kT)"]

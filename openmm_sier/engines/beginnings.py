@@ -1,4 +1,4 @@
-"""What must be finite in a Context before something can begin there: positions, velocities, and the energy."""
+"""Refuse to begin in a Context where positions, velocities or the energy are not finite."""
 
 import numpy as np
 import openmm

@@ -1,4 +1,4 @@
-"""What a restart cuts from the files of its run: what a killed run wrote after its last checkpoint, and no more."""
+"""Cut from the files of a run what a killed run wrote after its last checkpoint, and no more."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,7 +12,7 @@ from openmm_sier.cli.plan import Plan, RunError, noted_plan
 
 
 class Cut(NamedTuple):
-    """What is cut from a file.
+    """Describe what is cut from a file.
 
     Attributes:
         path: of the file.

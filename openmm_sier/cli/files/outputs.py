@@ -88,7 +88,7 @@ class Outputs:
                 )
 
     def _is_beginning(self, path: Path) -> bool:
-        """Whether a file holds no more than a run writes before its first checkpoint."""
+        """Return whether a file holds no more than a run writes before its first checkpoint."""
         if path == self.checkpoint or not path.is_file():
             return False
         kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)

@@ -88,7 +88,7 @@ def panels(runs: Runs) -> list[Panel]:
 
 
 def title_of(runs: Runs) -> str:
-    """Whether the runs had settled, which says what the means of all panels are taken of."""
+    """Say whether the runs had settled, and so what the means of all panels are taken of."""
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length, runs.begin))
     if not runs.settled:
         return f"Not settled in {length}: {listed(runs.moving)}. Means are of the last half"
@@ -109,7 +109,7 @@ def _short(runs: Runs) -> list[str]:
 
 
 def caption_of(runs: Runs, found: list[Panel]) -> str:
-    """What was simulated, and what lines and bands are."""
+    """Say what was simulated, and what lines and bands are."""
     width, rows = series.width_of_means(runs)
     over = f"means over {width:.3g} {runs.unit}" if rows > 1 else "rows of the log"
     if len(runs.runs) > 1:
@@ -132,7 +132,7 @@ def _over(runs: Runs, estimate: Callable[[Run, dict[str, np.ndarray]], Estimate 
 
 
 def _is_told(found: Estimate) -> bool:
-    """Whether a value is more than its error."""
+    """Return whether a value is more than its error."""
     return abs(found.value) > TOLD * found.error
 
 
@@ -217,7 +217,7 @@ def temperatures(runs: Runs) -> Panel:
 
 
 def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None) -> str:
-    """What is found of temperatures: what is off most by its own error, from the bath or from translation."""
+    """Say what is found of temperatures: what is off most by its own error, from the bath or from translation."""
     if any(_moving(runs, name) for name in found):
         return "Temperatures have not settled"
     if bath is not None:

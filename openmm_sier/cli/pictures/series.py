@@ -24,7 +24,7 @@ ROUND = (1.0, 2.0, 5.0)
 
 
 class Look(NamedTuple):
-    """How a series is told from others, also without colours."""
+    """Tell a series from others, also without colours."""
 
     colour: str
     line: str = "-"

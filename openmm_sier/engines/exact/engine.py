@@ -242,7 +242,7 @@ class ExactEngine(Engine):
     # --- what OpenMM does in the Context, and cannot do for all constraints ---
 
     def _is_unsolved(self) -> bool:
-        """Whether OpenMM's solvers cannot satisfy the constraints."""
+        """Return whether OpenMM's solvers cannot satisfy the constraints."""
         return self._trial.unsolved(lambda: Snapshot(self._context).positions) is not None
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
