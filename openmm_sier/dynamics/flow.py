@@ -19,7 +19,7 @@ class Flow:
         substeps: number of steps into which a drift is divided; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts.
         bath: executes the scheme's bath; None for a scheme without one.
-        constant_energy: whether the energy is to be conserved, so that a step at which it walks is worth a word.
+        constant_energy: whether the energy is to be conserved, so that steps that make it drift draw a warning.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
         counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
     """

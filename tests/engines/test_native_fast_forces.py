@@ -61,6 +61,29 @@ def test_fast_forces_may_be_in_several_groups(engine):
     assert both == pytest.approx(end_of(system, start, 0.003, 20, engine), abs=1e-9)
 
 
+def test_slow_forces_in_other_groups_than_the_program_names_are_refused():
+    """The program takes them by the name of their group, whatever groups OpenMM integrates later."""
+    points = chains()
+    _, start = start_of(points)
+    system, _ = system_of(points)
+    slow = openmm.CustomExternalForce("x^2")
+    slow.addParticle(0)
+    slow.setForceGroup(5)
+    other = openmm.XmlSerializer.clone(slow)
+    other.setForceGroup(7)
+    for force in (slow, other):
+        system.addForce(force)
+    integrator = SIERIntegrator(0.001, engine="native", fastForceGroups={FAST})
+    integrator.setIntegrationForceGroups({FAST, 5})
+    context = context_at(system, integrator, start, steps=1)
+    assert integrator.program.slow_group == 5
+    with pytest.raises(
+        openmm.OpenMMException, match=r"slow forces from force group 5, .* groups now have them in \(5, 7\)"
+    ):
+        integrator.setIntegrationForceGroups({FAST, 5, 7})
+    assert context.getStepCount() == 1
+
+
 def test_counting_heat_changes_no_trajectory_of_a_molecule():
     points = chains()
     _, start = start_of(points)

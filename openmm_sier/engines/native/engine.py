@@ -23,6 +23,7 @@ from openmm_sier.engines.native.installation import EXACT_ONLY, set_variables
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.native.settling import satisfy_constraints
+from openmm_sier.engines.native.writing import refuse_other_slow_groups
 from openmm_sier.engines.protocol import Clock, Engine, Movers, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.variables import DRAWS, HEAT, PART, Record
@@ -92,6 +93,7 @@ class NativeEngine(Engine):
         refusals.refuse_unsolved(self._trial.unsolved())
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(flow.fast_groups), integrator.getIntegrationForceGroups())
+        refuse_other_slow_groups(program, system, integrator.getIntegrationForceGroups(), flow.fast_groups)
         self._constraints = tables.constraints(system)
         self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         points, itself = refusals.points(system), weakref.proxy(context)

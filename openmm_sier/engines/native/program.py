@@ -143,6 +143,7 @@ class Program(NamedTuple):
         inner_fraction: the longest inner step in units of h; 1 where there are none.
         counts_heat: whether it counts the heat of its bath.
         ends_constrained: whether velocities at the end of a step satisfy the constraints.
+        slow_group: the force group that it takes all slow forces from; None: from the sum of all groups.
     """
 
     name: str
@@ -151,6 +152,7 @@ class Program(NamedTuple):
     inner_fraction: float = 1.0
     counts_heat: bool = True
     ends_constrained: bool = True
+    slow_group: int | None = None
 
     @property
     def statements(self) -> list[Statement]:
@@ -254,7 +256,7 @@ def write(
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     fraction = scheme.inner_fraction(number) if fast else 1.0
-    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained)
+    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group)
 
 
 def _update(counts_heat: bool) -> list[Line]:

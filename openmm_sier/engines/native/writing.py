@@ -27,7 +27,7 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
     Returns:
         A program, or one without parts where the flow cannot be written out.
     """
-    slow = groups_of(_acting_groups(system) & groups & ~flow.fast_groups)
+    slow = slow_groups(system, groups, flow.fast_groups)
     return _written(
         flow,
         # By its name the force of a group is right only if no other slow force acts.
@@ -44,6 +44,26 @@ def _written(flow: Flow, **choices: Any) -> Program:
         return write(flow.scheme, flow.substeps, fast, flow.updates_context, flow.bath, **choices)
     except ValueError as error:
         return Program(flow.scheme.name, (), str(error))
+
+
+def slow_groups(system: openmm.System, groups: int, fast_groups: int) -> tuple[int, ...]:
+    """Return the force groups in which slow forces move the atoms; both arguments are bit masks."""
+    return tuple(groups_of(_acting_groups(system) & groups & ~fast_groups))
+
+
+def refuse_other_slow_groups(program: Program, system: openmm.System, groups: int, fast_groups: int) -> None:
+    """Refuse integration force groups whose slow forces are not those that a program takes by the name of their group.
+
+    Raises:
+        openmm.OpenMMException: somebody changed the groups after the program was written.
+    """
+    named, found = program.slow_group, slow_groups(system, groups, fast_groups)
+    if named is not None and found != (named,):
+        raise openmm.OpenMMException(
+            f"The program of this Context takes its slow forces from force group {named}, and the integration force "
+            f"groups now have them in {found or 'none'}. Set force groups before the Context is made, or take "
+            "engine='exact'"
+        )
 
 
 def _acting_groups(system: openmm.System) -> int:
