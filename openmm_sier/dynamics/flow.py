@@ -10,7 +10,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 
 @dataclass(frozen=True)
 class Flow:
-    """What an engine follows: a splitting scheme with all that its operators need.
+    """Describe what an engine follows: a splitting scheme with all that its operators need.
 
     Attributes:
         scheme: the scheme.

@@ -1,4 +1,4 @@
-"""What a minimizer cannot part: bodies that overlap with others which they cannot pass, at a minimum of the energy."""
+"""Find bodies that a minimizer cannot part, since they overlap at a minimum of the energy."""
 
 import numpy as np
 import openmm

@@ -215,7 +215,7 @@ class Engine(ABC):
 
     @abstractmethod
     def positions(self) -> np.ndarray:
-        """Positions of all particles, (N, 3), nm."""
+        """Return the positions of all particles, (N, 3), nm."""
 
     @abstractmethod
     def draw_momenta(self, bath: Thermostat, time: float) -> None:

@@ -47,7 +47,7 @@ class Alternates(NamedTuple):
 
     @property
     def is_rarer(self) -> bool:
-        """Whether the first place is rarer than another one."""
+        """Return whether the first place is rarer than another one."""
         first, *others = self.occupancies.values()
         return any(other > first for other in others)
 

@@ -1,4 +1,4 @@
-"""What to do about a step that is too long for a motion: the remedies that help that motion."""
+"""Find what to do about a step that is too long for a motion: the remedies that help that motion."""
 
 import numpy as np
 import openmm
@@ -31,7 +31,7 @@ LIGHT = 2.0
 
 
 class Remedies:
-    """What helps a System's motions, by their atoms."""
+    """Finds what helps a System's motions, by their atoms."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         """From a System and what moves in it."""

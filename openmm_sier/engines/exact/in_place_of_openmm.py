@@ -1,4 +1,4 @@
-"""What OpenMM does with velocities and constraints in a Context, by this package where OpenMM's solvers cannot."""
+"""Draw velocities and satisfy constraints of a Context by this package, where OpenMM's solvers cannot."""
 
 import secrets
 from dataclasses import replace

@@ -70,7 +70,7 @@ class KnownAtoms:
 
     @property
     def positions(self) -> np.ndarray:
-        """Positions of all particles, (N, 3), nm."""
+        """Return the positions of all particles, (N, 3), nm."""
         return self._vectors(POSITIONS)[POSITIONS]
 
     @property
@@ -88,7 +88,7 @@ class KnownAtoms:
 
     @property
     def both(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities, by one request where neither is known."""
+        """Return positions and velocities, by one request where neither is known."""
         found = self._vectors(POSITIONS, VELOCITIES)
         return found[POSITIONS], found[VELOCITIES]
 

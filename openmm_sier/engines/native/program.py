@@ -156,7 +156,7 @@ class Program(NamedTuple):
 
     @property
     def statements(self) -> list[Statement]:
-        """All statements in the order of execution."""
+        """Return all statements in the order of execution."""
         return [statement for part in self.parts for line in part for statement, _ in line.executed()]
 
     @property

@@ -1,4 +1,4 @@
-"""Which program an integrator gets: a general one, and for a System the one that costs least there."""
+"""Write the program of an integrator: a general one, and for a System the one that costs least there."""
 
 from typing import Any
 
