@@ -251,14 +251,18 @@ def tasks(settings: BathSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Averages of a run with their errors, and its speed in fs per second of processor time."""
-    settings, method, seed = task.settings, METHODS[task.method], task.point["seed"]
-    box = _read_box(settings)
+    """What a run is kept as."""
+    return task.point | measure(task.settings, METHODS[task.method], task.point["seed"])
+
+
+def measure(settings: BathSettings, method: Method, seed: int) -> dict[str, Any]:
+    """Averages and costs of a run with their errors, and its speed in fs per second of processor time."""
+    box = read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
     integrator = method.make(bath, 1e-3 * method.step)
     integrator.setRandomNumberSeed(seed)
     _fit(box.system, method, bath, integrator)
-    found = task.point | {"hydrogens": "as they are" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
+    found: dict[str, Any] = {"hydrogens": "as they are" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
     try:
         context = make_context(box.system, integrator, "CPU")
         context.setPositions(box.positions)
@@ -291,14 +295,17 @@ def _distributions(series: pd.DataFrame) -> dict[str, Any]:
 
 
 def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
-    """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many forces."""
+    """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many, with errors."""
     samples = {"cost": series[["potential"]], "dipole_cost": series[list(DIPOLE)]}
     if "psi" in series:
         samples["psi_cost"] = np.cos(series[["psi"]])
-    return {name: cost(values, forces / len(series)).value for name, values in samples.items()}
+    found = {}
+    for name, values in samples.items():
+        found[name], found[f"{name}_error"] = cost(values, forces / len(series))[:2]
+    return found
 
 
-def _read_box(settings: BathSettings) -> Any:
+def read_box(settings: Any) -> Any:
     """What has topology, positions and system, its sums of PME in balance."""
     if settings.box.stem == "dhfr":
         box = boxes.dhfr(speed_boxes.CUTOFF, speed_boxes.SWITCH, settings.tolerance, speed_boxes.HYDROGEN)

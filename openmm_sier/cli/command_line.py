@@ -69,13 +69,19 @@ COMMANDS = {
         epilog=EXIT_CODES,
     ),
     "tune": Command(
-        "find step and trial length of hybrid Monte Carlo",
-        "Equilibrate coordinates as `run --ensemble hmc` does, then find the step that has the wanted acceptance, "
-        "beginning with --dt, and the number of steps in a trial that gives an independent potential energy for the "
-        "fewest force evaluations. Writes no files: it prints the command line of a run.",
+        "find scheme, step and trial length of hybrid Monte Carlo",
+        "Equilibrate coordinates as `run --ensemble hmc` does, then find the scheme and the step, beginning with --dt, "
+        "whose accepted trials cost the least processor time, and the number of steps in a trial that gives an "
+        "independent potential energy in the least. With --scheme only that one is tried. Writes no files: it prints "
+        "the command line of a run, and the line of a script.",
         OF_TUNING,
         own=(
-            Option("acceptance", number("", 0.01, 0.99), "wanted fraction of accepted trials", 0.9),
+            Option(
+                "acceptance",
+                number("", 0.01, 0.99),
+                "wanted fraction of accepted trials",
+                otherwise="where step times acceptance is nearly largest",
+            ),
             Option("trials", whole(10), "at each step that is tried", 40),
             Option("samples", whole(10), "trials of the first length, and as many steps of the other lengths", 200),
         ),

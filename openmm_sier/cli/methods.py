@@ -42,10 +42,18 @@ class Method(NamedTuple):
         """The usual step for rigid water in an ensemble, fs, with hydrogens of a mass in dalton if one was chosen."""
         if self.scheme is None:
             return 1000 * STEP_OF_OPENMM
-        of_bath = self.scheme.bath_step
-        if is_heavy(hydrogen_mass):
-            of_bath = self.scheme.heavy_bath_step or of_bath
-        return 1000 * ((self.scheme.constant_energy_step if ensemble == "nve" else of_bath) or STEP_OF_OPENMM)
+        return 1000 * (_usual_step(self.scheme, ensemble, is_heavy(hydrogen_mass)) or STEP_OF_OPENMM)
+
+
+def _usual_step(scheme: Scheme, ensemble: str, heavy: bool) -> float | None:
+    """Return the usual step of a scheme in an ensemble, ps, if it has one."""
+    if ensemble == "nve":
+        return scheme.constant_energy_step
+    if ensemble == "hmc":
+        usual, longer = scheme.trial_step, scheme.heavy_trial_step
+    else:
+        usual, longer = scheme.bath_step, scheme.heavy_bath_step
+    return longer or usual if heavy else usual
 
 
 #: Methods by the names that `--scheme` takes.

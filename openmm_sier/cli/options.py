@@ -19,7 +19,7 @@ from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
-RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier4g"}
+RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier2v2"}
 
 #: Most steps of a run: doubles count them exactly, with room.
 MOST_STEPS = 10**15
@@ -82,14 +82,17 @@ def _option(kind: Kind, help: str, default: Any = None, otherwise: str = "", **m
 
 
 def _usual_steps() -> str:
-    """The default of `--dt` for each method: at constant energy, with a bath or trials, and with heavy hydrogens."""
+    """The default of `--dt` for each method: at constant energy, with a bath and with trials, and heavy hydrogens."""
 
     def told(method: Method) -> str:
-        steps = method.usual_step("nve"), method.usual_step("nvt"), method.usual_step("nvt", HEAVY)
-        return " or ".join(dict.fromkeys(f"{dt:g}" for dt in steps))
+        bath, trials = (
+            "/".join(dict.fromkeys(f"{method.usual_step(ensemble, mass):g}" for mass in (None, HEAVY)))
+            for ensemble in ("nvt", "hmc")
+        )
+        return f"{method.usual_step('nve'):g}, {bath}" + (f", {trials}" if "hmc" in method.ensembles else "")
 
-    each = ", ".join(f"{told(method)} for {name}" for name, method in METHODS.items())
-    return f"{each}; the first at constant energy, the last with heavy hydrogens and a bath or trials"
+    each = "; ".join(f"{name} {told(method)}" for name, method in METHODS.items())
+    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {each}"
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ class Options:
         choice(*METHODS),
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
-        otherwise="sier4g; sier2 with nvt and npt",
+        otherwise="sier4g; sier2 with nvt and npt, sier2v2 with hmc",
     )
     dt: float = _option(step(0.05, 1e3), "step", otherwise=_usual_steps())
     ensemble: str = _option(
@@ -170,7 +173,7 @@ class Options:
         otherwise="1 with npt, constant volume with hmc",
     )
     steps_per_trial: int = _option(
-        whole(most=10**6), "of the scheme in a trial of hmc, which is then a step of the run", otherwise="10"
+        whole(most=10**6), "of the scheme in a trial of hmc, which is then a step of the run", otherwise="150 fs"
     )
     steps: int = _option(
         whole(most=MOST_STEPS),

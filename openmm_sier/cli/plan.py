@@ -9,6 +9,7 @@ from typing import Any
 from openmm_sier.cli.methods import FRICTION, HEAVY_FRICTION, METHODS, Method, is_heavy
 from openmm_sier.cli.options import CONTINUED, MAY_LACK, NOTED, OF_THE_SYSTEM, OPTIONS, RECOMMENDED, Options
 from openmm_sier.cli.values import WrongValueError
+from openmm_sier.dynamics.acceptance import usual_steps
 from openmm_sier.inputs.forcefields import Interactions
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
 
@@ -17,9 +18,6 @@ DEFAULT_TEMPERATURE = 297.0
 
 #: ps; the length of a run.
 DEFAULT_TIME = 10.0
-
-#: Steps in a trial of hybrid Monte Carlo.
-TRIAL = 10
 
 #: Options that name one file each. A checkpoint notes them relative to itself.
 FILES = tuple(name for name in NOTED if OPTIONS[name].kind.file and not OPTIONS[name].kind.each)
@@ -111,7 +109,7 @@ def new_plan(options: Options, origin: Plan | None = None) -> Plan:
     values.setdefault("friction", 0.0 if ensemble == "hmc" else of_bath)
     if ensemble == "npt":
         values.setdefault("pressure", 1.0)
-    values.setdefault("steps_per_trial", TRIAL if ensemble == "hmc" else 1)
+    values.setdefault("steps_per_trial", usual_steps(values["dt"] / 1000) if ensemble == "hmc" else 1)
     values.setdefault("steps", _steps(values.get("time", DEFAULT_TIME), values["dt"] * values["steps_per_trial"]))
     values.setdefault("out", trajectory_of(options))
     values.setdefault("report", values["out"].with_suffix(".csv"))

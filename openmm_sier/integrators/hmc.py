@@ -4,9 +4,10 @@ import math
 
 from openmm import unit
 
+from openmm_sier.dynamics.acceptance import usual_steps
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER2V2, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, step_size
@@ -20,8 +21,11 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     the start of the trial, with reversed velocities. A step that is too long lowers the acceptance, but causes no bias.
     Every state that the Context ever shows is a sample. An interrupt or an error leaves it at the last one.
 
-    Note: the constructor takes the step of the scheme (9 fs); `getStepSize()` returns the length of a trial (90 fs with
-    10 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
+    The usual step of SIER2V2, the default scheme, is 10 fs with heavy hydrogens, see `prepare_system`, and 6 fs
+    otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
+
+    Note: the constructor takes the step of the scheme (10 fs); `getStepSize()` returns the length of a trial (150 fs
+    with 15 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
     `setSchemeStepSize` are for the step of the scheme.
 
     A trajectory that cannot be followed to its end, because a force is not finite or constraints cannot be satisfied,
@@ -43,8 +47,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self,
         temperature: Quantity,
         stepSize: Quantity,
-        scheme: Scheme | str = SIER4G,
-        stepsPerTrial: int = 10,
+        scheme: Scheme | str = SIER2V2,
+        stepsPerTrial: int | None = None,
         frictionCoeff: Quantity | None = None,
         pressure: Quantity | None = None,
         barostatInterval: int = 1,
@@ -59,7 +63,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             temperature: a quantity or a number in K, above zero.
             stepSize: step of the scheme, a time quantity or a number in ps.
             scheme: splitting scheme without a bath, or its name; it must be a palindrome.
-            stepsPerTrial: steps of the scheme in each trial.
+            stepsPerTrial: steps of the scheme in each trial; None: as many as make 0.15 ps.
             frictionCoeff: a quantity or a number in 1/ps. Momenta keep a factor exp(-friction t) in a trial of length
                 t, and the rest is drawn anew; None draws all of them anew.
             pressure: for constant pressure, a quantity or a number in bar; see `SIERLangevinIntegrator`.
@@ -70,7 +74,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, pressure=pressure, interval=barostatInterval)
+        steps = usual_steps(step_size(stepSize)) if stepsPerTrial is None else stepsPerTrial
+        trials = Metropolis(temperature, frictionCoeff, steps, pressure=pressure, interval=barostatInterval)
         super().__init__(trials, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     # --- what users ask ---
