@@ -36,8 +36,8 @@ NEARLY = 0.95
 def usual_steps(step: float) -> int:
     """Return the usual number of steps in a trial for a step in ps; 1 where nothing moves.
 
-    >>> usual_steps(0.01)
-    15
+    >>> usual_steps(0.009)
+    17
     """
     return max(1, round(TRIAL_LENGTH / step)) if step else 1
 

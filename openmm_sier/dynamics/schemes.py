@@ -284,7 +284,7 @@ SIER2V2 = alternating(
     constant_energy_step=0.006,
     bath_step=0.006,
     trial_step=0.006,
-    heavy_trial_step=0.010,
+    heavy_trial_step=0.009,
 )
 
 #: Of the family of three stages that no harmonic mode makes unstable near half its period: there the trace of a step

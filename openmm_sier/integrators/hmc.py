@@ -21,11 +21,11 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     the start of the trial, with reversed velocities. A step that is too long lowers the acceptance, but causes no bias.
     Every state that the Context ever shows is a sample. An interrupt or an error leaves it at the last one.
 
-    The usual step of SIER2V2, the default scheme, is 10 fs with heavy hydrogens, see `prepare_system`, and 6 fs
+    The usual step of SIER2V2, the default scheme, is 9 fs with heavy hydrogens, see `prepare_system`, and 6 fs
     otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
 
-    Note: the constructor takes the step of the scheme (10 fs); `getStepSize()` returns the length of a trial (150 fs
-    with 15 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
+    Note: the constructor takes the step of the scheme (9 fs); `getStepSize()` returns the length of a trial (153 fs
+    with 17 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
     `setSchemeStepSize` are for the step of the scheme.
 
     A trajectory that cannot be followed to its end, because a force is not finite or constraints cannot be satisfied,

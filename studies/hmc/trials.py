@@ -42,6 +42,7 @@ TRIALS: tuple[Trials, ...] = (
     *(("sier2p3", 15, steps, None, 4.0) for steps in (5, 7, 10)),
     *(("sier2v2", 10, steps, None, 4.0) for steps in (5, 10, 15, 20)),
     *(("sier2v2", 10, steps, friction, 4.0) for steps, friction in ((5, 5.0), (15, 5.0))),
+    *(("sier2v2", 9, steps, None, 4.0) for steps in (6, 11, 17, 33)),
     ("sier2v2", 6, 25, None, None),
     *(("sier2p3", 12, steps, None, 4.0) for steps in (6, 9, 12)),
     *(("sier4g", 9, steps, None, 4.0) for steps in (4, 12)),
