@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.dynamics.acceptance import usual_steps
+from openmm_sier.dynamics.schemes import SIER2, SIER2V2, SIER4G
 from studies.records import Record
 from studies.trust import one
 
@@ -134,6 +135,15 @@ def light_hydrogens(record: Record) -> Mapping[str, float]:
 def trials_of_dhfr(record: Record) -> Mapping[str, float]:
     row = one(record.tables["rows"], box="dhfr", method="SIER4G HMC, 9 fs")
     return {"accepted": 100 * row["accepted"], "trials": row["trials"]}
+
+
+def costs_of_trials(record: Record) -> Mapping[str, float]:
+    """Forces for an independent sample over those of LangevinMiddle, of trials as they are without arguments."""
+    step = SIER2V2.heavy_trial_step or 0.0
+    row = one(record.tables["rows"], box="tip3p-64", method=f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}")
+    names = {"energy": "relative", "dipole": "dipole_relative"}
+    found = {f"{name}{part}": row[f"{of}{part}"] for name, of in names.items() for part in ("", "_error")}
+    return found | {"accepted": row["accepted"]}
 
 
 def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Energy errors of trajectories by scheme, step and length, and how long the potential energy is remembered.
+"""Energy errors of trajectories by scheme, step and length, and the chance that their ends are accepted.
 
     python -m studies.hmc.lengths                                     TIP3P, heavy hydrogens, all schemes and steps
     python -m studies.hmc.lengths systems/peptide.pdb --schemes sier4g sier2p3 --steps 3 4
@@ -8,9 +8,7 @@ All schemes follow trajectories from the same phase points, which hybrid Monte C
 trajectory the energies at the end of every step are known, so that one trajectory tells for all lengths up to its own
 with what chance its end were accepted. Steps are in fs for each force evaluation.
 
-If trials draw their momenta anew, a potential energy that is correlated by r with that at the end of a trial is
-forgotten in (1 + r)/(1 - r) trials. This neglects what is remembered otherwise, so that `studies.hmc.trials` measures
-it in long runs. Writes trial-lengths.json.
+What an independent sample costs, `studies.hmc.trials` measures in long runs. Writes trial-lengths.json.
 """
 
 from __future__ import annotations
@@ -78,13 +76,14 @@ DRAWN_BY, DRAWN_STEP, DRAWN_STEPS, BETWEEN = "sier2p3", {"heavy": 12.0, "light":
 #: ps of a heat bath before the first start.
 EQUILIBRATION = 3.0
 
+#: Lengths of trials in fs that tables show, or the lengths next to them.
+SHOWN = (36.0, 72.0, 144.0)
+
 COLUMNS = {
     **records.columns("box", "hydrogens", "scheme", "per_force", "step"),
     "trial/fs": "{length:g}",
     "accepted": "{acceptance:.3f} ± {acceptance_error:.3f}",
     "sd/kT": "{spread:.3f}",
-    "V remembered": "{memory:.2f}",
-    "forces an independent V": "{cost:.0f}",
 }
 
 
@@ -136,26 +135,25 @@ def tasks(settings: LengthSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Potential and total energies at the end of each step of each trajectory, kJ/mol."""
+    """Total energies at the end of each step of each trajectory, kJ/mol; null from a step on that failed."""
     settings = task.settings
     scheme = SCHEMES[task.point["scheme"]]
     step = task.point["per_force"] * scheme.force_evaluations
     context = _context(settings, SIERIntegrator(1e-3 * step, scheme))
     starts = _starts(settings)
     steps = math.ceil(settings.longest / step)
-    potential, total = np.full((2, settings.starts, steps + 1), math.nan)
+    total = np.full((settings.starts, steps + 1), math.nan)
     for i in range(settings.starts):
         context.setPositions(starts.positions[i])
         context.setVelocities(starts.velocities[i])
-        potential[i, 0], total[i, 0] = _energies(context)
+        total[i, 0] = _energy(context)
         for j in range(1, steps + 1):
             try:
                 context.getIntegrator().step(1)
             except openmm.OpenMMException:
                 break
-            potential[i, j], total[i, j] = _energies(context)
-    found = {"step": step, "potential": np.round(potential, 3), "total": np.round(total, 4)}
-    return task.point | found
+            total[i, j] = _energy(context)
+    return task.point | {"step": step, "total": np.round(total, 4)}
 
 
 def _context(settings: LengthSettings, integrator: openmm.Integrator) -> openmm.Context:
@@ -166,10 +164,9 @@ def _context(settings: LengthSettings, integrator: openmm.Integrator) -> openmm.
     return context
 
 
-def _energies(context: openmm.Context) -> tuple[float, float]:
+def _energy(context: openmm.Context) -> float:
     state = context.getState(energy=True)
-    potential = md(state.getPotentialEnergy())
-    return potential, potential + md(state.getKineticEnergy())
+    return md(state.getPotentialEnergy() + state.getKineticEnergy())
 
 
 def _starts(settings: LengthSettings) -> Starts:
@@ -202,29 +199,33 @@ def study(settings: LengthSettings, report: Report = SILENT) -> Record:
     """Follow the trajectories that are missing in the directory `out`, and write trial-lengths.json."""
     form = "{box}, {hydrogens}, {scheme}, {per_force:g} fs per force: done"
     runs = records.all_runs(settings, "trial-lengths", tasks(settings), run, report, form)
-    rows = pd.DataFrame([row for run in runs.to_dict("records") for row in by_length(run, settings.temperature)])
+    rows = pd.DataFrame([row for run in runs.to_dict("records") for row in shown_lengths(run, settings.temperature)])
+    rows = rows.sort_values(["box", "hydrogens", "per_force", "scheme", "about"])
     report.table(records.table("Trajectories by length", rows, COLUMNS, left=3))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "trial-lengths.json")
 
 
+def shown_lengths(run: dict[str, Any], temperature: float) -> Iterator[dict[str, Any]]:
+    """The row next to each of the lengths in `SHOWN`, which it has as `about`."""
+    rows = list(by_length(run, temperature))
+    for about in SHOWN:
+        yield min(rows, key=lambda row: abs(row["length"] - about)) | {"about": about}
+
+
 def by_length(run: dict[str, Any], temperature: float) -> Iterator[dict[str, Any]]:
-    """A row for each number of steps: chance of acceptance, spread of errors, and what of V is remembered."""
-    potential, total = (np.array(run[name], dtype=float) for name in ("potential", "total"))
-    names = ("box", "hydrogens", "scheme", "per_force", "step", "starts")
-    for steps in range(1, potential.shape[1]):
+    """A row for each number of steps: chance of acceptance, and spread of errors."""
+    total = np.array(run["total"], dtype=float)
+    names = ("box", "hydrogens", "per_force", "step", "starts")
+    for steps in range(1, total.shape[1]):
         errors = (total[:, steps] - total[:, 0]) / (GAS_CONSTANT * temperature)
         chances = np.exp(-np.maximum(np.nan_to_num(errors, nan=np.inf), 0))
-        memory = np.corrcoef(potential[:, 0], potential[:, steps])[0, 1]
-        length = steps * run["step"]
-        trials = (1 + memory) / (1 - memory) / chances.mean()
         yield {name: run[name] for name in names} | {
+            "scheme": SCHEMES[run["scheme"]].name,
             "steps": steps,
-            "length": length,
+            "length": steps * run["step"],
             "acceptance": chances.mean(),
             "acceptance_error": chances.std(ddof=1) / math.sqrt(len(chances)),
             "spread": errors.std(ddof=1),
-            "memory": memory,
-            "cost": trials * length / run["per_force"],
         }
 
 

@@ -29,7 +29,7 @@ from studies import (
     whole_run,
 )
 from studies.bench import accuracy, peers, usual_inputs
-from studies.hmc import exactness, mixture, solvated
+from studies.hmc import exactness, lengths, mixture, solvated, trial_cost, trials
 from studies.native import program as counts
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -56,7 +56,7 @@ DRAWN = {"acceptance", "bench", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
 MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "mesh", "native-program"}
-MADE_AT_ONCE |= {"speed", "water"}
+MADE_AT_ONCE |= {"speed", "trial-cost", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -299,6 +299,44 @@ def bath_averages(found):
     assert rows["solute"].between(150, 450).all()
     assert rows["bonds"].between(5, 100).all()
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
+
+
+@miniature(
+    "trial-lengths",
+    lengths,
+    "{dipeptide} --schemes sier2v2 sier4g --steps 3 7 --starts 3 --longest 42",
+    patches=((lengths, "EQUILIBRATION", 0.3), (lengths, "SHOWN", (42.0,))),
+)
+def trajectories_by_length(found):
+    rows = found["rows"].set_index(["scheme", "per_force"])
+    assert len(rows) == 4
+    # At 7 fs per force SIER4G has steps of 21 fs, which are refused.
+    assert rows.loc[("SIER2V2", 3.0), "acceptance"] > 0.9 > rows.loc[("SIER4G", 7.0), "acceptance"]
+    # In whole steps.
+    assert rows["length"].tolist() == pytest.approx((rows["steps"] * rows["step"]).tolist())
+
+
+@miniature(
+    "trials",
+    trials,
+    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 6" --time 3 --equilibrate 0.2',
+)
+def costs_of_trials(found):
+    rows = found["rows"].set_index("method")
+    assert rows.loc["LangevinMiddle, 4 fs", "relative"] == 1
+    # DHFR, with 33 times the atoms, has 0.9 of trials of 36 fs accepted.
+    assert rows.loc["SIER2V2 HMC, 9 fs x 6", "accepted"] > 0.8
+    assert (rows["cost"] > 0).all()
+
+
+@miniature("trial-cost", trial_cost, "--schemes sier2v2 sier2p3 --trials 4 --length 36")
+def what_trials_ask_for(found):
+    rows = found["rows"].set_index(["scheme", "how"])
+    # A scheme that ends with a kick has the energy with its last force, the others ask for it alone.
+    assert rows.loc[("SIER2V2", "one call"), ["both", "energies"]].tolist() == [1, 0]
+    assert rows.loc[("SIER2P3", "one call"), ["both", "energies"]].tolist() == [0, 1]
+    # The list of neighbours is forgotten after checkpoints alone, of which the last is followed by no trial.
+    assert rows["forgotten"].tolist() == 2 * [0, 0, 0.75]
 
 
 @miniature("processed", processed, "--starts 1 --steps 2 --time 0.3 --equilibrate 0.1")
