@@ -33,12 +33,12 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
-from studies import gpu_boxes, records
+from studies import gpu_boxes, text
 from studies.bench.timing import median_and_error, turns
 from studies.command import Settings, command
 from studies.gpu_boxes import GpuBox
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: What ratios are taken over.
 REFERENCE = "LangevinMiddle, 4 fs"
@@ -318,25 +318,24 @@ def measured(name: str, settings: GpuSettings, report: Report) -> tuple[list[dic
         contexts[method.name].setVelocitiesToTemperature(settings.temperature, settings.seed)
     timings = speeds(box, contexts, chosen, settings)
     for row in timings:
-        report.note(records.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))
+        report.note(text.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))
     means = []
     for method in chosen:
         if with_averages and method.has_bath:
             means.append(averages(box, contexts[method.name], method, settings))
-            report.note(records.cell("{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol", means[-1]))
+            report.note(text.cell("{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol", means[-1]))
     return timings, means
 
 
-def made_tables(record: Record) -> list[Table]:
-    """Return the tables of the report."""
-    found = [records.table("Speed", record.tables["speeds"], SPEEDS, left=2)]
+def tell(record: Record, report: Report) -> None:
+    """Report speeds and averages."""
+    report.table("Speed", text.table(record.tables["speeds"], SPEEDS))
     if "averages" in record.tables:
         means = record.tables["averages"]
         names = [name for name in means if f"{name}_error" in means]
         columns = {"box": "{box}", "method": "{method}"}
         columns |= {name: f"{{{name}:.6g}} ± {{{name}_error:.2g}}" for name in names}
-        found.append(records.table("Averages, kJ/mol and K", means, columns, left=2))
-    return found
+        report.table("Averages, kJ/mol and K", text.table(means, columns))
 
 
 def study(settings: GpuSettings, report: Report = SILENT) -> Record:
@@ -357,8 +356,7 @@ def study(settings: GpuSettings, report: Report = SILENT) -> Record:
         if means:
             found["averages"] = pd.DataFrame(means)
         record = Record(settings.recorded(), found, device(settings.platform)).write(settings.out / "gpu.json")
-    for table in made_tables(record):
-        report.table(table)
+    tell(record, report)
     return record
 
 

@@ -42,7 +42,7 @@ from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
-from studies import boxes, records, speed_boxes
+from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
@@ -66,7 +66,7 @@ AVERAGED = {
 }
 
 #: Columns that tell a row.
-NAMES = records.columns("box", "method", "hydrogens", "time", "at")
+NAMES = text.columns("box", "method", "hydrogens", "time", "at")
 
 AVERAGES = {
     **NAMES,
@@ -340,7 +340,7 @@ def study(settings: BathSettings, report: Report = SILENT) -> Record:
     form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: done"
     rows = averaged(records.all_runs(settings, "heat-bath", tasks(settings), run, report, form))
     for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
-        report.table(records.table(title, rows, columns, left=3))
+        report.table(title, text.table(rows, columns))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "heat-bath.json")
 
 

@@ -27,7 +27,7 @@ from openmm_sier.dynamics.backend import threads
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.pme import meshed_forces
-from studies import boxes, records
+from studies import boxes, text
 from studies.bench.timing import ON_PROCESSORS, interleaved, median_and_error
 from studies.command import BoxSettings, command
 from studies.records import Record
@@ -44,7 +44,7 @@ TIGHT, DENSITY = 1e-7, 17.0
 #: Names of the two ways in which OpenMM's tolerance becomes parameters.
 _SPLITS = OPENMM, BALANCED = "OpenMM", "balanced"
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     *("molecules", "tolerance", "split", "mesh", "alpha", "error", "milliseconds"),
     *("best_mesh", "best_alpha", "best_error", "ratio"),
 )
@@ -181,7 +181,7 @@ def scan(replica: boxes.Replica, exact: np.ndarray, settings: MeshSettings, repo
             found = {"alpha": made.parameters.alpha, "mesh": made.parameters.mesh, "spacing": edge / mesh}
             rows.append(found | {"error": error(made.read(), exact)})
         best = min(rows[-settings.alphas :], key=lambda row: row["error"])
-        report.note(records.cell("mesh {mesh}: least error {error:.2g} at alpha = {alpha:.2f}/nm", best))
+        report.note(text.cell("mesh {mesh}: least error {error:.2g} at alpha = {alpha:.2f}/nm", best))
     return pd.DataFrame(rows)
 
 
@@ -210,7 +210,7 @@ def timed(
     for number, (tolerance, split) in enumerate(choices, start=len(tried)):
         row = {"tolerance": tolerance, "split": split} | rows[number]
         row |= _fastest(rows[: len(tried)], seconds, number, errors[number])
-        report.note(records.cell("{molecules} molecules, {split} {tolerance:g}: fastest takes {ratio:.3f} of it", row))
+        report.note(text.cell("{molecules} molecules, {split} {tolerance:g}: fastest takes {ratio:.3f} of it", row))
         compared.append(row)
     return rows[: len(tried)], compared
 
@@ -263,7 +263,7 @@ def study(settings: MeshSettings, report: Report = SILENT) -> Record:
         choices += compared
     found = {"scan": scanned, "meshes": pd.DataFrame(meshes), "choices": pd.DataFrame(choices)}
     title = f"PME by tolerance, and the fastest mesh as exact, {settings.cutoff:g} nm"
-    report.table(records.table(title, found["choices"], COLUMNS))
+    report.table(title, text.table(found["choices"], COLUMNS))
     return Record(settings.recorded(), found, {"threads": threads.count()}).write(settings.out / "mesh.json")
 
 

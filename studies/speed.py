@@ -33,12 +33,12 @@ from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.prepare.masses import set_hydrogen_masses
-from studies import records, speed_boxes
+from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.command import BoxSettings, chosen, command
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import equilibrated_liquid
 from studies.speed_boxes import SOLUTES, Start
 
@@ -186,7 +186,7 @@ def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[s
             "method": method.method if method else row["name"].partition(",")[0],
             "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
         }
-        report.note(records.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
+        report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
     return rows
 
 
@@ -296,8 +296,8 @@ def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, f
 # --- the study ---
 
 
-def tables(record: Record) -> list[Table]:
-    """Speeds, for the report: a row for each method and a column for each box."""
+def tell(record: Record, report: Report) -> None:
+    """Report speeds, with a row for each method and a column for each box."""
     rows = record.tables["speeds"]
     platform = rows["platform"].iloc[0]
     of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
@@ -307,11 +307,11 @@ def tables(record: Record) -> list[Table]:
         f"{unit}, and over Verlet at 2 fs": f"{speed}, {{over_text}}",
         f"Over {BATH_REFERENCE}": "{over_middle_text}",
     }
-    made = [records.table(name, rows, {"method": "{name}", "-": form}, across="box") for name, form in forms.items()]
+    for title, form in forms.items():
+        report.table(title, text.table(rows, {"method": "{name}", "{box}": form}))
     if "equal" in record.tables:
-        columns = records.columns("percent", "method", "fs_per_force") | {"-": "{over_text}"}
-        made.append(records.table("At equal energy error, over Verlet", record.tables["equal"], columns, across="box"))
-    return made
+        columns = text.columns("percent", "method", "fs_per_force") | {"{box}": "{over_text}"}
+        report.table("At equal energy error, over Verlet", text.table(record.tables["equal"], columns))
 
 
 def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
@@ -332,8 +332,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
         found["equal"] = at_equal_error(found["speeds"], found["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
     record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
-    for table in tables(record):
-        report.table(table)
+    tell(record, report)
     return record.write(settings.out / "speed.json")
 
 

@@ -27,10 +27,10 @@ import pandas as pd
 from openmm_sier.analysis import transport
 from openmm_sier.analysis.statistics import Estimate, mean_and_error
 from openmm_sier.cli.methods import METHODS
-from studies import command_runs, records, style
+from studies import command_runs, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
@@ -42,7 +42,7 @@ PROPERTIES = {
 #: What follows from runs, with its heading in the table.
 MEASURED = {"translation": "T_trans, K", "rotation": "T_rot, K"} | {key: name for key, (name, _) in PROPERTIES.items()}
 
-COLUMNS = records.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
+COLUMNS = text.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
     heading: f"{{{key}_text}}" for key, heading in MEASURED.items()
 }
 
@@ -169,9 +169,11 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
     form = "{box}, {method}, {step:g} fs, seed {seed}: {density_text} g/cm³, {energy_text} kJ/mol"
     runs = records.all_runs(settings, "step-study", tasks(settings), run, report, form)
     rows = in_order(with_shared_errors(averaged(runs)))
-    record = Record(settings.recorded(), {"rows": rows}, {"title": "Water against the step, 297 K, 1 bar"})
-    for made in tables(record):
-        report.table(made)
+    record = Record(settings.recorded(), {"rows": rows}, {})
+    report.table("Water against the step, 297 K, 1 bar", text.table(rows, COLUMNS))
+    found = deviations(rows)
+    for key, (name, _) in PROPERTIES.items():
+        report.table(f"{name}, less the reference", beside_reference(found, key))
     record.write(settings.out / "step-study.json")
     figure(record, settings.out / "step-study.png")
     return record
@@ -212,16 +214,6 @@ def in_order(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(list(places), key=lambda column: column.map(places[column.name]), ignore_index=True)
 
 
-def tables(record: Record) -> list[Table]:
-    """The rows as text, and the tables of deviations, in the order of `PROPERTIES`."""
-    rows = record.tables["rows"]
-    found = deviations(rows)
-    return [
-        records.table(record.notes["title"], rows, COLUMNS, left=2),
-        *(_deviations(found[found["property"] == key], PROPERTIES[key][0]) for key in PROPERTIES),
-    ]
-
-
 def deviations(rows: pd.DataFrame) -> pd.DataFrame:
     """How far properties are from the exact averages, by box.
 
@@ -254,14 +246,18 @@ def _reference(rows: pd.DataFrame) -> pd.DataFrame:
     return exact if len(exact) else cold[cold["fs_per_force"] == cold["fs_per_force"].min()]
 
 
-def _deviations(found: pd.DataFrame, name: str) -> Table:
-    """A line for each method and step, with a column for each box; errors have that of the reference in them."""
+def beside_reference(found: pd.DataFrame, key: str) -> pd.DataFrame:
+    """Return a table of text of the `deviations` of one property, with a line for each method and step.
+
+    Errors have that of the reference in them.
+    """
+    found = found[found["property"] == key]
     error = np.hypot(found["difference_error"], found["reference_error"])
     own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
     reference = own.drop_duplicates("box").assign(method="reference", fs_per_force="")
     reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
-    columns = records.columns("method", "fs_per_force") | {"-": "{value_text}"}
-    return records.table(f"{name}, less the reference", pd.concat([reference, own]), columns, across="box")
+    columns = text.columns("method", "fs_per_force") | {"{box}": "{value_text}"}
+    return text.table(pd.concat([reference, own]), columns)
 
 
 def figure(record: Record, path: Path) -> None:

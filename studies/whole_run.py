@@ -32,11 +32,11 @@ from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.stability.vibrations import WATER
 from openmm_sier.system import find_bodies
-from studies import boxes, records, style
+from studies import boxes, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
 #: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
@@ -61,14 +61,14 @@ POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
 PME = {"PME": "{tolerance:g}/{share:g}"}
 
-COLUMNS = records.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
+COLUMNS = text.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
     "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
     **PME,
 }
 
-GAINS = records.columns("liquid", "molecules", "time") | {
+GAINS = text.columns("liquid", "molecules", "time") | {
     **PME,
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
@@ -198,19 +198,11 @@ def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     runs = records.all_runs(settings, "whole-run", tasks(settings), run, report, form)
     rows = points(runs).sort_values(POINT, kind="stable")
     record = Record(settings.shared(), {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
-    for table in tables(record):
-        report.table(table)
+    report.table("Conservation of energy over whole runs", text.table(rows, COLUMNS))
+    report.table("Gain over Verlet with as many forces", text.table(record.tables["gains"], GAINS))
     record.write(settings.out / "whole-run.json")
     figure(record, settings.out / "whole-run.png")
     return record
-
-
-def tables(record: Record) -> list[Table]:
-    """Every point; and Verlet beside SIER4G where both had as many forces."""
-    return [
-        records.table("Conservation of energy over whole runs", record.tables["rows"], COLUMNS, left=1),
-        records.table("Gain over Verlet with as many forces", record.tables["gains"], GAINS, left=1),
-    ]
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:

@@ -26,7 +26,7 @@ from openmm import app, unit
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.inputs import forcefields
-from studies import boxes, records
+from studies import boxes, text
 from studies.command import Settings, chosen, command
 from studies.report import SILENT, Report
 from studies.units import md
@@ -247,7 +247,7 @@ def study(settings: InterruptSettings, report: Report = SILENT) -> list[dict[str
     rows = []
     for run, engine in product(settings.runs or RUNS, settings.engines or ENGINES):
         rows.append(row(run, engine, start, settings))
-        report.note(records.cell(form, rows[-1]))
+        report.note(text.cell(form, rows[-1]))
     return rows
 
 

@@ -21,7 +21,7 @@ import pandas as pd
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.native.installation import OWN
 from openmm_sier.engines.native.program import CONSTRAIN_V, CONSTRAIN_X, Program, Statement, write
-from studies import records
+from studies import text
 from studies.command import Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -32,7 +32,7 @@ FORCE = re.compile(r"\bf(\d*)/m")
 #: The force group that is fast in programs that have one.
 FAST = 1
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     *("scheme", "fast", "native_steps", "statements", "constrain_x", "constrain_v"),
     *("forces", "fast_alone", "kernels", "kernels_per_force"),
 )
@@ -126,7 +126,7 @@ def study(settings: ProgramSettings, report: Report = SILENT) -> Record:
         for scheme in schemes
     ]
     found = pd.DataFrame(rows)
-    report.table(records.table("One step", found, COLUMNS, left=2))
+    report.table("One step", text.table(found, COLUMNS))
     return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-program.json")
 
 
