@@ -22,23 +22,19 @@ def missing_files(text: str) -> list[str]:
 def missing_tests(text: str) -> list[str]:
     """Return tests after `pytest` in backquotes that are not there: files or folders, with functions after "::"."""
     named = [name for line in re.findall(r"`pytest ([^`]*)`", text) for name in re.findall(r"tests/\S+", line)]
-    found = []
-    for name in named:
-        path, _, function = name.partition("::")
-        is_file = not function or (ROOT / path).is_file()
-        if (
-            not (ROOT / path).exists()
-            or not is_file
-            or (function and f"def {function}(" not in (ROOT / path).read_text())
-        ):
-            found.append(name)
-    return found
+    return [name for name in named if not has_test(*name.partition("::")[::2])]
 
 
 def missing_modules(text: str) -> list[str]:
     """Modules in backquotes or after `python -m`, with attributes of theirs."""
     named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m (studies(?:\.\w+)*)", text)
     return [name for name in named if not is_there(name)]
+
+
+def has_test(path: str, function: str) -> bool:
+    if not (ROOT / path).exists():
+        return False
+    return not function or f"def {function}(" in (ROOT / path).read_text()
 
 
 def is_there(name: str) -> bool:
