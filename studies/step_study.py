@@ -78,7 +78,7 @@ TITLE = "Verlet with AndersenThermostat leaves the exact averages;\nthe others s
 #: What ends the name of a method whose averages have no error of the step.
 EXACT = " HMC"
 
-#: Left out of the reference: its bath heats the liquid at any step (`studies.checks.andersen_oscillators`).
+#: Left out of the reference: its bath heats the liquid at any step (`tests/system/test_openmm_heat_baths.py`).
 HEATED = "OpenMM Verlet"
 
 #: fs by which the points of different methods are shifted apart.

@@ -27,7 +27,7 @@ def missing_tests(text: str) -> list[str]:
 
 def missing_modules(text: str) -> list[str]:
     """Modules in backquotes or after `python -m`, with attributes of theirs."""
-    named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m (studies(?:\.\w+)*)", text)
+    named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m ((?:studies|tests)(?:\.\w+)*)", text)
     return [name for name in named if not is_there(name)]
 
 

@@ -1,6 +1,6 @@
 """Ctrl-C at random moments of every kind of run: the Context must be at a completed step, and the run must go on.
 
-    python -m studies.checks.interrupts [--interrupts 2000] [--engines exact] [--runs langevin]
+    python -m tests.loops.interrupts [--interrupts 2000] [--engines exact] [--runs langevin]
 
 Another process sends real SIGINTs while a small box of water is run, mostly into calls of `step`. One more step is made
 after each KeyboardInterrupt. Time, energies and momenta at all these steps, and positions, velocities and box at the
