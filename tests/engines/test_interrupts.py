@@ -59,7 +59,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
 @pytest.mark.slow
 @pytest.mark.parametrize("run", loop.RUNS)
 def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
-    """Each leaves a completed step, of the run that nothing disturbed; `python -m tests.loops.interrupts` makes 2000."""
+    """Each leaves a completed step of the run that nothing disturbed. `python -m tests.loops.interrupts` makes 2000."""
     rows = loop.study(loop.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path))
     assert [row["engine"] for row in rows] == ["exact", "native"]
     assert all(row["steps"] > 20 for row in rows)
