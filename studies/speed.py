@@ -27,16 +27,23 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from openmm_sier import SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.starts import make_context
-from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.prepare.masses import set_hydrogen_masses
 from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.command import BoxSettings, chosen, command
+from studies.contestants import (
+    MIDDLE_IN_RIGID_WATER,
+    SEVERAL_STEPS,
+    Bath,
+    Contestant,
+    at_constant_energy,
+    in_bath,
+    middle,
+    verlet,
+)
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import equilibrated_liquid
@@ -93,66 +100,25 @@ class SpeedSettings(BoxSettings):
     starts: int = 3
 
 
-class Contestant(NamedTuple):
-    """An integrator at a step.
-
-    Attributes:
-        method: name without the step.
-        step: fs.
-        forces: evaluations in a step.
-        prepared: whether its System is.
-        hydrogens: their mass in dalton, in water too; None leaves them as the box has them.
-        make: (step in ps, temperature in K) -> integrator.
-    """
-
-    method: str
-    step: float
-    forces: int
-    prepared: bool
-    hydrogens: float | None
-    make: Callable[[float, float], openmm.Integrator]
-
-    @property
-    def name(self) -> str:
-        return f"{self.method}, {self.step:g} fs"
-
-
 def contestants(has_solute: bool) -> list[Contestant]:
-    """All of them; with solutes SIER2P3 has the step that bonds allow."""
+    """Return all of them; with solutes SIER2P3 has the step that bonds allow."""
 
     def own(scheme: Scheme, step: float) -> Contestant:
-        make = partial(_at_constant_energy, scheme)
-        return Contestant(scheme.name, step, scheme.force_evaluations, True, None, make)
+        make = partial(at_constant_energy, scheme=scheme)
+        return Contestant(scheme.name, step, make, scheme.force_evaluations, prepared=True, has_bath=False)
 
     def bath(scheme: Scheme, step: float) -> Contestant:
-        make = partial(_in_bath, scheme)
-        return Contestant(f"{scheme.name} in a bath", step, scheme.force_evaluations, True, 4.0, make)
+        make = partial(in_bath, scheme=scheme)
+        return Contestant(f"{scheme.name} in a bath", step, make, scheme.force_evaluations, 4.0, prepared=True)
 
-    found = [Contestant("OpenMM Verlet", step, 1, False, None, _verlet) for step in (1.0, 2.0)]
+    found = [Contestant("OpenMM Verlet", step, verlet, has_bath=False) for step in (1.0, 2.0)]
     found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, _middle) for step in (2.0, 4.0, 5.0)]
-    several = Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, _several_steps)
-    return [*found, several if has_solute else bath(SIER2P3, 18.0), *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
-
-
-def _verlet(h: float, _: float) -> openmm.Integrator:
-    return openmm.VerletIntegrator(h)
-
-
-def _middle(h: float, temperature: float) -> openmm.Integrator:
-    return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
-
-
-def _several_steps(h: float, temperature: float) -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
-
-
-def _at_constant_energy(scheme: Scheme, h: float, _: float) -> openmm.Integrator:
-    return SIERIntegrator(h, scheme)
-
-
-def _in_bath(scheme: Scheme, h: float, temperature: float) -> openmm.Integrator:
-    return SIERLangevinIntegrator(temperature, FRICTION, h, scheme)
+    found += [Contestant("OpenMM LangevinMiddle", step, middle, hydrogens=3.0) for step in (2.0, 4.0, 5.0)]
+    found.append(replace(SEVERAL_STEPS, method="OpenMM MTSLangevin"))
+    if not has_solute:
+        found.append(replace(MIDDLE_IN_RIGID_WATER, method="OpenMM LangevinMiddle"))
+        found.append(bath(SIER2P3, 18.0))
+    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
 
 
 class Turn(NamedTuple):
@@ -209,12 +175,8 @@ def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, An
 
 def _context(method: Contestant, start: Start, settings: SpeedSettings) -> openmm.Context:
     system = copy.deepcopy(start.system)
-    if method.prepared:
-        prepare_system(system, hydrogenMass=method.hydrogens)
-    elif method.hydrogens is not None:
-        set_hydrogen_masses(system, method.hydrogens)
-    integrator = method.make(1e-3 * method.step, settings.temperature)
-    context = make_context(system, integrator, settings.platform)
+    method.fit(system)
+    context = make_context(system, method.integrator(Bath(settings.temperature, FRICTION)), settings.platform)
     context.setState(start.state)
     return context
 
