@@ -246,7 +246,7 @@ def table_of_speeds() -> pd.DataFrame:
 
 
 def readme(written: str) -> str:
-    """README with the figures of the records.
+    """Return README with the figures of the records.
 
     Raises:
         ValueError: it lacks a sentence or the table.
@@ -257,7 +257,7 @@ def readme(written: str) -> str:
 
 
 def draft(written: str) -> str:
-    """The draft of the paper with the figures of the records.
+    """Return the draft of the paper with the figures of the records.
 
     Raises:
         ValueError: it lacks a sentence.

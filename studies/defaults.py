@@ -55,7 +55,7 @@ class DefaultsSettings(GridSettings):
 
 
 def run(task: Task) -> dict[str, Any]:
-    """A run with its `percent`, rms(H)/rms(V)."""
+    """Return a run with its `percent`, rms(H)/rms(V)."""
     settings, point = task.settings, task.point
     interactions = Interactions(point["cutoff"], None if point["switch"] == "yes" else 0.0, point["tolerance"])
     system = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions).system

@@ -47,7 +47,7 @@ class Record:
     notes: Mapping[str, Any]
 
     def write(self, path: Path) -> Record:
-        """Write everything, and versions and machine, as JSON, with null for what is not finite; the record itself."""
+        """Write everything, versions and machine as JSON, with null for what is not finite, and return the record."""
         tables = {name: frame.to_dict("records") for name, frame in self.tables.items()}
         content = {**provenance(), "settings": self.settings, "notes": self.notes, "tables": tables}
         replace_file(path, json.dumps(_plain(content), indent=1, allow_nan=False, default=str) + "\n")
@@ -55,7 +55,7 @@ class Record:
 
 
 def read(path: Path) -> Record:
-    """A record that was written.
+    """Return a record that was written.
 
     Raises:
         ValueError: the file is no such record.
@@ -69,7 +69,7 @@ def read(path: Path) -> Record:
 
 
 def provenance() -> dict[str, Any]:
-    """Versions and machine."""
+    """Return versions and machine."""
     versions = {"openmm-sier": __version__, "python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -81,7 +81,7 @@ def provenance() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """The name of the processor."""
+    """Return the name of the processor."""
     information = Path("/proc/cpuinfo")
     for line in information.read_text().splitlines() if information.exists() else []:
         if line.startswith("model name"):
@@ -90,7 +90,7 @@ def processor() -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON can hold it."""
+    """Return a value as JSON can hold it."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -111,7 +111,7 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def kept_runs(path: Path) -> list[dict[str, Any]]:
-    """The runs in a file, one of JSON on each line; none if there is no file yet."""
+    """Return the runs in a file, one of JSON on each line; none if there is no file yet."""
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
@@ -126,7 +126,7 @@ class Identified(Protocol):
 
     @property
     def point(self) -> dict[str, Any]:
-        """What identifies the run, a part of what is kept of it."""
+        """Return what identifies the run, a part of what is kept of it."""
 
 
 class Task(NamedTuple):
@@ -149,7 +149,7 @@ Some = TypeVar("Some", bound=Identified)
 def make_missing(
     path: Path, tasks: Iterable[Some], run: Callable[[Some], dict[str, Any]], processes: int
 ) -> Iterator[dict[str, Any]]:
-    """The runs that a file lacks, in the order in which they are done; each is added to the file first.
+    """Yield the runs that a file lacks, in the order in which they are done; each is added to the file first.
 
     Args:
         path: of the file, see `keep_run`.
@@ -167,7 +167,7 @@ def make_missing(
 
 
 def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
-    """Means over runs of one kind, with errors; NaN where no run has a value."""
+    """Return means over runs of one kind, with errors; NaN where no run has a value."""
     found = {}
     for name in names:
         known = runs.reindex(columns=[name, f"{name}_error"]).dropna()
@@ -184,7 +184,7 @@ def all_runs(
     report: Report,
     form: str,
 ) -> pd.DataFrame:
-    """All runs that `out` has of a study, after those were made that it lacks.
+    """Return all runs that `out` has of a study, after those were made that it lacks.
 
     Args:
         settings: of the study; those that are `SHARED` are noted beside the runs.

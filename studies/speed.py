@@ -130,7 +130,7 @@ class Turn(NamedTuple):
 
 
 def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
-    """A row for each method in one box."""
+    """Return a row for each method in one box."""
     methods = {method.name: method for method in contestants(start.has_solute)}
     contexts = {name: _context(method, start, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
@@ -157,7 +157,7 @@ def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[s
 
 
 def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
-    """Speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
+    """Return speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
     clock = 2 if platform in ON_PROCESSORS else 1
     speed = {name: each[:, 0] / each[:, clock] for name, each in found.items()}
     rows = []
@@ -190,14 +190,14 @@ def _turn(context: openmm.Context, steps: int, step: float) -> Turn:
 
 
 def _evaluations(context: openmm.Context, least: float) -> int:
-    """Number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
+    """Return the number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
     _turn(context, EVALUATIONS, 1.0)
     seconds = _turn(context, EVALUATIONS, 1.0).wall
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
 
 
 def _actions_of_peers(start: Start, evaluations: int, settings: SpeedSettings) -> dict[str, Callable[[], Turn]]:
-    """Turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
+    """Return turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
     if start.has_solute or start.molecules > settings.largest_for_peers:
         return {}
     liquid = peers.liquid_of(start.system, start.state)
@@ -218,7 +218,7 @@ def _turn_of_peer(peer: peers.Peer, liquid: peers.Liquid, steps: int) -> Turn:
 
 
 def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
-    """Points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
+    """Return points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
     found = []
     for seed in range(settings.seed, settings.seed + settings.starts):
         mine = replace(settings, seed=seed)
@@ -228,7 +228,7 @@ def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
 
 
 def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
-    """Speed of each method in each box of water at each of `LEVELS`.
+    """Return the speed of each method in each box of water at each of `LEVELS`.
 
     The step that has an error is interpolated for each start; its mean and standard error are over the starts.
     """
@@ -250,7 +250,7 @@ def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
 
 
 def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, float]:
-    """fs per force that have an error, mean over the starts and its standard error; NaN where a start has none."""
+    """Return the fs per force that have an error, with the error over starts; NaN where a start has none."""
     each = np.array([accuracy.step_at(mine, method, level) for _, mine in points.groupby("seed")])
     return float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
 

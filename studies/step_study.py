@@ -110,7 +110,7 @@ class StepSettings(RunsSettings):
 
 
 def tasks(settings: StepSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed, long steps first."""
+    """Yield all runs that the settings ask for, seed by seed, long steps first."""
     chosen(settings.methods, METHODS | {TRIALS: None}, "method")
     seeds = range(settings.seed, settings.seed + settings.starts)
     lengths = zip(settings.per_force, settings.times, strict=True)
@@ -122,7 +122,7 @@ def tasks(settings: StepSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """What follows from a run; what it does not tell is NaN."""
+    """Return what follows from a run; what it does not tell is NaN."""
     step, seed, skip = task.point["step"], task.point["seed"], task.settings.skip
     directory = task.settings.out / f"{task.point['box']}-{task.method}-{step:g}fs-seed{seed}"
     box = SYSTEMS / f"{task.point['box']}.pdb"
@@ -143,7 +143,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def diffusion(frames: mdtraj.Trajectory, step: float, skip: float) -> Estimate:
-    """Self-diffusion in the box, 10^-9 m^2/s, by the first atoms of molecules; NaN where the run is too short.
+    """Return the self-diffusion in the box, 10^-9 m^2/s, by the first atoms of molecules; NaN for short runs.
 
     Args:
         frames: of the run.
@@ -180,7 +180,7 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each point; of a run that was made longer only the longer one counts."""
+    """Return a row for each point; of a run that was made longer only the longer one counts."""
     longest = runs.sort_values("length").drop_duplicates([*POINT, "seed"], keep="last")
     rows = []
     for point, mine in longest.groupby(POINT):
@@ -190,7 +190,7 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows whose errors fall as the root of their length, with one factor for each box, method and property.
+    """Return rows whose errors fall as the root of their length, with one factor for each box, method and property.
 
     A run of a few correlation times underestimates the correlation, and so its own error. Liquids relax alike at all
     steps, except by hybrid Monte Carlo with shorter trials. So the square of the factor is the mean over rows of one
@@ -208,14 +208,14 @@ def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def in_order(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows by box and method, in the order in which these first appear, and by step."""
+    """Return rows by box and method, in the order in which these first appear, and by step."""
     boxes, methods = (list(rows[name].unique()) for name in ("box", "method"))
     places = {"box": boxes.index, "method": methods.index, "fs_per_force": float}
     return rows.sort_values(list(places), key=lambda column: column.map(places[column.name]), ignore_index=True)
 
 
 def deviations(rows: pd.DataFrame) -> pd.DataFrame:
-    """How far properties are from the exact averages, by box.
+    """Return how far properties are from the exact averages, by box.
 
     Hybrid Monte Carlo has no error of the step, so that the mean over its rows is exact. It has no dynamics: the
     diffusion is compared with the mean over the rows of the shortest step at which it is known, without those whose
@@ -240,7 +240,7 @@ def deviations(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _reference(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows of one box and property of which the reference is the mean."""
+    """Return the rows of one box and property of which the reference is the mean."""
     exact = rows[rows["method"].str.endswith(EXACT)]
     cold = rows[rows["method"] != HEATED]
     return exact if len(exact) else cold[cold["fs_per_force"] == cold["fs_per_force"].min()]
@@ -261,7 +261,7 @@ def beside_reference(found: pd.DataFrame, key: str) -> pd.DataFrame:
 
 
 def figure(record: Record, path: Path) -> None:
-    """A row of panels for each property and one for each box: differences from the exact averages, by step.
+    """Draw a row of panels for each property and one for each box: differences from the exact averages, by step.
 
     The band is two errors of the reference, and so are the bars.
     """

@@ -52,7 +52,7 @@ class Claim:
     in_paper: bool = False
 
     def found(self) -> Mapping[str, float]:
-        """The figures of the record.
+        """Return the figures of the record.
 
         Raises:
             LookupError: it lacks a row or a column that the claim is about.
@@ -63,11 +63,11 @@ class Claim:
             raise LookupError(f"{self.record} does not show {self.text!r}: {error}") from error
 
     def sentence(self) -> str:
-        """The text with its figures."""
+        """Return the text with its figures."""
         return self.text.format_map(self.found())
 
     def broken(self) -> list[str]:
-        """Bounds that the record does not keep, in words."""
+        """Return the bounds that the record does not keep, in words."""
         figures = self.found()
         return [
             f"{in_words(name, bound)}, got {figures[name]:g}"
@@ -76,7 +76,7 @@ class Claim:
         ]
 
     def written(self, text: str) -> str:
-        """A text in which this sentence, found there with any figures, has those of the record.
+        """Return a text in which this sentence, found there with any figures, has those of the record.
 
         Raises:
             ValueError: it has no such sentence.
@@ -93,7 +93,7 @@ class Claim:
 
 
 def in_words(name: str, bound: Bound) -> str:
-    """A bound as the page has it."""
+    """Return a bound as the page has it."""
     (least, most), name = bound, name.replace("_", " ")
     if least == most:
         return f"{name} = {least:g}"
@@ -114,7 +114,7 @@ def listed(claims: Iterable[Claim]) -> str:
 
 
 def with_table(written: str, made: pd.DataFrame) -> str:
-    """A text in which the first table without a heading over its first column is this one.
+    """Return a text in which the first table without a heading over its first column is this one.
 
     Raises:
         ValueError: it has no such table.
@@ -126,7 +126,7 @@ def with_table(written: str, made: pd.DataFrame) -> str:
 
 
 def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:
-    """The only row that has these values.
+    """Return the only row that has these values.
 
     Raises:
         LookupError: there is none, or there are several.

@@ -119,7 +119,7 @@ class WholeRunSettings(RunsSettings):
 
 
 def tasks(settings: WholeRunSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
+    """Yield all runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
     chosen(settings.liquids, LIQUIDS, "liquid")
     chosen(settings.methods, CONSTANT_ENERGY, "method")
     shared = {"time": settings.time, "tolerance": settings.tolerance, "share": DIRECT_SHARE}
@@ -132,7 +132,7 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
 
 
 def start(task: Task) -> Liquid:
-    """The equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
+    """Return the equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
     file, *forcefield = LIQUIDS[liquid]
     kept = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
@@ -151,7 +151,7 @@ def start(task: Task) -> Liquid:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """The energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
+    """Return the energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
     method = CONSTANT_ENERGY[task.method]
     found = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
     figures, series = conserved(start(task), method, found["fs_per_force"], task.settings.time, INTERVAL)
@@ -168,7 +168,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each liquid, size, length, scheme and step: means over the starts with standard errors."""
+    """Return a row for each liquid, size, length, scheme and step: means over the starts with standard errors."""
     return pd.DataFrame([_point(mine) for _, mine in runs.groupby(POINT, sort=False)])
 
 
@@ -180,7 +180,7 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def walk_slope(means: np.ndarray) -> float:
-    """Standard deviation of the slope that a random walk gives a run by chance, from means of H over 1 ps, kJ/mol/ps.
+    """Return the standard deviation in kJ/mol/ps of the slope that a random walk of means of H over 1 ps has by chance.
 
     The mean square of what H changes by in a time grows with it by the diffusion D of the walk; what oscillates adds a
     constant. A straight line through a walk of the length T has a slope of the variance 6 D/(5 T).
@@ -206,7 +206,7 @@ def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
+    """Return Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
     same = ["liquid", "molecules", "time", "tolerance", "share"]
     rows = rows.assign(per_force=rows["fs_per_force"].round(4))
     ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
@@ -215,7 +215,7 @@ def gains(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def law(rows: pd.DataFrame) -> dict[str, Any]:
-    """How fast the walk of schemes of fourth order dies out with a shorter step.
+    """Return how fast the walk of schemes of fourth order dies out with a shorter step.
 
     The walk is A exp(-c T/h) with an A for each scheme and one c, fitted to the logarithms where the walk is above the
     floor of forces in single precision and the run is still one of a liquid. T is the period of the fastest librations
@@ -233,12 +233,12 @@ def law(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def first_box(rows: pd.DataFrame) -> pd.DataFrame:
-    """The points of the box and the length of run that have the most of them."""
+    """Return the points of the box and the length of run that have the most of them."""
     return max((mine for _, mine in rows.groupby(POINT[:5], sort=False)), key=len)
 
 
 def figure(record: Record, path: Path) -> None:
-    """The walk against the step, with its law."""
+    """Draw the walk against the step, with its law."""
     with style.figure(path, 1) as (made, (axes,)):
         rows = first_box(record.tables["rows"])
         style.curves(axes, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
@@ -255,7 +255,7 @@ def figure(record: Record, path: Path) -> None:
 
 
 def energies(record: Record, path: Path) -> None:
-    """The energy of Verlet and SIER4G against time, over the longest run that both made with as many forces."""
+    """Draw the energy of Verlet and SIER4G over the longest run that both made with as many forces."""
     pairs, runs = record.tables["gains"].dropna(subset="gain"), record.tables["runs"]
     pair = pairs.sort_values("time", kind="stable").iloc[-1]
     time = f"{pair['time'] / 1000:g} ns" if pair["time"] >= 1000 else f"{pair['time']:g} ps"
