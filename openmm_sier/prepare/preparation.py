@@ -144,8 +144,8 @@ def _inside_bodies(
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
                 f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
-                "particles do not tell which are near. Give prepare_system the bodies of RigidBodies.from_system(system, "
-                "topology, lists, positions): then they are excluded."
+                "particles do not tell which are near. Give prepare_system the bodies of RigidBodies.from_system("
+                "system, topology, lists, positions): then they are excluded."
             )
     elif excluded.refusal:
         done.append(f"Interactions within rigid bodies do no work, and stay: {excluded.refusal}.")
