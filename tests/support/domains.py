@@ -47,11 +47,13 @@ def folded(chains: int = 1, apart: float = 4.0) -> np.ndarray:
     return np.array(places) + noise
 
 
-def domain_system(chains: int = 1, cut_off: float | None = 1.2, box: float | None = None) -> openmm.System:
+def domain_system(
+    chains: int = 1, cut_off: float | None = 1.2, box: float | None = None, elastic: bool = True
+) -> openmm.System:
     """Beads with charges and a short-range attraction, bonds along chains, angles and torsions.
 
-    A CustomNonbondedForce and a NonbondedForce exclude neighbours; the NonbondedForce has exceptions, weakened, for
-    those two bonds apart.
+    Without `elastic` there are no bonded terms within domains. A CustomNonbondedForce and a NonbondedForce exclude
+    neighbours; the NonbondedForce has exceptions, weakened, for those two bonds apart.
     """
     rng = np.random.default_rng(7)
     system = openmm.System()
@@ -69,15 +71,17 @@ def domain_system(chains: int = 1, cut_off: float | None = 1.2, box: float | Non
             charged.addParticle(rng.choice([-0.5, 0.0, 0.5]), 0.4, 0.3)
             sticky.addParticle([rng.uniform(0.2, 1.0), rng.uniform(0.4, 0.5)])
             at = first + bead
-            if bead > 0:
+            if bead > 0 and (elastic or not _in_domain(bead - 1, bead)):
                 bonds.addBond(at - 1, at, LENGTH, STRENGTH)
+            if bead > 0:
                 charged.addException(at - 1, at, 0, 1, 0)
                 sticky.addExclusion(at - 1, at)
-            if bead > 1:
+            if bead > 1 and (elastic or not _in_domain(bead - 2, bead)):
                 angles.addAngle(at - 2, at - 1, at, 2.0, 20.0)
+            if bead > 1:
                 charged.addException(at - 2, at, 0.01, 0.4, 0.1)
                 sticky.addExclusion(at - 2, at)
-            if bead > 2:
+            if bead > 2 and (elastic or not _in_domain(bead - 3, bead)):
                 torsions.addTorsion(at - 3, at - 2, at - 1, at, 1, 0.5, 2.0)
     for force in (charged, sticky):
         if cut_off is not None:
@@ -96,3 +100,9 @@ def domain_system(chains: int = 1, cut_off: float | None = 1.2, box: float | Non
 def descriptions(chains: Sequence[str] = "A") -> list[str]:
     """The domains of chains, as `select_bodies` takes them."""
     return [f"{chain}:{residues}" for chain in chains for residues in DOMAINS]
+
+
+def _in_domain(first: int, last: int) -> bool:
+    """Tell whether beads of a chain, counted from 0, are all in one domain."""
+    ends = (tuple(map(int, residues.split("-"))) for residues in DOMAINS)
+    return any(start <= first + 1 and last + 1 <= end for start, end in ends)
