@@ -11,6 +11,7 @@ from openmm_sier.integrators.named import SIER2Integrator, SIER4GIntegrator, SIE
 from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
 from openmm_sier.prepare.frames import FramedSystem, with_frames
+from openmm_sier.prepare.inertia import set_inertia
 from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
 from openmm_sier.system.body_selection import SelectedBodies, select_bodies
@@ -25,4 +26,5 @@ __all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PInt
 __all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
 __all__ += ["BodyState", "RigidBodies", "RigidityError", "SelectedBodies", "make_whole", "select_bodies"]
 __all__ += ["ForceCheck", "ForceFault", "check_forces"]
-__all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system", "with_frames"]
+__all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system"]
+__all__ += ["set_inertia", "with_frames"]
