@@ -92,13 +92,13 @@ def select_bodies(topology: app.Topology, description: Description) -> SelectedB
     - any other words are a selection in the language of MDTraj, which must be installed, such as
       `name CA and resSeq 1 to 36`. What it selects in one chain is one body.
 
-    Where chains share a name there is one body in each of them.
+    Where chains share a name there is one body in each of them. A name may come before, as in `head = A:1-36`.
 
     Args:
         topology: openmm.app.Topology.
         description: words; the indices of one body's particles; a list of several of these; a mapping of names to
-            these; or the name of a file. A file has a body in each line, in words, after its name and "=" if it has
-            one; what follows # is a comment. A file that ends in .json has a list, or an object with names.
+            these; or the name of a file. A file has words in each line, and what follows # is a comment. One that ends
+            in .json has a list, or an object with names.
 
     Returns:
         The bodies, in the order of their descriptions.
@@ -136,13 +136,31 @@ def _entries(description: Any) -> Iterator[tuple[str | None, Any]]:
         yield from _in_file(Path(description))
     elif isinstance(description, Mapping):
         yield from description.items()
-    elif isinstance(description, str) or _is_indices(description):
+    elif isinstance(description, str):
+        yield named_words(description)
+    elif _is_indices(description):
         yield None, description
     elif isinstance(description, Iterable):
         for each in description:
-            yield None, each
+            yield named_words(each) if isinstance(each, str) else (None, each)
     else:
         raise TypeError(f"bodies must be described by {FORMS}; or by lists of particle indices, got {description!r}")
+
+
+def file_words(words: str) -> list[str]:
+    """Return the words of a file, a body each, where words are its name; otherwise the words themselves.
+
+    Raises:
+        ValueError: the file describes no body, or not in words that can be written down.
+        OSError: it cannot be read.
+    """
+    if not _is_file(words):
+        return [words]
+    lines = []
+    for name, what in _in_file(Path(words)):
+        text = what if isinstance(what, str) else f"atoms {as_ranges(what)}"
+        lines.append(text if name is None else f"{name} = {text}")
+    return lines
 
 
 def _is_file(text: str) -> bool:
