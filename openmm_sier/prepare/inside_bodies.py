@@ -1,8 +1,8 @@
 """Interactions within rigid bodies, which do no work and cost time: found, excluded, and their energy told.
 
 Two atoms of a body keep their distance, so that the energy of their interaction is a constant, and its forces on the
-body cancel. Of a chain with rigid domains these are a third of all pairs that interact; in a dense body of 1500 atoms
-with a cut-off of 1 nm, most of them.
+body cancel. With a cut-off a force of one dense body of 1500 atoms took 1.6 ms with them and 0.6 ms without, and one
+of eight chains, with domains of a dozen beads, 0.45 and 0.40 ms (CPU platform, one thread).
 
 Nothing is excluded beside an Ewald sum. Its reciprocal part has all pairs, and OpenMM takes that of excluded ones away
 again pair by pair, for which the CPU platform takes five times as long as for the interactions themselves: with PME 64

@@ -185,8 +185,8 @@ def _inside_bodies(
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
         done.append(
-            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave them "
-            "out where you make the Forces."
+            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave "
+            "elastic networks out where you make the Forces. Bonds along chains are cheap, and keep molecules whole."
         )
     return done
 

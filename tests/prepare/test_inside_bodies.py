@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies
+from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies, with_frames
 from openmm_sier.prepare import inside_bodies
 from openmm_sier.prepare.inside_bodies import PAIRWISE
 from openmm_sier.system.boxes import widths
@@ -202,6 +202,19 @@ def test_water_and_forces_within_others_stay():
     system.addForce(inner)
     prepare_system(system, bodies)
     assert len(silent_pairs(inner.getCollectiveVariable(0))) < len(silent_pairs(system.getForce(0)))
+
+
+def test_frames_keep_what_is_excluded():
+    """Energies are sums of some 1000 kJ/mol; long-range corrections, which know N, are off."""
+    system, bodies, positions = chains(cut_off=1.2)
+    system.getForce(0).setUseDispersionCorrection(False)
+    before = on_bodies(system, bodies, positions)[0]
+    excluded = prepare_system(system, bodies).excludedEnergy._value
+    framed = with_frames(system, positions, bodies)
+    assert prepare_system(framed.system).excludedPairs == 0
+    context = openmm.Context(framed.system, openmm.VerletIntegrator(0.001), platform("Reference"))
+    context.setPositions(framed.positions)
+    assert context.getState(energy=True).getPotentialEnergy()._value + excluded == pytest.approx(before, abs=1e-9)
 
 
 def test_bonded_terms_within_bodies_are_told_of():
