@@ -63,8 +63,8 @@ def prepare_system(
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
       forces is that of the System without preparation.
     - Interactions between atoms of one rigid body do no work and cost time. Where `bodies` tell its shape, those of
-      NonbondedForces and CustomNonbondedForces are excluded, and their energy, a constant, is told. With PME they stay,
-      since excluded pairs would take longer. Bonded terms within bodies are told of.
+      NonbondedForces, CustomNonbondedForces and GayBerneForces are excluded, and their energy, a constant, is told.
+      With PME they stay, since excluded pairs would take longer. Bonded terms within bodies are told of.
 
     Preparing a System again for the same bodies renews all of this; for other bodies prepare a new System. A Context
     must be created after the preparation: the integrator refuses the next step if its System was changed.
