@@ -30,7 +30,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2P3, Scheme, alternating
 from openmm_sier.dynamics.stages import DRIFT
 from openmm_sier.inputs.starts import make_context
-from studies import heat_bath, records
+from studies import heat_bath, records, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.records import Record, Task
 from studies.report import SILENT, Report
@@ -80,7 +80,7 @@ EQUILIBRATION = 3.0
 SHOWN = (36.0, 72.0, 144.0)
 
 COLUMNS = {
-    **records.columns("box", "hydrogens", "scheme", "per_force", "step"),
+    **text.columns("box", "hydrogens", "scheme", "per_force", "step"),
     "trial/fs": "{length:g}",
     "accepted": "{acceptance:.3f} ± {acceptance_error:.3f}",
     "sd/kT": "{spread:.3f}",
@@ -201,7 +201,7 @@ def study(settings: LengthSettings, report: Report = SILENT) -> Record:
     runs = records.all_runs(settings, "trial-lengths", tasks(settings), run, report, form)
     rows = pd.DataFrame([row for run in runs.to_dict("records") for row in shown_lengths(run, settings.temperature)])
     rows = rows.sort_values(["box", "hydrogens", "per_force", "scheme", "about"])
-    report.table(records.table("Trajectories by length", rows, COLUMNS, left=3))
+    report.table("Trajectories by length", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "trial-lengths.json")
 
 

@@ -9,7 +9,7 @@ them, and for a checkpoint after each, which a restart repeats bit for bit. Writ
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from openmm_sier import SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines import neighbour_list, own_methods
 from openmm_sier.inputs.starts import make_context
-from studies import heat_bath, records
+from studies import heat_bath, text
 from studies.command import SYSTEMS, Settings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -91,9 +91,9 @@ WAYS: dict[str, Callable[[openmm.Context, int], None]] = {
 
 
 @contextmanager
-def counted() -> Iterator[tuple[Counter[str], Counter[str]]]:
+def counted() -> Iterator[tuple[Counter[str], dict[str, float]]]:
     """Count what engines ask of OpenMM, and its processor time in s."""
-    counts, seconds = Counter[str](), Counter[str]()
+    counts, seconds = Counter[str](), defaultdict[str, float](float)
     ask, forget = own_methods.get_state, neighbour_list.forget
 
     def timed(kind: str, function: Callable, *arguments: Any, **options: Any) -> Any:
@@ -127,7 +127,7 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
     """Make the trials, and write trial-cost.json."""
     chosen(settings.schemes, CATALOGUE, "scheme")
     rows = pd.DataFrame([row for scheme in settings.schemes for row in measure(settings, scheme)])
-    report.table(records.table("What a trial costs", rows, COLUMNS, left=2))
+    report.table("What a trial costs", text.table(rows, COLUMNS))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "trial-cost.json")
 
 

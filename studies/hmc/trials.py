@@ -26,32 +26,19 @@ import pandas as pd
 from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator
-from openmm_sier.dynamics.schemes import CATALOGUE
-from studies import heat_bath, records
+from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
+from studies import heat_bath, records, text
 from studies.command import SYSTEMS, chosen, command
-from studies.heat_bath import AVERAGED, Bath, BathSettings, Method
+from studies.contestants import Bath, Contestant
+from studies.heat_bath import AVERAGED, BathSettings
 from studies.records import Record, Task
 from studies.report import SILENT, Report
-
-#: Scheme, step in fs, steps of a trial, friction in 1/ps or None where momenta are drawn anew, and hydrogens in dalton
-#: or None where they keep their masses.
-Trials = tuple[str, float, int, float | None, float | None]
-
-TRIALS: tuple[Trials, ...] = (
-    *(("sier2v2", 9, steps, None, 4.0) for steps in (6, 11, 17, 33)),
-    ("sier2v2", 9, 6, 5.0, 4.0),
-    ("sier2v2", 10, 15, None, 4.0),
-    ("sier2v2", 6, 25, None, None),
-    *(("sier2p3", 18, steps, None, 4.0) for steps in (6, 8)),
-    ("sier2p3", 12, 12, None, 4.0),
-    ("sier4g", 9, 17, None, 4.0),
-)
 
 #: What is known of a run beside its averages, with errors.
 COSTS = ("cost", "dipole_cost", "psi_cost")
 
 COLUMNS = {
-    **records.columns("box", "method", "hydrogens", "time"),
+    **text.columns("box", "method", "hydrogens", "time"),
     "accepted": "{accepted:.3f}",
     "V, kJ/mol": "{potential_text}",
     "forces an independent V": "{cost:.0f} ± {cost_error:.0f}",
@@ -64,26 +51,54 @@ COLUMNS = {
 }
 
 
-def _draw(bath: Bath, length: float, scheme: str, steps: int, friction: float | None) -> openmm.Integrator:
-    step = length / steps
-    return SIERHMCIntegrator(bath.temperature, step, CATALOGUE[scheme], steps, friction, bath.pressure)
+@dataclass(frozen=True)
+class TrialContestant(Contestant):
+    """Hybrid Monte Carlo, whose name has the number of steps in a trial."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.method}, {self.step:g} fs x {self.steps}{', ' if self.detail else ''}{self.detail}"
 
 
-def _named(trials: Trials) -> tuple[str, Method]:
-    scheme, step, steps, friction, mass = trials
-    name = f"{CATALOGUE[scheme].name} HMC, {step:g} fs x {steps}"
-    name += "" if friction is None else f", {friction:g}/ps"
-    name += ", light" if mass is None else ""
-    make = partial(_draw, scheme=scheme, steps=steps, friction=friction)
-    return name, Method(step * steps, steps * CATALOGUE[scheme].force_evaluations, mass, make)
+def _draw(bath: Bath, step: float, scheme: Scheme, steps: int, friction: float | None) -> openmm.Integrator:
+    return SIERHMCIntegrator(bath.temperature, step, scheme, steps, friction, bath.pressure)
 
+
+def _contestant(scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None) -> TrialContestant:
+    details = ([] if friction is None else [f"{friction:g}/ps"]) + (["light"] if mass is None else [])
+    return TrialContestant(
+        f"{scheme.name} HMC",
+        step,
+        partial(_draw, scheme=scheme, steps=steps, friction=friction),
+        scheme.force_evaluations,
+        mass,
+        prepared=True,
+        detail=", ".join(details),
+        steps=steps,
+    )
+
+
+#: Mass of heavy hydrogens, dalton.
+HEAVY = 4.0
+
+#: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, and mass of hydrogens,
+#: None where they keep theirs.
+TRIALS = (
+    *(_contestant(SIER2V2, 9, steps, None, HEAVY) for steps in (6, 11, 17, 33)),
+    _contestant(SIER2V2, 9, 6, 5.0, HEAVY),
+    _contestant(SIER2V2, 10, 15, None, HEAVY),
+    _contestant(SIER2V2, 6, 25, None, None),
+    *(_contestant(SIER2P3, 18, steps, None, HEAVY) for steps in (6, 8)),
+    _contestant(SIER2P3, 12, 12, None, HEAVY),
+    _contestant(SIER4G, 9, 17, None, HEAVY),
+)
 
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
 
 METHODS = {
     **{name: heat_bath.METHODS[name] for name in (REFERENCE, f"{REFERENCE}, light", "SIER2, 9 fs")},
-    **dict(map(_named, TRIALS)),
+    **{method.name: method for method in TRIALS},
 }
 
 
@@ -120,7 +135,7 @@ def study(settings: TrialSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write trials.json."""
     form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: {cost:.0f} forces an independent V"
     rows = compared(records.all_runs(settings, "trials", tasks(settings), run, report, form))
-    report.table(records.table("What an independent sample costs", rows, COLUMNS, left=3))
+    report.table("What an independent sample costs", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "trials.json")
 
 
