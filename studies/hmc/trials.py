@@ -14,6 +14,7 @@ one thread. Writes trials.json.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -154,8 +155,10 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     known = runs.reindex(columns=["accepted", "trials", "fs_per_second", *COSTS, *(f"{name}_error" for name in COSTS)])
     row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
     for name in COSTS:
-        row[name] = (share * known[name]).sum(min_count=1)
-        row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum(min_count=1) ** 0.5
+        # Where a run is too short to show its memory, its cost has no error, and is as little known.
+        is_known = known[f"{name}_error"].notna().all()
+        row[name] = (share * known[name]).sum() if is_known else math.nan
+        row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum() ** 0.5 if is_known else math.nan
     processor = (runs["time"] * 1e3 / known["fs_per_second"]).sum()
     row["milliseconds"] = 1e3 * processor / (1e3 * row["time"] / method.step * method.forces)
     row |= {f"seconds{part}": 1e-3 * row["milliseconds"] * row[f"cost{part}"] for part in ("", "_error")}
