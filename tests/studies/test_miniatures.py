@@ -294,7 +294,8 @@ def costs_of_trials(found):
     assert rows.loc["LangevinMiddle, 4 fs", "relative"] == 1
     # DHFR, with 33 times the atoms, has 0.9 of trials of 36 fs accepted.
     assert rows.loc["SIER2V2 HMC, 9 fs x 6", "accepted"] > 0.8
-    assert (rows["cost"] > 0).all()
+    # Costs are not known from so short a run; `test_hmc_studies` has those of made-up ones.
+    assert (rows["milliseconds"] > 0).all()
 
 
 @miniature("trial-cost", trial_cost, "--schemes sier2v2 sier2p3 --trials 4 --length 36")
