@@ -1,13 +1,15 @@
-"""Names of the variables of the CustomIntegrator that carry what checkpoints and States must hold."""
+"""Variables of the CustomIntegrator, which carry what checkpoints and States must hold."""
 
 import weakref
 
 import openmm
 
+from openmm_sier.dynamics.ledger import Ledger
+
 #: What the names begin with, so that no parameter of a Force has the same name.
 PREFIX = "sier_"
 
-#: Global variables: heat, kJ/mol; number of draws of random numbers so far; seed, 0 if none was chosen.
+#: Global variables of a ledger: heat, kJ/mol; number of draws so far; seed, 0 if none was chosen.
 HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 
 #: Global variable: the next native step of the program. If it is negative, OpenMM updates the Context's state and does
@@ -19,47 +21,49 @@ STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 SITES = PREFIX + "sites"
 
 
-class Record:
-    """Global variables by name that travel in checkpoints, beside the values that they had after the last step."""
+class StoredLedger:
+    """A ledger, and the global variables of an integrator that hold it between calls of `step`.
 
-    def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...] = ()):
-        """
-        Args:
-            integrator: has the variables.
-            names: of the variables besides heat, draws and seed.
-        """
+    Checkpoints and States carry the variables, and users may set them. So the ledger is read at the start of a call,
+    and written at its end.
+
+    Attributes:
+        ledger: the ledger.
+    """
+
+    def __init__(self, integrator: openmm.CustomIntegrator, ledger: Ledger):
         # The integrator holds this.
-        self._integrator, self._names = weakref.ref(integrator), (HEAT, DRAWS, *names)
-        self._known: dict[str, float] = {}
+        self._integrator = weakref.ref(integrator)
+        self.ledger = ledger
 
-    def __getitem__(self, name: str) -> float:
-        return self._integrator().getGlobalVariableByName(name)  # type: ignore[union-attr]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all variables."""
+        return HEAT, DRAWS, SEED, *self.ledger.counts
 
-    def __setitem__(self, name: str, value: float) -> None:
-        self._integrator().setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+    def read(self) -> None:
+        """Take what the variables have, unless somebody wrote those of another integrator over them.
 
-    def clear(self) -> None:
-        """Set all to zero but the seed."""
-        for name in self._names:
-            self[name] = 0.0
-
-    def values(self) -> dict[str, float]:
-        """Return the values of all by name, the seed among them."""
-        return {name: self[name] for name in (SEED, *self._names)}
-
-    def set(self, values: dict[str, float]) -> None:
-        """Set values by name."""
-        for name, value in values.items():
-            self[name] = value
-
-    def keep(self) -> None:
-        """Note the values that they have."""
-        self._known = self.values()
-
-    def restore(self) -> None:
-        """Restore the noted values if somebody wrote the variables of another integrator over ours.
-
-        openmmtools' ContextCache does so. Noise must not be used twice.
+        openmmtools' ContextCache does so, and noise must not be used twice. What was known before is then written back.
         """
-        if self._known.get(SEED) and self[SEED] == 0:
-            self.set(self._known)
+        if self.ledger.seed and self._value(SEED) == 0:
+            self.write()
+        else:
+            self.load()
+
+    def load(self) -> None:
+        """Take what the variables have."""
+        ledger = self.ledger
+        ledger.heat, ledger.draws, ledger.seed = self._value(HEAT), int(self._value(DRAWS)), int(self._value(SEED))
+        ledger.counts = {name: self._value(name) for name in ledger.counts}
+
+    def write(self) -> None:
+        """Set the variables that differ from the ledger."""
+        ledger = self.ledger
+        values = {HEAT: ledger.heat, DRAWS: float(ledger.draws), SEED: float(ledger.seed), **ledger.counts}
+        for name, value in values.items():
+            if self._value(name) != value:
+                self._integrator().setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+
+    def _value(self, name: str) -> float:
+        return self._integrator().getGlobalVariableByName(name)  # type: ignore[union-attr]
