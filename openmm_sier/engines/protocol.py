@@ -16,7 +16,7 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger, Mark
+from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import own_methods
 from openmm_sier.engines.actions import Actions

@@ -1,8 +1,8 @@
 """Integrators as OpenMM serializes and copies them.
 
 OpenMM knows a CustomIntegrator with settings, variables and a program, and nothing of Python. What is written is
-complete, so that OpenMM can execute it where this package is not imported. What is read becomes the SIER integrator that
-it was.
+complete, so that OpenMM can execute it where this package is not imported. What is read becomes the SIER integrator
+that it was.
 """
 
 import copy

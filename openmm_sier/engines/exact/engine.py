@@ -110,7 +110,7 @@ class ExactEngine(Engine):
         return self._made.check_step
 
     @property
-    def molecule_centres(self) -> MoleculeCentres:  # type: ignore[override]
+    def molecule_centres(self) -> MoleculeCentres:
         return self._made.molecule_centres
 
     @property

@@ -1,7 +1,6 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
 import math
-import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -89,7 +88,8 @@ class NativeEngine(Engine):
         self._atoms = owners[self.moving.n_particles - self.moving.n :]
         self._rigid = _rigid_bodies(system, bodies)
         species = () if isinstance(self._rigid, RigidityError) else self._rigid.species
-        self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * program.inner_fraction, species)
+        fraction = program.inner_fraction
+        self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction, species)
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
         self._is_box_new = False
@@ -137,7 +137,7 @@ class NativeEngine(Engine):
         return NativeActions(self._context, self.trial)
 
     @property
-    def clock(self) -> Clock:  # type: ignore[override]
+    def clock(self) -> Clock:
         return Clock(self._context.getTime().value_in_unit(unit.picosecond), self._context.getStepCount())
 
     @clock.setter
