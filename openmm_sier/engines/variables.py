@@ -35,6 +35,7 @@ class StoredLedger:
         # The integrator holds this.
         self._integrator = weakref.ref(integrator)
         self.ledger = ledger
+        self._known: dict[str, float] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,24 +47,31 @@ class StoredLedger:
 
         openmmtools' ContextCache does so, and noise must not be used twice. What was known before is then written back.
         """
-        if self.ledger.seed and self._value(SEED) == 0:
+        there = self._values()
+        if self.ledger.seed and there[SEED] == 0:
+            self._known = there
             self.write()
         else:
-            self.load()
+            self._take(there)
 
     def load(self) -> None:
         """Take what the variables have."""
-        ledger = self.ledger
-        ledger.heat, ledger.draws, ledger.seed = self._value(HEAT), int(self._value(DRAWS)), int(self._value(SEED))
-        ledger.counts = {name: self._value(name) for name in ledger.counts}
+        self._take(self._values())
+
+    def _take(self, there: dict[str, float]) -> None:
+        self._known, ledger = there, self.ledger
+        ledger.heat, ledger.draws, ledger.seed = there[HEAT], int(there[DRAWS]), int(there[SEED])
+        ledger.counts = {name: there[name] for name in ledger.counts}
 
     def write(self) -> None:
-        """Set the variables that differ from the ledger."""
-        ledger = self.ledger
+        """Set the variables that differ from the ledger since it was read."""
+        ledger, integrator = self.ledger, self._integrator()
         values = {HEAT: ledger.heat, DRAWS: float(ledger.draws), SEED: float(ledger.seed), **ledger.counts}
         for name, value in values.items():
-            if self._value(name) != value:
-                self._integrator().setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+            if self._known.get(name) != value:
+                integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+        self._known = values
 
-    def _value(self, name: str) -> float:
-        return self._integrator().getGlobalVariableByName(name)  # type: ignore[union-attr]
+    def _values(self) -> dict[str, float]:
+        get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
+        return {name: get(name) for name in self.names}

@@ -64,6 +64,7 @@ class Binding:
         self.settings = given
         #: The fast force groups of a prepared System, a bit mask.
         self._found_groups = 0
+        self._flow: Flow | None = None
         self.program = self.general_program()
         self._own_computations = integrator.getNumComputations()
         self.stored = StoredLedger(integrator, Ledger(counts=given.ensemble.counts))
@@ -111,7 +112,7 @@ class Binding:
 
     def change(self, **changes: Any) -> None:
         """Replace settings, by the names of their fields."""
-        self.settings = replace(self.settings, **changes)
+        self.settings, self._flow = replace(self.settings, **changes), None
         integrator = self._integrator
         openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
         settings.store(integrator, self.settings)
@@ -123,8 +124,10 @@ class Binding:
         return int(self._integrator.getGlobalVariableByName(installation.PARTS)) or 1
 
     def flow(self) -> Flow:
-        """Return what an engine is to follow now."""
-        return self.settings.flow(self._found_groups)
+        """Return what an engine is to follow now, the same object until settings change."""
+        if self._flow is None:
+            self._flow = self.settings.flow(self._found_groups)
+        return self._flow
 
     def _whole_flow(self) -> Flow:
         """Return the flow with the bath of its scheme, which a friction that is set later needs."""
@@ -168,6 +171,7 @@ class Binding:
         given = self.settings
         if given.fast_groups is None:
             self._found_groups = find_fast_groups(system, given.bodies, says=True)
+            self._flow = None
         self._write_program(system, platform)
         if given.scheme.without_bath().order >= 4:
             tell_of_pme(system, given.scheme.name)

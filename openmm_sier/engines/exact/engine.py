@@ -21,14 +21,14 @@ from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.engines import interrupts, neighbour_list, own_methods
-from openmm_sier.engines.exact import packing
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
+from openmm_sier.engines.exact.packing import sites_of_atoms
 from openmm_sier.engines.exact.reading import Fitting, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.variables import SITES, STATE_VARIABLES, StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.arguments import Bodies
@@ -63,6 +63,9 @@ class ExactEngine(Engine):
         self._fitting = Fitting(context.getSystem())
         self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
         self._moves_volume = False
+        #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
+        self._keeps_numbers = holds_doubles(context)
+        self._is_box_new = False
         self._point: BodyState | None = None
         #: The Context as it was when it held the phase point: one that differs was changed from outside.
         self._agreed: Snapshot | None = None
@@ -92,14 +95,14 @@ class ExactEngine(Engine):
         if self._plan is None:
             return
         sites = np.array(self._integrator.getPerDofVariableByName(SITES))
-        if self._parts is not None and np.array_equal(packing.sites(self._parts.bodies), sites):
+        if self._parts is not None and np.array_equal(sites_of_atoms(self._parts.bodies), sites):
             return
         made = MovingBodies(self._context, self._plan.bodies(positions, sites), self.flow, self.ledger)
         if self._moves_volume:
             made.refuse_constant_pressure()
         self._evaluations_before = self.evaluations
         self._parts = made
-        self._integrator.setPerDofVariableByName(SITES, packing.sites(made.bodies))
+        self._integrator.setPerDofVariableByName(SITES, sites_of_atoms(made.bodies))
 
     @property
     def moving(self) -> RigidBodies:  # type: ignore[override]
@@ -185,7 +188,7 @@ class ExactEngine(Engine):
     def _found(self, now: Snapshot, moved: bool) -> BodyState:
         """Return the phase point of bodies that moved, or whose velocities were changed."""
         bodies, point = self.moving, self._point
-        stored = stored_point(self._context, bodies, now, moved)
+        stored = stored_point(self._context, self._made.packing, now, moved)
         if stored is not None:
             return stored
         if point is None or moved:
@@ -203,8 +206,7 @@ class ExactEngine(Engine):
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
         flow = self.flow
-        moves = self._made.motion.operators(flow, self.inner_step(flow))
-        step = operators.stepper(flow.scheme, moves, flow.step)
+        step = self._made.motion.stepper(flow, self.inner_step(flow))
         ends_with_kick = flow.scheme.stages[-1].operator == KICK
         if steps:
             self._forget_past()
@@ -286,6 +288,7 @@ class ExactEngine(Engine):
         self._updates.let_act(self.flow.step)
         if self._box() == before:
             return point
+        self._is_box_new = True
         now = Snapshot(self._context)
         q, A = self._fitting(bodies, now, point)
         self.forces.take_positions(now)
@@ -301,11 +304,16 @@ class ExactEngine(Engine):
                 return
         forces.place(point.q, point.A)
         own_methods.set_velocities(context, self.moving.move(point, forces.velocities))
-        for name, values in zip(STATE_VARIABLES, packing.pack(self.moving, point), strict=True):
-            self._integrator.setPerDofVariableByName(name, values)
+        integrator = self._integrator
+        for name, values in zip(STATE_VARIABLES, self._made.packing.pack(point), strict=True):
+            integrator.setPerDofVariableByName(name, values)
         context.setTime(clock.time)
         context.setStepCount(clock.steps)
-        self._agreed, self._published = Snapshot(context), (point, clock)
+        self._published = point, clock
+        if self._keeps_numbers and self._agreed is not None and not self._is_box_new:
+            self._agreed = self._agreed.with_atoms(forces.positions, forces.velocities)
+        else:
+            self._agreed, self._is_box_new = Snapshot(context), False
 
     def recover(self) -> None:
         if self._point is None or self._parts is None:
@@ -320,6 +328,7 @@ class ExactEngine(Engine):
 
     def _set_box(self, box: Any) -> None:
         super()._set_box(box)
+        self._is_box_new = True
         self._made.motion.follow(self._context)
 
     def prepare_for_volume_moves(self) -> None:

@@ -67,20 +67,26 @@ class Motion:
             self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
-        self._made: tuple[tuple[Flow, float] | None, dict[str, Operator]] = (None, {})
+        #: The flow and the longest inner step for which a stepper was made, and the stepper.
+        self._made: tuple[Flow, float, operators.Stepper] | None = None
         self.after_bath: BodyState | None = None
 
-    def operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
-        """The operators that execute a flow, by name, with inner steps of up to `longest`, ps."""
-        if self._made[0] != (flow, longest):
-            found = dict(self._outer)
-            if flow.bath is not None:
-                bath = constrained.bath_operator(flow.bath, self._bodies, self._ledger)
-                found[BATH] = partial(self._remembered, bath)
-            if self.fast is not None and longest:
-                found |= self._nested_drifts(self.fast, flow.scheme, longest)
-            self._made = (flow, longest), found
-        return self._made[1]
+    def stepper(self, flow: Flow, longest: float) -> operators.Stepper:
+        """Return what makes a step of a flow, with inner steps of up to `longest`, ps."""
+        if self._made is None or self._made[0] is not flow or self._made[1] != longest:
+            made = operators.stepper(flow.scheme, self._operators(flow, longest), flow.step)
+            self._made = flow, longest, made
+        return self._made[2]
+
+    def _operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
+        """Return the operators that execute a flow, by name."""
+        found = dict(self._outer)
+        if flow.bath is not None:
+            bath = constrained.bath_operator(flow.bath, self._bodies, self._ledger)
+            found[BATH] = partial(self._remembered, bath)
+        if self.fast is not None and longest:
+            found |= self._nested_drifts(self.fast, flow.scheme, longest)
+        return found
 
     def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
         """Let a bath act, and leave what it made as `after_bath`."""

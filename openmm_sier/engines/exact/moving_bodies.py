@@ -12,6 +12,7 @@ from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion, inner_step
+from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 
@@ -24,6 +25,7 @@ class MovingBodies:
         forces: forces and torques on them, and energies, computed by the Context.
         motion: their operators.
         check_step: refuses steps that are too long for them.
+        packing: their phase point as variables of the integrator.
     """
 
     def __init__(self, context: openmm.Context, bodies: RigidBodies, flow: Flow, ledger: Ledger):
@@ -48,6 +50,7 @@ class MovingBodies:
         self.forces = BodyForces(context, bodies)
         self._in_kicks = CachedForces(self.forces.in_kicks)
         self.motion = self._new_motion()
+        self.packing = Packing(bodies)
 
     @cached_property
     def molecule_centres(self) -> MoleculeCentres:

@@ -7,7 +7,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
-from openmm_sier.engines.exact import packing
+from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system import checks
@@ -17,7 +17,7 @@ from openmm_sier.system.cut_molecules import IF_CUT, cut_molecules
 FARTHEST = 0.05
 
 
-def stored_point(context: openmm.Context, bodies: RigidBodies, now: Snapshot, moved: bool) -> BodyState | None:
+def stored_point(context: openmm.Context, packing: Packing, now: Snapshot, moved: bool) -> BodyState | None:
     """Return the phase point that the variables of a Context carry, if it reproduces the atoms to the last bit.
 
     It does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set after that,
@@ -25,7 +25,7 @@ def stored_point(context: openmm.Context, bodies: RigidBodies, now: Snapshot, mo
 
     Args:
         context: openmm.Context.
-        bodies: its bodies.
+        packing: of its bodies.
         now: what the Context holds.
         moved: whether its positions differ from those before.
 
@@ -37,7 +37,7 @@ def stored_point(context: openmm.Context, bodies: RigidBodies, now: Snapshot, mo
     values = np.stack([np.array(variable(name)) for name in STATE_VARIABLES])
     if not values.any() or not np.isfinite(values).all():
         return None
-    state = packing.unpack(bodies, values)
+    bodies, state = packing.bodies, packing.unpack(values)
     if not np.array_equal(bodies.place(state.q, state.A, now.positions.copy()), now.positions):
         return None
     if np.array_equal(bodies.move(state, now.velocities.copy()), now.velocities):

@@ -26,7 +26,7 @@ from openmm_sier.engines.native.program import V0, WORK, Program
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.writing import refuse_other_slow_groups
 from openmm_sier.engines.protocol import Clock, Engine, Memory, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot, box_of
+from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
 from openmm_sier.engines.variables import PART, StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -138,7 +138,7 @@ class NativeEngine(Engine):
 
     @property
     def clock(self) -> Clock:
-        return Clock(self._context.getTime().value_in_unit(unit.picosecond), self._context.getStepCount())
+        return Clock(time_of(self._context), self._context.getStepCount())
 
     @clock.setter
     def clock(self, clock: Clock) -> None:
