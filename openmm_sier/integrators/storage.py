@@ -64,7 +64,7 @@ def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[st
 def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    if missing := set(found.ensemble.counts) - variables:
+    if missing := {installation.PARTS, *found.ensemble.counts} - variables:
         raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
     parts = int(plain.getGlobalVariableByName(installation.PARTS)) or 1
     step = plain.getStepSize().value_in_unit(unit.picosecond) * parts

@@ -23,6 +23,7 @@ from openmm_sier.dynamics.stages import KICK
 from openmm_sier.engines import interrupts, neighbour_list, own_methods
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.exact.motion import Motion
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.exact.packing import sites_of_atoms
 from openmm_sier.engines.exact.reading import Fitting, stored_point, with_velocities
@@ -120,6 +121,11 @@ class ExactEngine(Engine):
     def forces(self) -> BodyForces:
         """Forces and torques on the bodies, computed by the Context, and energies."""
         return self._made.forces
+
+    @property
+    def motion(self) -> Motion:
+        """The operators that move the bodies."""
+        return self._made.motion
 
     @property
     def evaluations(self) -> int:  # type: ignore[override]

@@ -1,5 +1,6 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
+import copy
 import re
 from collections.abc import Iterable
 
@@ -105,16 +106,18 @@ def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegra
     It is a plain CustomIntegrator.
     """
     plain = openmm.CustomIntegrator
-    copy = plain(plain.getStepSize(integrator))
-    copy.setConstraintTolerance(integrator.getConstraintTolerance())
-    copy.setRandomNumberSeed(integrator.getRandomNumberSeed())
-    copy.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
-    copy.setKineticEnergyExpression(integrator.getKineticEnergyExpression())
+    bare = plain(plain.getStepSize(integrator))
+    bare.setConstraintTolerance(integrator.getConstraintTolerance())
+    bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
+    bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
+    bare.setKineticEnergyExpression(integrator.getKineticEnergyExpression())
     for i in range(integrator.getNumGlobalVariables()):
-        copy.addGlobalVariable(integrator.getGlobalVariableName(i), integrator.getGlobalVariable(i))
+        bare.addGlobalVariable(integrator.getGlobalVariableName(i), integrator.getGlobalVariable(i))
     for i in range(integrator.getNumTabulatedFunctions()):
-        copy.addTabulatedFunction(integrator.getTabulatedFunctionName(i), integrator.getTabulatedFunction(i).Copy())
-    return copy
+        bare.addTabulatedFunction(
+            integrator.getTabulatedFunctionName(i), copy.deepcopy(integrator.getTabulatedFunction(i))
+        )
+    return bare
 
 
 def uninstall(integrator: openmm.CustomIntegrator) -> None:
