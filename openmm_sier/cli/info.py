@@ -15,6 +15,7 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
+from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.
@@ -31,13 +32,13 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
     Args:
         box: as `inputs.read_input` gives it.
-        rigid: names of residues to be held rigid, in the geometry that they have in the coordinates.
+        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
 
     Raises:
-        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
-        ValueError: there is no residue of that name.
+        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
+        ValueError: nothing is described by one of the words.
     """
-    named = dict.fromkeys(rigid, "rigid") if rigid else None
+    named = select_bodies(box.topology, rigid) if rigid else None
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
