@@ -60,7 +60,6 @@ napoleon_use_ivar = True
 # Classes of other packages, of which no inventory is at hand, and errors that have no page of their own.
 nitpick_ignore_regex = [
     ("py:class", r"(openmm|numpy|collections)\..*"),
-    ("py:class", r".*\.tuning\..*Found"),
     ("py:exc", r".*(Error|Exception)"),
 ]
 
