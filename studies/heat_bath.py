@@ -37,7 +37,7 @@ from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.inputs import forcefields
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.starts import equilibrate, make_context
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
@@ -237,9 +237,12 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, seed)
-        integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         if isinstance(integrator, SIERHMCIntegrator):
-            integrator.resetStatistics()
+            # Trials of large boxes are rejected while these warm up.
+            warmed = equilibrate(context, settings.temperature, seed, settings.equilibrate)
+            context.setState(warmed.state)
+        else:
+            integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
