@@ -17,7 +17,7 @@ import openmm_sier
             "import openmm_sier",
             {"numba", "matplotlib", "h5py", "rich", "mdtraj", "scipy", "numpy.polynomial", "numpy.random"},
         ),
-        ("from openmm_sier.cli import command_line, main; command_line.parse(['info', 'box.pdb'])", {"numba", "mdtraj"}),
+        ("from openmm_sier.cli import command_line; command_line.parse(['info', 'box.pdb'])", {"numba", "mdtraj"}),
     ],
 )
 def test_imports_are_lean(code, absent):
