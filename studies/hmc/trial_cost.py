@@ -23,8 +23,9 @@ from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.engines import neighbour_list, own_methods
+from openmm_sier.engines import neighbour_list
 from openmm_sier.inputs.starts import make_context
+from openmm_sier.system import own_methods
 from studies import heat_bath, text
 from studies.command import SYSTEMS, Settings, chosen, command
 from studies.records import Record
