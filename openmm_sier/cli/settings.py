@@ -23,7 +23,6 @@ from openmm_sier.cli.methods import (
 )
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
-from openmm_sier.system.body_selection import FORMS
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
@@ -128,8 +127,9 @@ class RunSettings(BaseModel):
         otherwise="the box of the coordinates",
     )
     rigid: list[Name] | None = fields.several(
-        "what is held rigid besides water, in the geometry that it has in the coordinates, but for bonds that "
-        f"constraints hold: {FORMS}",
+        "what, besides water, is to be held rigid in the geometry that it has in the coordinates, but for bonds that "
+        "constraints hold: names of residues; ranges of them, as A:1-36, one body each; chains, as 'chain A'; atoms, "
+        "as 'atoms 0-35'; selections of MDTraj; or a file with one of these in each line",
         NAME,
         otherwise="none",
     )
