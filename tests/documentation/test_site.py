@@ -10,6 +10,9 @@ import pytest
 
 import openmm_sier
 
+#: The first of them waits until the site is built.
+pytestmark = pytest.mark.timeout(2000)
+
 #: Widths of a window in px.
 WIDE, NARROW = 1280, 375
 
