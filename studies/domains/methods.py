@@ -1,0 +1,120 @@
+"""Integrators of the study, by the names that tables have: rigid bodies, springs, or frames of four masses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier import SIER2, FramedSystem, SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system, with_frames
+from studies.domains.models import Model
+from studies.units import md
+
+
+class Made(NamedTuple):
+    """What a Context is made of.
+
+    Attributes:
+        system, integrator: of the Context.
+        positions: (N, 3), nm.
+        framed: the System of frames, if there are any.
+    """
+
+    system: openmm.System
+    integrator: openmm.Integrator
+    positions: np.ndarray
+    framed: FramedSystem | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """An integrator in a bath.
+
+    Attributes:
+        name: for tables.
+        springs: whether springs hold bodies, which are rigid otherwise.
+        exact: whether averages have no error of the step.
+        make: model, step in ps, friction in 1/ps and seed -> what a Context is made of.
+    """
+
+    name: str
+    springs: bool
+    exact: bool
+    make: Callable[[Model, float, float, int], Made]
+
+
+#: Steps of a trial of hybrid Monte Carlo.
+TRIAL = 10
+
+
+def _sier2(model: Model, step: float, friction: float, seed: int) -> Made:
+    bath = SIERLangevinIntegrator(
+        model.temperature, friction, step, SIER2, pressure=model.pressure, bodies=model.bodies
+    )
+    bath.setRandomNumberSeed(seed)
+    return Made(openmm.XmlSerializer.clone(model.rigid), bath, model.positions)
+
+
+def _prepared(model: Model, step: float, friction: float, seed: int) -> Made:
+    made = _sier2(model, step, friction, seed)
+    prepare_system(made.system, model.bodies)
+    return made
+
+
+def _hybrid(model: Model, step: float, friction: float, seed: int) -> Made:
+    trials = SIERHMCIntegrator(
+        model.temperature,
+        step,
+        stepsPerTrial=TRIAL,
+        frictionCoeff=friction,
+        pressure=model.pressure,
+        bodies=model.bodies,
+    )
+    trials.setRandomNumberSeed(seed)
+    return Made(openmm.XmlSerializer.clone(model.rigid), trials, model.positions)
+
+
+def _hybrid_springs(model: Model, step: float, friction: float, seed: int) -> Made:
+    trials = SIERHMCIntegrator(
+        model.temperature, step, stepsPerTrial=TRIAL, frictionCoeff=friction, pressure=model.pressure
+    )
+    trials.setRandomNumberSeed(seed)
+    return Made(openmm.XmlSerializer.clone(model.network), trials, model.positions)
+
+
+def _middle(model: Model, step: float, friction: float, seed: int) -> Made:
+    made = openmm.XmlSerializer.clone(model.network)
+    return Made(made, _langevin_middle(model, made, step, friction, seed), model.positions)
+
+
+def _frames(model: Model, step: float, friction: float, seed: int) -> Made:
+    framed = with_frames(model.rigid, model.positions, model.bodies)
+    middle = _langevin_middle(model, framed.system, step, friction, seed)
+    return Made(framed.system, middle, np.asarray(md(framed.positions)), framed)
+
+
+def _langevin_middle(
+    model: Model, system: openmm.System, step: float, friction: float, seed: int
+) -> openmm.LangevinMiddleIntegrator:
+    """OpenMM's integrator; a System at constant pressure gets its barostat."""
+    if model.pressure is not None:
+        barostat = openmm.MonteCarloBarostat(model.pressure, model.temperature)
+        barostat.setRandomNumberSeed(seed)
+        system.addForce(barostat)
+    middle = openmm.LangevinMiddleIntegrator(model.temperature, friction, step)
+    middle.setRandomNumberSeed(seed)
+    return middle
+
+
+#: By the names that the command has.
+METHODS = {
+    "sier2": Method("SIER2", False, False, _sier2),
+    "prepared": Method("SIER2, bonds in inner steps", False, False, _prepared),
+    "hmc": Method("SIER4G HMC", False, True, _hybrid),
+    "langevinmiddle": Method("LangevinMiddle, springs", True, False, _middle),
+    "springs-hmc": Method("SIER4G HMC, springs", True, True, _hybrid_springs),
+    "frames": Method("LangevinMiddle, frames", False, False, _frames),
+}

@@ -1,0 +1,94 @@
+"""What the study runs of each model: methods, steps and times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from studies.domains import chain, fullerenes, patchy, zeolite
+from studies.domains.models import Model
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Runs of a model.
+
+    Attributes:
+        build: makes the model.
+        settle: ps of the equilibration.
+        step: of it, fs.
+        time: of a run in the bath, ps.
+        most: steps of such a run, which is shorter if it would have more.
+        baths: steps in fs for each of `methods.METHODS`.
+        energies: steps in fs for each of `energy.INTEGRATORS`, at constant energy.
+        energy_time: of a run at constant energy, ps.
+        in_lammps: the step in fs of a run by LAMMPS.
+    """
+
+    build: Callable[[], Model]
+    settle: float
+    step: float
+    time: float
+    most: int
+    baths: Mapping[str, tuple[float, ...]]
+    energies: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    energy_time: float = 20.0
+    in_lammps: tuple[float, ...] = ()
+
+
+PLANS = {
+    "chain": Plan(
+        chain.model,
+        settle=1500.0,
+        step=40.0,
+        time=3000.0,
+        most=150_000,
+        baths={
+            "hmc": (60.0,),
+            "prepared": (80.0, 120.0, 160.0),
+            "springs-hmc": (60.0,),
+            "langevinmiddle": (80.0, 60.0, 40.0, 20.0),
+            "sier2": (100.0, 80.0, 60.0, 40.0),
+            "frames": (40.0, 60.0),
+        },
+        energies={"sier4g": (10.0, 20.0, 30.0, 40.0, 60.0), "verlet": (5 / 3, 10 / 3, 20 / 3, 10.0)},
+        in_lammps=(20.0, 40.0, 60.0),
+    ),
+    "c60": Plan(
+        fullerenes.model,
+        settle=20.0,
+        step=20.0,
+        time=100.0,
+        most=5_000,
+        baths={
+            "hmc": (40.0,),
+            "sier2": (20.0, 40.0, 60.0, 80.0),
+            "frames": (20.0, 40.0),
+            "langevinmiddle": (2.0, 3.0),
+        },
+        energies={},
+    ),
+    "zeolite": Plan(
+        zeolite.model,
+        settle=40.0,
+        step=5.0,
+        time=100.0,
+        most=20_000,
+        baths={"hmc": (10.0,), "sier2": (5.0, 10.0, 15.0, 20.0, 30.0), "frames": (5.0, 10.0, 15.0)},
+    ),
+    "patchy": Plan(
+        patchy.model,
+        settle=200.0,
+        step=20.0,
+        time=600.0,
+        most=60_000,
+        baths={
+            "hmc": (40.0,),
+            "springs-hmc": (10.0,),
+            "sier2": (20.0, 40.0, 60.0, 80.0),
+            "frames": (20.0, 40.0),
+            "langevinmiddle": (5.0, 10.0, 15.0, 20.0),
+        },
+        energies={"sier4g": (20.0, 40.0, 60.0), "verlet": (1.25, 2.5, 5.0, 10.0)},
+    ),
+}
