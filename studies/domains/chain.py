@@ -8,10 +8,14 @@ EAAAKEAAAK, and tails and a linker that are rich in glycine and serine.
 
 from __future__ import annotations
 
+import itertools
 import math
+import string
+from pathlib import Path
 
 import numpy as np
 import openmm
+from openmm import app, unit
 from scipy.optimize import brentq
 
 from studies.domains.models import INTERACTIONS, Model, exclude_within, with_springs
@@ -24,6 +28,8 @@ RESIDUES = {
     "K": (128.17, 1, 0.636, 0.1790211738990582),
     "S": (87.08, 0, 0.518, 0.4625416811611541),
 }
+
+NAMES = {"A": "ALA", "E": "GLU", "G": "GLY", "K": "LYS", "S": "SER"}
 
 DOMAIN = "EAAAKEAAAKGSGEAAAKEAAAKGSGEAAAKEAAAK"
 TAIL = "GSAGSEGSKGSA"
@@ -148,6 +154,29 @@ def model(chains: int = 2) -> Model:
         system.addForce(force)
     network = with_springs(system, places, bodies, NETWORK, REACH)
     return Model("two chains of 120 residues", system, network, places, bodies, molecules)
+
+
+def topology(chains: int = 2) -> app.Topology:
+    """The chains with residues of one bead, numbered from 1."""
+    made = app.Topology()
+    for name in string.ascii_uppercase[:chains]:
+        chain = made.addChain(name)
+        beads = []
+        for number, letter in enumerate(SEQUENCE, 1):
+            residue = made.addResidue(NAMES[letter], chain, str(number))
+            beads.append(made.addAtom("CA", None, residue))
+        for first, second in itertools.pairwise(beads):
+            made.addBond(first, second)
+    made.setPeriodicBoxVectors(EDGE * np.eye(3) * unit.nanometer)
+    return made
+
+
+def write(folder: Path, chains: int = 2) -> None:
+    """Write the model as users have theirs: chain.pdb and system.xml."""
+    made = model(chains)
+    with (folder / "chain.pdb").open("w") as file:
+        app.PDBFile.writeFile(topology(chains), made.positions * unit.nanometer, file)
+    (folder / "system.xml").write_text(openmm.XmlSerializer.serialize(made.rigid))
 
 
 def contact_force() -> openmm.CustomNonbondedForce:

@@ -22,7 +22,7 @@ class Plan:
         baths: steps in fs for each of `methods.METHODS`.
         energies: steps in fs for each of `energy.INTEGRATORS`, at constant energy.
         energy_time: of a run at constant energy, ps.
-        in_lammps: the step in fs of a run by LAMMPS.
+        in_lammps: steps in fs of runs by LAMMPS.
     """
 
     build: Callable[[], Model]
@@ -41,54 +41,55 @@ PLANS = {
         chain.model,
         settle=1500.0,
         step=40.0,
-        time=3000.0,
-        most=150_000,
+        time=2000.0,
+        most=100_000,
         baths={
             "hmc": (60.0,),
-            "prepared": (80.0, 120.0, 160.0),
+            "sier2": (60.0, 80.0, 100.0, 40.0),
             "springs-hmc": (60.0,),
-            "langevinmiddle": (80.0, 60.0, 40.0, 20.0),
-            "sier2": (100.0, 80.0, 60.0, 40.0),
-            "frames": (40.0, 60.0),
+            "langevinmiddle": (40.0, 60.0, 80.0, 20.0),
+            "prepared": (80.0, 120.0),
+            "frames": (40.0,),
         },
         energies={"sier4g": (10.0, 20.0, 30.0, 40.0, 60.0), "verlet": (5 / 3, 10 / 3, 20 / 3, 10.0)},
+        energy_time=10.0,
         in_lammps=(20.0, 40.0, 60.0),
-    ),
-    "c60": Plan(
-        fullerenes.model,
-        settle=20.0,
-        step=20.0,
-        time=100.0,
-        most=5_000,
-        baths={
-            "hmc": (40.0,),
-            "sier2": (20.0, 40.0, 60.0, 80.0),
-            "frames": (20.0, 40.0),
-            "langevinmiddle": (2.0, 3.0),
-        },
-        energies={},
-    ),
-    "zeolite": Plan(
-        zeolite.model,
-        settle=40.0,
-        step=5.0,
-        time=100.0,
-        most=20_000,
-        baths={"hmc": (10.0,), "sier2": (5.0, 10.0, 15.0, 20.0, 30.0), "frames": (5.0, 10.0, 15.0)},
     ),
     "patchy": Plan(
         patchy.model,
-        settle=200.0,
+        settle=100.0,
         step=20.0,
-        time=600.0,
-        most=60_000,
+        time=300.0,
+        most=30_000,
         baths={
             "hmc": (40.0,),
             "springs-hmc": (10.0,),
             "sier2": (20.0, 40.0, 60.0, 80.0),
             "frames": (20.0, 40.0),
-            "langevinmiddle": (5.0, 10.0, 15.0, 20.0),
+            "langevinmiddle": (10.0, 15.0, 20.0, 25.0),
         },
         energies={"sier4g": (20.0, 40.0, 60.0), "verlet": (1.25, 2.5, 5.0, 10.0)},
+        energy_time=10.0,
+    ),
+    "zeolite": Plan(
+        zeolite.model,
+        settle=20.0,
+        step=5.0,
+        time=60.0,
+        most=12_000,
+        baths={"hmc": (12.0,), "sier2": (5.0, 10.0, 15.0, 20.0), "frames": (5.0, 10.0)},
+    ),
+    "c60": Plan(
+        fullerenes.model,
+        settle=20.0,
+        step=20.0,
+        time=60.0,
+        most=2_000,
+        baths={
+            "hmc": (40.0,),
+            "sier2": (40.0, 60.0, 80.0),
+            "frames": (40.0,),
+            "langevinmiddle": (2.0, 3.0),
+        },
     ),
 }

@@ -95,7 +95,7 @@ class DomainSettings(RunsSettings):
     steps: tuple[float, ...] = ()
     shorter: float = 1.0
     friction: float = 1.0
-    rounds: int = 10
+    rounds: int = 6
     platform: str = "CPU"
 
     SHARED = ("shorter", "friction", "platform")
