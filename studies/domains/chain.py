@@ -2,8 +2,8 @@
 
 Ashbaugh-Hatch and Debye-Hückel interactions and bonds with the parameters of CALVADOS 2 (G. Tesei and K. Lindorff-
 Larsen, Open Research Europe 2, 94 (2022)); domains with an elastic network as in F. Cao et al., Protein Science 33,
-e5172 (2024): springs of 700 kJ/mol/nm^2 up to 0.9 nm. Each chain has 120 residues: two domains, which are bundles of three helices
-EAAAKEAAAK, and tails and a linker that are rich in glycine and serine.
+e5172 (2024): springs of 700 kJ/mol/nm^2 up to 0.9 nm. Each chain has 120 residues: two domains, which are bundles of
+three helices EAAAKEAAAK, and tails and a linker that are rich in glycine and serine.
 """
 
 from __future__ import annotations

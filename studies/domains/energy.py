@@ -57,9 +57,7 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
         seed: of velocities and of the bath that warms springs.
     """
     chosen = INTEGRATORS[name]
-    system = model.network if chosen.springs else model.rigid
-    if system is None:
-        raise ValueError(f"{model.name} has no springs")
+    system = system_of(model, chosen)
     if chosen.springs:
         start = warmed(model, start, seed)
     integrator = chosen.make(model, 1e-3 * step)
@@ -82,6 +80,18 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
         "drift": drift,
         "drift_error": error,
     }
+
+
+def system_of(model: Model, chosen: Integrator) -> openmm.System:
+    """The System that an integrator is for.
+
+    Raises:
+        ValueError: it is for springs, and the model has none.
+    """
+    system = model.network if chosen.springs else model.rigid
+    if system is None:
+        raise ValueError(f"{model.name} has no springs")
+    return system
 
 
 def warmed(model: Model, start: openmm.State, seed: int) -> openmm.State:

@@ -28,7 +28,10 @@ ANGSTROM, KCAL = 0.1, 4.184
 #: A of the skin of its lists of neighbours; chosen for speed.
 SKIN = 8.0
 
-PROGRAM, NAME = "lmp", "LAMMPS, fix rigid/small"
+PROGRAM = "lmp"
+
+#: As the command names it, and as tables do.
+SHORT, NAME = "lammps", "LAMMPS, fix rigid/small"
 
 
 class Run(NamedTuple):

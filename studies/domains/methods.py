@@ -35,15 +35,17 @@ class Method:
 
     Attributes:
         name: for tables.
+        make: model, step in ps, friction in 1/ps and seed -> what a Context is made of.
         springs: whether springs hold bodies, which are rigid otherwise.
         exact: whether averages have no error of the step.
-        make: model, step in ps, friction in 1/ps and seed -> what a Context is made of.
+        inner: whether some forces act in inner steps, whose number follows from the step.
     """
 
     name: str
-    springs: bool
-    exact: bool
     make: Callable[[Model, float, float, int], Made]
+    springs: bool = False
+    exact: bool = False
+    inner: bool = False
 
 
 #: Steps of a trial of hybrid Monte Carlo.
@@ -111,10 +113,10 @@ def _langevin_middle(
 
 #: By the names that the command has.
 METHODS = {
-    "sier2": Method("SIER2", False, False, _sier2),
-    "prepared": Method("SIER2, bonds in inner steps", False, False, _prepared),
-    "hmc": Method("SIER4G HMC", False, True, _hybrid),
-    "langevinmiddle": Method("LangevinMiddle, springs", True, False, _middle),
-    "springs-hmc": Method("SIER4G HMC, springs", True, True, _hybrid_springs),
-    "frames": Method("LangevinMiddle, frames", False, False, _frames),
+    "sier2": Method("SIER2", _sier2),
+    "prepared": Method("SIER2, bonds in inner steps", _prepared, inner=True),
+    "hmc": Method("SIER4G HMC", _hybrid, exact=True),
+    "langevinmiddle": Method("LangevinMiddle, springs", _middle, springs=True),
+    "springs-hmc": Method("SIER4G HMC, springs", _hybrid_springs, springs=True, exact=True),
+    "frames": Method("LangevinMiddle, frames", _frames),
 }

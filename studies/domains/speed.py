@@ -10,6 +10,8 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.inputs.starts import make_context
 from studies.bench.timing import median_and_error, turns
 from studies.domains import bath, energy, lammps
 from studies.domains.methods import METHODS, TRIAL
@@ -24,43 +26,66 @@ TURN, LAMMPS_STEPS = 0.2, 500
 FRICTION = 1.0
 
 
-def by_turns(model: Model, plan: Plan, start: openmm.State, rounds: int, seed: int, platform: str) -> list[dict]:
-    """Rows with ns a day for each method at each step that the plan has in the bath and at constant energy.
+def by_turns(
+    model: Model, plan: Plan, start: openmm.State, rounds: int, seed: int, platform: str
+) -> list[dict[str, Any]]:
+    """Rows with ns a day for each method at each step that the plan has, and for springs at their usual step.
 
-    Steps of one method cost the same unless forces act in inner steps, but each has its own turns.
+    A step costs the same at any length, but where forces act in inner steps, and in LAMMPS, which renews its lists of
+    neighbours more often. There each length has its own turns.
     """
-    actions: dict[str, Callable[[], float]] = {}
-    rows: dict[str, dict[str, Any]] = {}
+    actions: dict[tuple[str, float], Callable[[], float]] = {}
     contexts = []
     for name, steps in plan.baths.items():
-        for step in steps:
+        for step in steps if METHODS[name].inner else steps[:1]:
             made = METHODS[name].make(model, 1e-3 * step, FRICTION, seed)
             contexts.append(bath.context_at(made, model, start, seed, platform))
-            label = f"{name} {step}"
-            actions[label] = _turn(made.integrator)
-            per_step = TRIAL * step if METHODS[name].exact else step
-            rows[label] = {"method": METHODS[name].name, "step": step, "simulated": per_step}
+            actions[name, step] = _turn(made.integrator)
     for name, steps in plan.energies.items():
-        integrator = energy.INTEGRATORS[name].make(model, 1e-3 * steps[0])
-        system = model.network if energy.INTEGRATORS[name].springs else model.rigid
-        context = bath.make_context(openmm.XmlSerializer.clone(system), integrator, platform)
+        chosen = energy.INTEGRATORS[name]
+        integrator = chosen.make(model, 1e-3 * steps[0])
+        context = make_context(openmm.XmlSerializer.clone(energy.system_of(model, chosen)), integrator, platform)
         context.setPositions(start.getPositions())
         context.setVelocitiesToTemperature(model.temperature, seed)
         contexts.append(context)
-        label = f"{name} {steps[0]}"
-        actions[label] = _turn(integrator)
-        rows[label] = {"method": energy.INTEGRATORS[name].name, "step": steps[0], "simulated": steps[0]}
+        actions[name, steps[0]] = _turn(integrator)
     with tempfile.TemporaryDirectory() as place:
         for step in plan.in_lammps if lammps.installed() else ():
-            label = f"lammps {step}"
-            actions[label] = _turn_of_lammps(model, start, step, seed, Path(place))
-            rows[label] = {"method": lammps.NAME, "step": step, "simulated": step}
-        for label, seconds in turns(actions, rounds).items():
-            spent = median_and_error(seconds)
-            a_day = 86400 * 1e-6 * rows[label]["simulated"] / spent.value
-            rows[label] |= {"ms": 1e3 * spent.value, "ms_error": 1e3 * spent.error}
-            rows[label] |= {"ns_a_day": a_day, "ns_a_day_error": a_day * spent.error / spent.value}
-    return list(rows.values())
+            actions[lammps.SHORT, step] = _turn_of_lammps(model, start, step, seed, Path(place))
+        seconds = turns(actions, rounds)
+    rows = []
+    for (name, step), found in seconds.items():
+        spent = median_and_error(found)
+        for each in [step] if (name, step) in _with_own_turns(plan) else _steps(model, plan, name):
+            rows.append({"method": _name(name), "step": each, **_speed(name, each, spent)})
+    return rows
+
+
+def _with_own_turns(plan: Plan) -> set[tuple[str, float]]:
+    """Methods and steps of which each was timed."""
+    inner = {(name, step) for name, steps in plan.baths.items() if METHODS[name].inner for step in steps}
+    return inner | {(lammps.SHORT, step) for step in plan.in_lammps}
+
+
+def _steps(model: Model, plan: Plan, name: str) -> list[float]:
+    """All steps for which the speed of a method is told."""
+    usual = [model.usual] if name == "langevinmiddle" else []
+    return sorted({*usual, *(plan.baths | plan.energies)[name]})
+
+
+def _name(name: str) -> str:
+    """The name of a method for tables."""
+    if name == lammps.SHORT:
+        return lammps.NAME
+    return METHODS[name].name if name in METHODS else energy.INTEGRATORS[name].name
+
+
+def _speed(name: str, step: float, spent: Estimate) -> dict[str, float]:
+    """ms a step, or a trial, and ns a day with errors, from seconds."""
+    simulated = step * (TRIAL if name in METHODS and METHODS[name].exact else 1)
+    a_day = 86400 * 1e-6 * simulated / spent.value
+    share = spent.error / spent.value
+    return {"ms": 1e3 * spent.value, "ms_error": 1e3 * spent.error, "ns_a_day": a_day, "ns_a_day_error": a_day * share}
 
 
 def _turn(integrator: openmm.Integrator) -> Callable[[], float]:

@@ -40,8 +40,6 @@ TEMPERATURES = ("temperature", "translation", "rotation", "linkers")
 #: any error of the step is off by more than this in one run of fifty.
 RIGHT = 3.0
 
-LAMMPS = "lammps"
-
 AVERAGES = records.columns("model", "method") | {
     "step/fs": "{step:g}",
     "T/K": "{temperature_text}",
@@ -109,10 +107,10 @@ class DomainSettings(RunsSettings):
 def tasks(settings: DomainSettings) -> Iterator[Task]:
     """All runs that the settings ask for: in the bath, then at constant energy, then turns for the speed."""
     chosen(settings.models, PLANS, "model")
-    chosen(settings.methods, METHODS | {LAMMPS: None}, "method")
+    chosen(settings.methods, METHODS | {lammps.SHORT: None}, "method")
     for name in settings.models or PLANS:
         plan = PLANS[name]
-        baths = dict(plan.baths) | ({LAMMPS: plan.in_lammps} if plan.in_lammps and lammps.installed() else {})
+        baths = dict(plan.baths) | ({lammps.SHORT: plan.in_lammps} if plan.in_lammps and lammps.installed() else {})
         for method, steps in baths.items():
             for step in (settings.steps or steps) if not settings.methods or method in settings.methods else ():
                 yield _task(settings, "bath", name, method, step)
@@ -144,7 +142,7 @@ def run(task: Task) -> dict[str, Any]:
         return found | _energies(model, method, step, time, start, settings.seed)
     time = min(plan.time / settings.shorter, 1e-3 * step * plan.most)
     found |= {"time": time}
-    if method == LAMMPS:
+    if method == lammps.SHORT:
         return found | _by_lammps(settings, model, step, time, start)
     made = bath.averages(model, method, step, time, settings.friction, start, settings.seed, settings.platform)
     return found | {"method": METHODS[method].name} | made
