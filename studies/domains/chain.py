@@ -2,8 +2,8 @@
 
 Ashbaugh-Hatch and Debye-Hückel interactions and bonds with the parameters of CALVADOS 2 (G. Tesei and K. Lindorff-
 Larsen, Open Research Europe 2, 94 (2022)); domains with an elastic network as in F. Cao et al., Protein Science 33,
-e5172 (2024): springs of 700 kJ/mol/nm^2 up to 0.9 nm. Each chain has 120 residues: two domains, which are bundles of
-three helices EAAAKEAAAK, and tails and a linker that are rich in glycine and serine.
+e5172 (2024): bonds, and springs of 700 kJ/mol/nm^2 up to 0.9 nm. Each chain has 120 residues: two domains, which are
+bundles of three helices EAAAKEAAAK, and tails and a linker that are rich in glycine and serine.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import openmm
 from openmm import app, unit
 from scipy.optimize import brentq
 
-from studies.domains.models import INTERACTIONS, Model, exclude_within, with_springs
+from studies.domains.models import INTERACTIONS, Model, Pair, exclude, nearer, pairs_within, springs, with_force
 
 #: By residue: mass in dalton, charge, sigma in nm, lambda.
 RESIDUES = {
@@ -119,41 +119,45 @@ def one_chain() -> np.ndarray:
 
 
 def model(chains: int = 2) -> Model:
-    """Two chains in a periodic box at 300 K."""
-    single = one_chain()
-    single -= single.mean(axis=0)
+    """Chains in a periodic box at 300 K.
+
+    With springs, pairs of a domain that no spring joins interact, as they do in models with elastic networks.
+    """
+    single = one_chain() - one_chain().mean(axis=0)
     places = np.concatenate([single + EDGE / 2 + np.array([0, 0, BESIDE * k]) for k in range(chains)])
+    firsts = [chain * len(SEQUENCE) for chain in range(chains)]
+    molecules = [list(range(first, first + len(SEQUENCE))) for first in firsts]
+    bodies = [list(range(first + at, first + at + len(DOMAIN))) for first in firsts for at in STARTS]
+    inside = pairs_within(bodies)
+    bonds = {pair for molecule in molecules for pair in itertools.pairwise(molecule)}
+    network = dict.fromkeys(nearer(inside, places, REACH), NETWORK) | dict.fromkeys(bonds & inside, STIFFNESS)
+    rigid = _system(chains, bonds - inside, bonds | inside, bodies)
+    elastic = with_force(_system(chains, bonds - inside, bonds | set(network), bodies), springs(places, network))
+    return Model("two chains of 120 residues", rigid, elastic, places, bodies, molecules)
+
+
+def _system(chains: int, bonds: set[Pair], left_out: set[Pair], bodies: list[list[int]]) -> openmm.System:
+    """Chains with bonds, and with interactions of all pairs but for those left out."""
     system = openmm.System()
     system.setDefaultPeriodicBoxVectors([EDGE, 0, 0], [0, EDGE, 0], [0, 0, EDGE])
-    bodies, molecules = [], []
     linkers, joints = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
     linkers.setName("bonds of linkers")
     joints.setName("bonds to domains")
+    domains = {bead for body in bodies for bead in body}
+    for pair in sorted(bonds):
+        (joints if domains & set(pair) else linkers).addBond(*pair, LENGTH, STIFFNESS)
     contacts, charges = contact_force(), charge_force()
-    for chain in range(chains):
-        first = chain * len(SEQUENCE)
-        molecules.append(list(range(first, first + len(SEQUENCE))))
-        domains = [list(range(first + start, first + start + len(DOMAIN))) for start in STARTS]
-        bodies += domains
-        rigid = {bead for body in domains for bead in body}
-        for residue in SEQUENCE:
-            mass, charge, sigma, strength = RESIDUES[residue]
-            system.addParticle(mass)
-            contacts.addParticle([sigma, strength])
-            charges.addParticle([charge])
-        for i in molecules[-1][:-1]:
-            ends = rigid & {i, i + 1}
-            if len(ends) < 2:
-                (joints if ends else linkers).addBond(i, i + 1, LENGTH, STIFFNESS)
-            for force in (contacts, charges):
-                force.addExclusion(i, i + 1)
+    for residue in chains * SEQUENCE:
+        mass, charge, sigma, strength = RESIDUES[residue]
+        system.addParticle(mass)
+        contacts.addParticle([sigma, strength])
+        charges.addParticle([charge])
     for force in (contacts, charges):
-        exclude_within(force, bodies)
+        exclude(force, left_out)
         force.setForceGroup(INTERACTIONS)
     for force in (linkers, joints, contacts, charges):
         system.addForce(force)
-    network = with_springs(system, places, bodies, NETWORK, REACH)
-    return Model("two chains of 120 residues", system, network, places, bodies, molecules)
+    return system
 
 
 def topology(chains: int = 2) -> app.Topology:

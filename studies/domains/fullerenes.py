@@ -14,7 +14,7 @@ import math
 import numpy as np
 import openmm
 
-from studies.domains.models import INTERACTIONS, Model, exclude_within, with_springs
+from studies.domains.models import INTERACTIONS, Model, exclude, nearer, pairs_within, springs, with_force
 from studies.frames import CARBON, EPSILON, SIGMA, buckminsterfullerene
 
 #: nm, at 300 K and 1 bar.
@@ -45,11 +45,12 @@ def model(cells: int = 2) -> Model:
         bodies.append([system.addParticle(CARBON) for _ in turned])
         for _ in turned:
             force.addParticle(0, SIGMA, EPSILON)
-    exclude_within(force, bodies)
+    exclude(force, pairs_within(bodies))
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(cells * LATTICE * np.eye(3)))
     positions = np.concatenate(places)
-    network = with_springs(system, positions, bodies, STIFFNESS, REACH)
+    joined = nearer(pairs_within(bodies), positions, REACH)
+    network = with_force(system, springs(positions, dict.fromkeys(joined, STIFFNESS)))
     return Model("C60", system, network, positions, bodies, pressure=1.0, usual=1.0)
 
 

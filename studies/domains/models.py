@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,9 @@ import openmm
 #: are compared leave springs out.
 INTERACTIONS, SPRINGS = 4, 5
 
+#: Numbers of two atoms, the lower one first.
+Pair = tuple[int, int]
+
 
 @dataclass(frozen=True)
 class Model:
@@ -21,7 +24,7 @@ class Model:
     Attributes:
         name: for tables.
         rigid: the System in which bodies are rigid; nothing acts within them.
-        network: the same with springs in the force group `SPRINGS`, by which bodies hold their shape; None without.
+        network: one in which springs of the force group `SPRINGS` hold bodies; None without.
         positions: (N, 3), nm.
         bodies: atoms of each body.
         chains: atoms of each molecule of several bodies, of which there is a radius of gyration.
@@ -43,43 +46,37 @@ class Model:
     offset: float = 0.0
 
 
-def exclude_within(force: openmm.CustomNonbondedForce | openmm.NonbondedForce, bodies: Sequence[Sequence[int]]) -> None:
-    """Leave out the interactions of atoms of one body, but for pairs that are left out already."""
-    custom = isinstance(force, openmm.CustomNonbondedForce)
-    known = set()
-    for index in range(force.getNumExclusions() if custom else force.getNumExceptions()):
-        i, j, *_ = force.getExclusionParticles(index) if custom else force.getExceptionParameters(index)
-        known.add((min(i, j), max(i, j)))
-    for body in bodies:
-        for i, j in itertools.combinations(sorted(body), 2):
-            if (i, j) in known:
-                continue
-            if custom:
-                force.addExclusion(i, j)
-            else:
-                force.addException(i, j, 0, 1, 0)
+def pairs_within(bodies: Sequence[Sequence[int]]) -> set[Pair]:
+    """All pairs of atoms of one body, the lower number first."""
+    return {pair for body in bodies for pair in itertools.combinations(sorted(body), 2)}
 
 
-def with_springs(
-    system: openmm.System, positions: np.ndarray, bodies: Sequence[Sequence[int]], stiffness: float, reach: float
-) -> openmm.System:
-    """A copy of a System in which springs hold each body in its shape.
+def nearer(pairs: Iterable[Pair], positions: np.ndarray, reach: float) -> set[Pair]:
+    """The pairs whose atoms are not as far apart as `reach`, nm."""
+    return {(i, j) for i, j in pairs if np.linalg.norm(positions[i] - positions[j]) < reach}
 
-    Args:
-        system: in which nothing acts within bodies.
-        positions: (N, 3), nm.
-        bodies: atoms of each.
-        stiffness: of a spring k/2 (r - r0)^2, kJ/mol/nm^2.
-        reach: nm, up to which atoms of a body are joined.
-    """
+
+def exclude(force: openmm.CustomNonbondedForce | openmm.NonbondedForce, pairs: Iterable[Pair]) -> None:
+    """Leave out the interactions of pairs in a Force that leaves out none of them yet."""
+    for i, j in sorted(pairs):
+        if isinstance(force, openmm.CustomNonbondedForce):
+            force.addExclusion(i, j)
+        else:
+            force.addException(i, j, 0, 1, 0)
+
+
+def springs(positions: np.ndarray, stiffness: Mapping[Pair, float]) -> openmm.HarmonicBondForce:
+    """Springs k/2 (r - r0)^2 at rest in some positions (N, 3) in nm, with k in kJ/mol/nm^2 for each pair."""
+    force = openmm.HarmonicBondForce()
+    force.setName("springs")
+    force.setForceGroup(SPRINGS)
+    for (i, j), k in sorted(stiffness.items()):
+        force.addBond(i, j, float(np.linalg.norm(positions[i] - positions[j])), k)
+    return force
+
+
+def with_force(system: openmm.System, force: openmm.Force) -> openmm.System:
+    """A copy of a System with one more Force."""
     made = openmm.XmlSerializer.clone(system)
-    springs = openmm.HarmonicBondForce()
-    springs.setName("springs")
-    springs.setForceGroup(SPRINGS)
-    for body in bodies:
-        for i, j in itertools.combinations(body, 2):
-            length = float(np.linalg.norm(positions[i] - positions[j]))
-            if length < reach:
-                springs.addBond(i, j, length, stiffness)
-    made.addForce(springs)
+    made.addForce(force)
     return made

@@ -13,7 +13,7 @@ import numpy as np
 import openmm
 
 from studies.domains.fullerenes import rotation
-from studies.domains.models import INTERACTIONS, Model, exclude_within, with_springs
+from studies.domains.models import INTERACTIONS, Model, exclude, nearer, pairs_within, springs, with_force
 
 #: nm and kJ/mol of the core; kJ/mol and nm of the wells of patches.
 DIAMETER, REPULSION = 1.0, 2.5
@@ -55,9 +55,10 @@ def model(edge: int = 4) -> Model:
         bodies.append([system.addParticle(CORE if site == 0 else PATCH) for site in range(len(sites))])
         for site in range(len(sites)):
             force.addParticle([float(site == 0)])
-    exclude_within(force, bodies)
+    exclude(force, pairs_within(bodies))
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(edge * spacing * np.eye(3)))
     positions = np.concatenate(places)
-    network = with_springs(system, positions, bodies, STIFFNESS, REACH)
+    joined = nearer(pairs_within(bodies), positions, REACH)
+    network = with_force(system, springs(positions, dict.fromkeys(joined, STIFFNESS)))
     return Model("patchy particles", system, network, positions, bodies, usual=10.0)

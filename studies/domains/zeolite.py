@@ -16,7 +16,7 @@ from openmm_sier import balance_pme
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.starts import make_context
 from studies.domains.fullerenes import rotation
-from studies.domains.models import INTERACTIONS, Model, exclude_within
+from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within
 from studies.units import md
 
 #: nm; and fractions of the edge of the cubic cell (Pm-3m) for silicon and three kinds of oxygen.
@@ -80,7 +80,7 @@ def model(cells: int = 2, per_cage: int = 5) -> Model:
                 bodies[-1].append(system.addParticle(MASSES[kind]))
                 force.addParticle(*lennard_jones(GAS[kind]))
                 places.append(centre + site)
-    exclude_within(force, bodies)
+    exclude(force, pairs_within(bodies))
     balance_pme(system)
     return Model("CO2 in LTA", system, None, np.array(places), bodies, usual=2.0, offset=empty)
 
