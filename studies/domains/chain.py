@@ -18,7 +18,17 @@ import openmm
 from openmm import app, unit
 from scipy.optimize import brentq
 
-from studies.domains.models import INTERACTIONS, Model, Pair, exclude, nearer, pairs_within, springs, with_force
+from studies.domains.models import (
+    INTERACTIONS,
+    LINKERS,
+    Model,
+    Pair,
+    exclude,
+    nearer,
+    pairs_within,
+    springs,
+    with_force,
+)
 
 #: By residue: mass in dalton, charge, sigma in nm, lambda.
 RESIDUES = {
@@ -141,7 +151,7 @@ def _system(chains: int, bonds: set[Pair], left_out: set[Pair], bodies: list[lis
     system = openmm.System()
     system.setDefaultPeriodicBoxVectors([EDGE, 0, 0], [0, EDGE, 0], [0, 0, EDGE])
     linkers, joints = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
-    linkers.setName("bonds of linkers")
+    linkers.setName(LINKERS)
     joints.setName("bonds to domains")
     domains = {bead for body in bodies for bead in body}
     for pair in sorted(bonds):

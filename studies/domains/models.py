@@ -13,6 +13,9 @@ import openmm
 #: are compared leave springs out.
 INTERACTIONS, SPRINGS = 4, 5
 
+#: The name of the Force of bonds that join no bodies, and the force group in which they are fast.
+LINKERS, FAST = "bonds of linkers", 1
+
 #: Numbers of two atoms, the lower one first.
 Pair = tuple[int, int]
 

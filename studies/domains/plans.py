@@ -46,7 +46,7 @@ PLANS = {
         baths={
             "hmc": (60.0,),
             "sier2": (40.0, 60.0, 80.0, 100.0),
-            "prepared": (80.0, 120.0),
+            "inner": (80.0, 120.0),
             "frames": (40.0,),
             "springs-hmc": (60.0,),
             "langevinmiddle": (20.0, 40.0, 60.0, 80.0),

@@ -1,7 +1,7 @@
 """Rigid domains beside elastic networks: averages in a bath, the longest step that is right, speed, and energy.
 
     python -m studies.domains                                  all models
-    python -m studies.domains --models chain --methods sier2 prepared
+    python -m studies.domains --models chain --methods sier2 langevinmiddle
 
 Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS; a crystal of C60; carbon
 dioxide in a zeolite; patchy particles. They are built by modules of this package from published parameters. Each is run

@@ -57,13 +57,30 @@ def test_interactions_of_a_chain_are_those_of_the_paper():
         assert energy(system, [[0, 0, 0], [r, 0, 0]]) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("build", [lambda: chain.model(1), lambda: patchy.model(2)], ids=["chain", "patchy"])
-def test_springs_hold_what_is_rigid_and_change_nothing_else(build):
-    model = build()
+def test_springs_hold_what_is_rigid_and_change_nothing_else():
+    model = patchy.model(2)
     assert energy(model.network, model.positions) == pytest.approx(energy(model.rigid, model.positions), abs=1e-6)
     assert energy(model.network, model.positions, {models.SPRINGS}) == pytest.approx(0, abs=1e-9)
     # Twice as large, springs of 0.1 nm and more have at least this energy each.
-    assert energy(model.network, 2 * model.positions, {models.SPRINGS}) > 0.5 * patchy.STIFFNESS * 1e-4
+    assert energy(model.network, 2 * model.positions, {models.SPRINGS}) > 0.5 * patchy.STIFFNESS * 1e-2
+
+
+def test_networks_of_chains_have_bonds_and_springs():
+    model = chain.model(1)
+    (force,) = (each for each in model.network.getForces() if each.getForceGroup() == models.SPRINGS)
+    strengths = [md(force.getBondParameters(i)[-1]) for i in range(force.getNumBonds())]
+    assert strengths.count(chain.STIFFNESS) == 2 * 35
+    assert strengths.count(chain.NETWORK) == len(strengths) - 70 > 100
+    assert energy(model.network, model.positions, {models.SPRINGS}) == pytest.approx(0, abs=1e-9)
+    # All pairs of a domain have a spring, or interact.
+    for name in ("contacts", "charges"):
+        rigid, elastic = (named(system, name).getNumExclusions() for system in (model.rigid, model.network))
+        assert rigid == 119 - 70 + 2 * 36 * 35 // 2
+        assert elastic == 119 - 70 + force.getNumBonds()
+
+
+def named(system, name):
+    return next(each for each in system.getForces() if each.getName() == name)
 
 
 def test_bodies_have_no_energy_of_their_own():

@@ -209,7 +209,7 @@ def framed(found):
     "domains",
     domains_command,
     "--models patchy --shorter 600 --rounds 1",
-    "--models chain --methods hmc sier2 prepared --steps 40 --shorter 3000",
+    "--models chain --methods hmc sier2 inner --steps 40 --shorter 3000",
 )
 def domains(found):
     rows = found["averages"].set_index(["key", "name", "step"])
