@@ -1,7 +1,7 @@
 """Rigid domains beside elastic networks: averages in a bath, the longest step that is right, speed, and energy.
 
     python -m studies.domains                                  all models
-    python -m studies.domains --models chain --methods sier2 langevinmiddle
+    python -m studies.domains --models chain --kinds bath --methods sier2
 
 Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS; a crystal of C60; carbon
 dioxide in a zeolite; patchy particles. They are built by modules of this package from published parameters. Each is run
@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,9 @@ from studies.units import md
 
 #: Averages that are compared with exact ones, and temperatures, which are compared with that of the bath.
 COMPARED = ("potential", "bonds", "gyration", "volume")
+#: Kinds of runs.
+KINDS = BATH, ENERGY, SPEED = "bath", "energy", "speed"
+
 TEMPERATURES = ("temperature", "translation", "rotation", "linkers")
 
 #: Errors by which a method may be off in the worst of its averages and count as right: one of seven averages without
@@ -80,6 +84,7 @@ class DomainSettings(RunsSettings):
 
     Attributes:
         models: by name, chain, c60, zeolite or patchy; all unless given.
+        kinds: of runs, bath, energy (at constant energy) and speed; all unless given.
         methods: in the bath, by name; all that a model has unless given.
         steps: of them, fs; those of each model unless given.
         shorter: by which all times are divided.
@@ -89,6 +94,7 @@ class DomainSettings(RunsSettings):
     """
 
     models: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     steps: tuple[float, ...] = ()
     shorter: float = 1.0
@@ -108,23 +114,22 @@ def tasks(settings: DomainSettings) -> Iterator[Task]:
     """All runs that the settings ask for: in the bath, then at constant energy, then turns for the speed."""
     chosen(settings.models, PLANS, "model")
     chosen(settings.methods, METHODS | {lammps.SHORT: None}, "method")
-    for name in settings.models or PLANS:
-        plan = PLANS[name]
-        baths = dict(plan.baths) | ({lammps.SHORT: plan.in_lammps} if plan.in_lammps and lammps.installed() else {})
-        for method, steps in baths.items():
-            for step in (settings.steps or steps) if not settings.methods or method in settings.methods else ():
-                yield _task(settings, "bath", name, method, step)
-        if settings.methods:
-            continue
-        for method, steps in plan.energies.items():
-            for step in steps:
-                yield _task(settings, "energy", name, method, step)
-        yield _task(settings, "speed", name, "", 0.0)
+    chosen(settings.kinds, dict.fromkeys(KINDS), "kind")
+    for name, kind in product(settings.models or PLANS, settings.kinds or KINDS):
+        for method, steps in _methods(PLANS[name], kind).items():
+            if kind != BATH or not settings.methods or method in settings.methods:
+                for step in (settings.steps or steps) if kind == BATH else steps:
+                    point = {"kind": kind, "key": name, "name": method, "step": round(step, 6), "seed": settings.seed}
+                    yield Task(settings, point, method)
 
 
-def _task(settings: DomainSettings, kind: str, model: str, method: str, step: float) -> Task:
-    point = {"kind": kind, "key": model, "name": method, "step": round(step, 6), "seed": settings.seed}
-    return Task(settings, point, method)
+def _methods(plan: Plan, kind: str) -> dict[str, tuple[float, ...]]:
+    """Methods of a kind of run with their steps; turns for the speed are one run."""
+    if kind == SPEED:
+        return {"": (0.0,)}
+    if kind == ENERGY:
+        return dict(plan.energies)
+    return dict(plan.baths) | ({lammps.SHORT: plan.in_lammps} if plan.in_lammps and lammps.installed() else {})
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -134,10 +139,10 @@ def run(task: Task) -> dict[str, Any]:
     model = plan.build()
     start = settings.start(name, plan, model)
     found = task.point | {"model": model.name, "broken": ""}
-    if kind == "speed":
+    if kind == SPEED:
         rows = speed.by_turns(model, plan, start, settings.rounds, settings.seed, settings.platform)
         return found | {"rows": rows, "picture": drawing.picture(model, md(start.getPositions(asNumpy=True)))}
-    if kind == "energy":
+    if kind == ENERGY:
         time = plan.energy_time / settings.shorter
         return found | _energies(model, method, step, time, start, settings.seed)
     time = min(plan.time / settings.shorter, 1e-3 * step * plan.most)
@@ -163,7 +168,7 @@ def _by_lammps(settings: DomainSettings, model: Model, step: float, time: float,
 
 def averages(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each model, method and step: averages with errors, and by how many errors the worst of them is off."""
-    rows = runs[(runs["kind"] == "bath") & (runs["broken"] == "")].reset_index(drop=True)
+    rows = runs[(runs["kind"] == BATH) & (runs["broken"] == "")].reset_index(drop=True)
     rows = rows.assign(
         off=[worst(row, exact_of(rows, row)) for _, row in rows.iterrows()],
         lattice=[lattice(row)[0] for _, row in rows.iterrows()],
@@ -175,7 +180,7 @@ def averages(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _of_speed(runs: pd.DataFrame) -> Iterator[tuple[Any, pd.Series]]:
-    return runs[runs["kind"] == "speed"].iterrows()
+    return runs[runs["kind"] == SPEED].iterrows()
 
 
 def lattice(row: pd.Series) -> tuple[float, float]:
@@ -273,7 +278,7 @@ def made_of(settings: DomainSettings, runs: pd.DataFrame) -> Record:
     """The record of all runs that were made."""
     rows = averages(runs)
     timed = speeds(runs, rows)
-    energies = runs[runs["kind"] == "energy"].dropna(axis=1, how="all")
+    energies = runs[runs["kind"] == ENERGY].dropna(axis=1, how="all")
     broken = runs.loc[runs["broken"] != "", ["key", "name", "step", "broken"]]
     pictures = {run["key"]: run["picture"] for _, run in _of_speed(runs)}
     kept = rows.drop(columns=[name for name in ("rows", "picture") if name in rows])
