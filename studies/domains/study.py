@@ -35,14 +35,14 @@ from studies.units import md
 
 #: Averages that are compared with exact ones, and temperatures, which are compared with that of the bath.
 COMPARED = ("potential", "bonds", "gyration", "volume")
-#: Kinds of runs.
-KINDS = BATH, ENERGY, SPEED = "bath", "energy", "speed"
-
 TEMPERATURES = ("temperature", "translation", "rotation", "linkers")
 
 #: Errors by which a method may be off in the worst of its averages and count as right: one of seven averages without
 #: any error of the step is off by more than this in one run of fifty.
 RIGHT = 3.0
+
+#: Kinds of runs.
+KINDS = BATH, ENERGY, SPEED = "bath", "energy", "speed"
 
 AVERAGES = records.columns("model", "method") | {
     "step/fs": "{step:g}",
