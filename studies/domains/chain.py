@@ -62,8 +62,9 @@ RISE, RADIUS, TURN, APART = 0.15, 0.23, math.radians(100), 1.0
 #: Residues of each helix and of each loop of a domain.
 HELIX, LOOP = 10, 3
 
-#: nm, edge of the periodic box, and between chains at the start.
-EDGE, BESIDE = 18.0, 4.0
+#: nm, edge of the periodic box. Two chains start as far apart as they can, and move by less than 2 nm in 2 ns with a
+#: friction of 1/ps: they do not meet. A run in which they did would remember it to its end.
+EDGE = 24.0
 
 ASHBAUGH_HATCH = """
     select(step(r - 2^(1/6)*sigma), lambda*lj, lj + epsilon*(1 - lambda)) - lambda*4*epsilon*(cut^12 - cut^6);
@@ -134,7 +135,7 @@ def model(chains: int = 2) -> Model:
     With springs, pairs of a domain that no spring joins interact, as they do in models with elastic networks.
     """
     single = one_chain() - one_chain().mean(axis=0)
-    places = np.concatenate([single + EDGE / 2 + np.array([0, 0, BESIDE * k]) for k in range(chains)])
+    places = np.concatenate([single + EDGE / chains * (k + 0.5) for k in range(chains)])
     firsts = [chain * len(SEQUENCE) for chain in range(chains)]
     molecules = [list(range(first, first + len(SEQUENCE))) for first in firsts]
     bodies = [list(range(first + at, first + at + len(DOMAIN))) for first in firsts for at in STARTS]

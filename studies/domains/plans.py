@@ -39,7 +39,7 @@ class Plan:
 PLANS = {
     "chain": Plan(
         chain.model,
-        settle=1500.0,
+        settle=800.0,
         step=40.0,
         time=1200.0,
         most=60_000,
