@@ -45,12 +45,12 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
 
 
 def read_log(directory: Path, skip: float) -> dict[str, np.ndarray]:
-    """Columns of the log of a run without its first `skip` ps."""
+    """Return the columns of the log of a run without its first `skip` ps."""
     log = analysis.read_log(directory / LOG)
     kept = log["Time (ps)"] >= skip
     return {name: column[kept] for name, column in log.items()}
 
 
 def read_frames(directory: Path, box: Path) -> mdtraj.Trajectory:
-    """The frames of a run of a PDB file."""
+    """Return the frames of a run of a PDB file."""
     return mdtraj.load(str(directory / TRAJECTORY), top=str(box))

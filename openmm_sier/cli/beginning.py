@@ -62,7 +62,11 @@ class Simulated:
         note(f"{options.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
         self.options, self.plan, self.box = options, plan, box
         self.bodies = rigid_bodies(box, plan.rigid)
-        self.fast = prepare_system(box.system, self.bodies).fastForceGroups
+        prepared = prepare_system(box.system, self.bodies)
+        self.fast = prepared.fastForceGroups
+        if plan.rigid:
+            for done in prepared.done:
+                note(done)
         if plan.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
             raise RunError("--pressure-tensor needs a periodic box, which there is none")
         self.inputs = fingerprints(box.sources)

@@ -11,10 +11,12 @@ from openmm import app
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.plan import ignored_options
+from openmm_sier.dynamics.names import FEW
 from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
+from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.
@@ -23,21 +25,28 @@ EQUAL = 1e-6
 #: Tops by whether their two lower moments are equal, and their two upper ones.
 TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
 
+#: So many bodies that words describe are shown.
+MOST_SHOWN = 6
+
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
 def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
-    """The rigid bodies of a box.
+    """Find the rigid bodies of a box, and print those that words describe.
 
     Args:
         box: as `inputs.read_input` gives it.
-        rigid: names of residues to be held rigid, in the geometry that they have in the coordinates.
+        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
 
     Raises:
-        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
-        ValueError: there is no residue of that name.
+        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
+        ValueError: nothing is described by one of the words.
     """
-    named = dict.fromkeys(rigid, "rigid") if rigid else None
+    named = select_bodies(box.topology, rigid) if rigid else None
+    if named is not None:
+        shown = str(named).splitlines()
+        more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
@@ -76,7 +85,7 @@ def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int,
     return [
         " ".join(names),
         str(len(species.atoms)),
-        " ".join(atoms[i].name for i in first),
+        " ".join(atoms[i].name for i in first) if len(first) <= FEW else f"{len(first)} atoms",
         " ".join(atoms[i].name for i in riders.get(int(first[0]), [])) or "-",
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",

@@ -16,6 +16,7 @@ from openmm_sier.cli.methods import ENSEMBLES, HEAVY, METHODS, Method
 from openmm_sier.cli.values import PICTURE, SWITCH, TIME, Kind, choice, file, number, several, step, whole, word
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
+from openmm_sier.system.body_selection import file_words
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
@@ -121,9 +122,10 @@ class Options:
         otherwise="the box of the coordinates",
     )
     rigid: list[str] | None = _option(
-        several(word("RESIDUE")),
-        "names of residues, besides water, to be held rigid in the geometry that they have in the coordinates, but for "
-        "bonds that constraints hold",
+        several(word("WHAT")),
+        "what, besides water, is to be held rigid in the geometry that it has in the coordinates, but for bonds that "
+        "constraints hold: names of residues; ranges of them, as A:1-36, one body each; chains, as 'chain A'; atoms, "
+        "as 'atoms 0-35'; selections of MDTraj; or a file with one of these in each line",
         otherwise="none",
     )
     constraints: str | None = _option(
@@ -242,6 +244,12 @@ class Options:
         otherwise="refuse to",
         restart="not noted",
     )
+
+    def __post_init__(self) -> None:
+        # The checkpoint has the words of a file, which may be changed or moved later.
+        if self.rigid is not None:
+            words = [line for word in self.rigid for line in file_words(word)]
+            object.__setattr__(self, "rigid", words)
 
     @property
     def equilibrates(self) -> bool:

@@ -16,7 +16,7 @@ AS_OPTIONS = {
     advice.SHORTER_STEP: "Take a shorter step (--dt)",
     advice.MORE_SUBSTEPS: "Take a shorter step (--dt)",
     advice.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
-    advice.CONSTRAIN_HEAVY: "hold the bond by --constraints allbonds, or its residue by --rigid NAME",
+    advice.CONSTRAIN_HEAVY: "hold the bond by --constraints allbonds, or its molecule by --rigid WHAT",
     advice.ONE_BODY: "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
     advice.KEEP_HEAVY: "",
     advice.HEAVY: "--hydrogen-mass 4",

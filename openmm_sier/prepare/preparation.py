@@ -14,6 +14,8 @@ from openmm_sier.prepare.inside_bodies import FEWEST_ATOMS, PAIRWISE, Excluded, 
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.prepare.split_terms import points_divided
+from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
 
@@ -50,15 +52,19 @@ def prepare_system(
 
     - The sums of PME are balanced, also of Forces within an ATMForce or a CustomCVForce, see `balance_pme`.
     - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
-      integrator finds them. Fast forces may move only atoms outside rigid bodies. So a Force with a term between a
-      rigid body and something else, or on a virtual site, stays slow, and so does a Force within another one.
+      integrator finds them. Fast forces may move only atoms outside rigid bodies. So terms between a rigid body and
+      something else, or on a virtual site, stay slow: a Force that has such terms is divided, by a new Force with those
+      on points alone, which lose their strength in the old one. A Force whose energy is an expression stays slow as a
+      whole then, and so does a Force within another one.
+    - Where all bonds and angles are slow, as those of beads that stand for residues, no force is fast, unless
+      `fastForceGroup` asks for it. Inner steps would cost time alone. What limits the step then is told.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
       to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
       forces is that of the System without preparation.
     - Interactions between atoms of one rigid body do no work and cost time. Where `bodies` tell its shape, those of
-      NonbondedForces and CustomNonbondedForces are excluded, and their energy, a constant, is told. With PME they stay,
-      since excluded pairs would take longer. Bonded terms within bodies are told of.
+      NonbondedForces, CustomNonbondedForces and GayBerneForces are excluded, and their energy, a constant, is told.
+      With PME they stay, since excluded pairs would take longer. Bonded terms within bodies are told of.
 
     Preparing a System again for the same bodies renews all of this; for other bodies prepare a new System. A Context
     must be created after the preparation: the integrator refuses the next step if its System was changed.
@@ -108,14 +114,16 @@ def prepare_system(
         system.removeForce(i)
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
-    fast = list(known.fast.values())
-    for force in fast:
-        force.setForceGroup(group)
+    coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
+    fast = [] if coarse else _put_fast_forces(system, known, group)
     if fast:
         done += _add_close_pairs(system, known.points, fast, group)
+    elif coarse:
+        done.append(describe_coarse(coarse))
     elif not known.slow and not known.inner:
         done.append("All molecules with bonded forces are rigid, so no force is fast.")
-    if left := [force.getName() for force in known.slow]:
+    left = [force.getName() for force in known.slow]
+    if left and not coarse:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     if known.inner:
@@ -132,6 +140,25 @@ def prepare_system(
         excluded.pairs,
         excluded.energy * unit.kilojoule_per_mole,
     )
+
+
+def _coarse_motion(system: openmm.System, bodies: RigidBodies | BodyPlan, owner: np.ndarray) -> Stiffest | None:
+    """Return the stiffest motion by bonded Forces if it is so slow that no force need be fast."""
+    found = stiffest(system, bodies if isinstance(bodies, RigidBodies) else None, owner)
+    return found if found is not None and found.is_coarse else None
+
+
+def _put_fast_forces(system: openmm.System, known: FastForces, group: int) -> list[openmm.Force]:
+    """Put what can be fast into a group, also the terms on points alone of Forces that cannot; returns these Forces."""
+    fast = list(known.fast.values())
+    for force in known.slow:
+        of_points = points_divided(force, known.points)
+        if of_points is not None:
+            system.addForce(of_points)
+            fast.append(of_points)
+    for force in fast:
+        force.setForceGroup(group)
+    return fast
 
 
 def _inside_bodies(
@@ -158,8 +185,8 @@ def _inside_bodies(
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
         done.append(
-            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave them "
-            "out where you make the Forces."
+            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave "
+            "elastic networks out where you make the Forces. Bonds along chains are cheap, and keep molecules whole."
         )
     return done
 

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, overload
 
 from openmm import app
 
-from openmm_sier.dynamics.names import as_ranges, ranges
+from openmm_sier.dynamics.names import as_ranges
+from openmm_sier.system.residue_ranges import ResidueRanges
 
 #: A description of bodies, or of several.
 Description = str | os.PathLike[str] | Sequence[int] | Sequence[Any] | Mapping[str, Any]
@@ -27,9 +28,6 @@ FORMS = (
 #: Endings of files that hold JSON.
 JSON = ".json"
 
-_NUMBER = r"-?\d+[A-Za-z]?"
-_RANGE = re.compile(rf"({_NUMBER})(?:-({_NUMBER}))?")
-_OF_CHAIN = re.compile(rf"([^:\s]*):((?:{_NUMBER}(?:-{_NUMBER})?)(?:,{_NUMBER}(?:-{_NUMBER})?)*)?")
 _CHAIN = re.compile(r"chain\s+(\S+)")
 _ATOMS = re.compile(r"atoms?\s+(\d.*)")
 _FILE = re.compile(r"\S+\.\w+")
@@ -92,13 +90,13 @@ def select_bodies(topology: app.Topology, description: Description) -> SelectedB
     - any other words are a selection in the language of MDTraj, which must be installed, such as
       `name CA and resSeq 1 to 36`. What it selects in one chain is one body.
 
-    Where chains share a name there is one body in each of them.
+    Where chains share a name there is one body in each of them. A name may come before, as in `head = A:1-36`.
 
     Args:
         topology: openmm.app.Topology.
         description: words; the indices of one body's particles; a list of several of these; a mapping of names to
-            these; or the name of a file. A file has a body in each line, in words, after its name and "=" if it has
-            one; what follows # is a comment. A file that ends in .json has a list, or an object with names.
+            these; or the name of a file. A file has words in each line, and what follows # is a comment. One that ends
+            in .json has a list, or an object with names.
 
     Returns:
         The bodies, in the order of their descriptions.
@@ -136,13 +134,31 @@ def _entries(description: Any) -> Iterator[tuple[str | None, Any]]:
         yield from _in_file(Path(description))
     elif isinstance(description, Mapping):
         yield from description.items()
-    elif isinstance(description, str) or _is_indices(description):
+    elif isinstance(description, str):
+        yield named_words(description)
+    elif _is_indices(description):
         yield None, description
     elif isinstance(description, Iterable):
         for each in description:
-            yield None, each
+            yield named_words(each) if isinstance(each, str) else (None, each)
     else:
         raise TypeError(f"bodies must be described by {FORMS}; or by lists of particle indices, got {description!r}")
+
+
+def file_words(words: str) -> list[str]:
+    """Return the words of a file, a body each, where words are its name; otherwise the words themselves.
+
+    Raises:
+        ValueError: the file describes no body, or not in words that can be written down.
+        OSError: it cannot be read.
+    """
+    if not _is_file(words):
+        return [words]
+    lines = []
+    for name, what in _in_file(Path(words)):
+        text = what if isinstance(what, str) else f"atoms {as_ranges(what)}"
+        lines.append(text if name is None else f"{name} = {text}")
+    return lines
 
 
 def _is_file(text: str) -> bool:
@@ -207,7 +223,7 @@ class _Reader:
 
     def __init__(self, topology: app.Topology):
         self._topology = topology
-        self._chains = list(topology.chains())
+        self._ranges = ResidueRanges(topology)
         self._names = {residue.name for residue in topology.residues()}
         self._count = topology.getNumAtoms()
         self._mdtraj: Any = None
@@ -223,28 +239,10 @@ class _Reader:
         bodies = []
         for number, group in enumerate(groups, 1):
             atoms = tuple(sorted(set(group)))
-            where = self.describe(atoms)
+            where = self._ranges.describe(atoms)
             numbered = name if len(groups) == 1 else f"{name} {number}"
             bodies.append(_Body(atoms, where if name is None else str(numbered), where))
         return bodies
-
-    def describe(self, atoms: tuple[int, ...]) -> str:
-        """Return words for atoms: ranges of residues where they are whole, otherwise of atoms."""
-        wanted, words = set(atoms), []
-        for chain in self._chains:
-            residues = list(chain.residues())
-            inside = [i for i, each in enumerate(residues) if any(atom.index in wanted for atom in each.atoms())]
-            parts = [(_number(residues[first]), _number(residues[last])) for first, last in ranges(inside)]
-            if parts:
-                spans = ",".join(first if first == last else f"{first}-{last}" for first, last in parts)
-                words.append(f"{chain.id.strip()}:{spans}")
-        text = " ".join(words)
-        try:
-            if _OF_CHAIN.fullmatch(words[0]) and [sorted(group) for group in self._in_chains(words)] == [sorted(atoms)]:
-                return text
-        except ValueError:
-            pass
-        return f"atoms {as_ranges(atoms)}"
 
     def _of_indices(self, name: str | None, what: Any) -> list[int]:
         of = "" if name is None else f" of {name}"
@@ -273,9 +271,9 @@ class _Reader:
         if found := _ATOMS.fullmatch(words):
             return [self._of_ranges(words, found[1])]
         if found := _CHAIN.fullmatch(words):
-            return self._in_chains([f"{found[1]}:"])
-        if all(_OF_CHAIN.fullmatch(word) for word in words.split()) and words:
-            return self._in_chains(words.split())
+            return self._ranges.atoms(f"{found[1]}:")
+        if self._ranges.are_ranges(words):
+            return self._ranges.atoms(words)
         return self._selected(words)
 
     def _of_residues(self, name: str) -> list[list[int]]:
@@ -291,40 +289,6 @@ class _Reader:
             self._checked([last], f" of {words!r}")
             atoms += range(int(ends[1]), last + 1)
         return atoms
-
-    def _in_chains(self, words: Sequence[str]) -> list[list[int]]:
-        """Return the atoms of bodies by words such as A:1-36."""
-        parts = [match.groups() for word in words if (match := _OF_CHAIN.fullmatch(word))]
-        if len({chain for chain, _ in parts}) == 1:
-            return self._in_each_chain(parts[0][0], [residues for _, residues in parts])
-        body: list[int] = []
-        for chain, residues in parts:
-            found = self._in_each_chain(chain, [residues])
-            if len(found) > 1:
-                raise ValueError(
-                    f"{' '.join(words)!r} is to be one body, and {len(found)} chains are {chain or 'meant'}: give "
-                    "a line to each chain, or atoms, as in 'atoms 0-35'"
-                )
-            body += found[0]
-        return [body]
-
-    def _in_each_chain(self, name: str, spans: list[str | None]) -> list[list[int]]:
-        """Return the residues of some ranges in each chain of a name, or in any that has them if that is empty."""
-        chains = [chain for chain in self._chains if not name or chain.id.strip() == name]
-        if not chains:
-            known = ", ".join(dict.fromkeys(chain.id.strip() or "(no name)" for chain in self._chains))
-            raise ValueError(f"the topology has no chain {name}, it has {known}")
-        found, missing = [], None
-        for chain in chains:
-            try:
-                found.append([i for span in spans for i in _of_chain(chain, span)])
-            except ValueError as error:
-                missing = error
-                if name:
-                    raise
-        if not found and missing is not None:
-            raise missing
-        return found
 
     def _selected(self, words: str) -> list[list[int]]:
         """Return what a selection of MDTraj has in each chain."""
@@ -346,38 +310,4 @@ class _Reader:
             raise ValueError(f"{no_file}{words!r} describes no body{where}: give {FORMS}") from None
         if not selected:
             raise ValueError(f"{words!r} selects no atom of the topology")
-        bodies = [[atom.index for atom in chain.atoms() if atom.index in selected] for chain in self._chains]
-        return [body for body in bodies if body]
-
-
-def _number(residue: app.topology.Residue) -> str:
-    """Return the number of a residue in its chain, with its insertion code."""
-    return f"{residue.id.strip()}{residue.insertionCode.strip()}"
-
-
-def _of_chain(chain: app.topology.Chain, span: str | None) -> list[int]:
-    """Return the atoms of residues of a chain, by ranges such as 1-36,50; all of them without.
-
-    Raises:
-        ValueError: the chain has no residue of such a number, or several.
-    """
-    residues = list(chain.residues())
-    if span is None:
-        return [atom.index for each in residues for atom in each.atoms()]
-    places: dict[str, list[int]] = {}
-    for i, each in enumerate(residues):
-        places.setdefault(_number(each), []).append(i)
-    named, found = chain.id.strip() or "without a name", []
-    for match in _RANGE.finditer(span):
-        ends = []
-        for number in (match[1], match[2] or match[1]):
-            there = places.get(number, [])
-            if len(there) != 1:
-                many = f"{len(there)} residues" if there else "no residue"
-                known = f"{_number(residues[0])} to {_number(residues[-1])}" if residues else "none"
-                raise ValueError(f"the chain {named} has {many} {number}, it has those of {known}: give 'atoms 0-35'")
-            ends.append(there[0])
-        if ends[1] < ends[0]:
-            raise ValueError(f"the chain {named} has residue {match[2]} before {match[1]}: give the lower one first")
-        found += [atom.index for each in residues[ends[0] : ends[1] + 1] for atom in each.atoms()]
-    return found
+        return self._ranges.by_chain(selected)

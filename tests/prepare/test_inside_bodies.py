@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies
+from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies, with_frames
 from openmm_sier.prepare import inside_bodies
 from openmm_sier.prepare.inside_bodies import PAIRWISE
 from openmm_sier.system.boxes import widths
@@ -110,6 +110,29 @@ def test_a_custom_force_with_groups_functions_and_computed_values():
     unchanged_but_for_a_constant(system, bodies, positions)
 
 
+def test_ellipsoids_that_turn_with_their_body():
+    """Those whose axes are told by linkers, atoms 4 and 5, turn within their body, and still interact there.
+
+    Energies alone are compared: OpenMM's forces of ellipsoids are no gradient on the Reference platform.
+    """
+    system, bodies, positions = chains(cut_off=None)
+    force = openmm.GayBerneForce()
+    inside = np.flatnonzero(bodies.owners == bodies.owners[1])[:-2]
+    for i in range(len(positions)):
+        axes = (i + 1, i + 2) if i in inside else (-1, -1)
+        axes = (0, 14) if i in (4, 5) else axes
+        shape = (0.4, 0.4, 0.4, 1.0, 1.0, 1.0) if axes[0] < 0 else (0.3, 0.4, 0.5, 1.2, 1.2, 0.8)
+        force.addParticle(0.4, 0.5, *axes, *shape)
+    force.addException(1, 2, 0.4, 0.2)
+    system.addForce(force)
+    before = on_bodies(system, bodies, positions)[0]
+    excluded = prepare_system(system, bodies).excludedEnergy._value
+    assert before - on_bodies(system, bodies, positions)[0] == pytest.approx(excluded, abs=1e-9)
+    pairs = {tuple(force.getExceptionParameters(i)[:2]) for i in range(force.getNumExceptions())}
+    assert (1, 2) in pairs
+    assert not {atom for pair in pairs for atom in pair} & {4, 5}
+
+
 def test_chains_whose_parameters_differ_have_energies_of_their_own():
     system, bodies, positions = chains()
     force = system.getForce(0)
@@ -202,6 +225,19 @@ def test_water_and_forces_within_others_stay():
     system.addForce(inner)
     prepare_system(system, bodies)
     assert len(silent_pairs(inner.getCollectiveVariable(0))) < len(silent_pairs(system.getForce(0)))
+
+
+def test_frames_keep_what_is_excluded():
+    """Energies are sums of some 1000 kJ/mol; long-range corrections, which know N, are off."""
+    system, bodies, positions = chains(cut_off=1.2)
+    system.getForce(0).setUseDispersionCorrection(False)
+    before = on_bodies(system, bodies, positions)[0]
+    excluded = prepare_system(system, bodies).excludedEnergy._value
+    framed = with_frames(system, positions, bodies)
+    assert prepare_system(framed.system).excludedPairs == 0
+    context = openmm.Context(framed.system, openmm.VerletIntegrator(0.001), platform("Reference"))
+    context.setPositions(framed.positions)
+    assert context.getState(energy=True).getPotentialEnergy()._value + excluded == pytest.approx(before, abs=1e-9)
 
 
 def test_bonded_terms_within_bodies_are_told_of():

@@ -8,6 +8,7 @@ import pytest
 from openmm import app
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies
+from openmm_sier.system.body_selection import file_words
 
 
 def chains(names="AB", residues=10, first=1):
@@ -92,6 +93,20 @@ def test_files(tmp_path):
         file = tmp_path / "domains.json"
         file.write_text(json.dumps(value))
         assert list(select_bodies(chains(), file)) == [(0, 1, 2), (4, 5)]
+
+
+def test_words_with_names_and_files_of_words(tmp_path):
+    """The command notes the words of a file in its checkpoint, from which they make the same bodies."""
+    named = select_bodies(chains(), ["head = A:1-3", "name O1 and mass < 90", "A:5-6"])
+    assert named.names == ("head", "atoms 11", "atoms 24", "A:5-6")
+    file = tmp_path / "domains.txt"
+    file.write_text("head = A:1-3\nA:5-6 # end\n")
+    listed = tmp_path / "domains.json"
+    listed.write_text(json.dumps({"head": [0, 1, 2], "tail": "A:5-6"}))
+    assert file_words(str(file)) == ["head = A:1-3", "A:5-6"]
+    assert file_words(str(listed)) == ["head = atoms 0-2", "tail = A:5-6"]
+    assert file_words("A:1-3") == ["A:1-3"]
+    assert list(select_bodies(chains(), file_words(str(listed)))) == [(0, 1, 2), (4, 5)]
 
 
 @pytest.mark.parametrize(
