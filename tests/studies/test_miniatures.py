@@ -181,12 +181,11 @@ def framed(found):
     assert 0 < sier4g < 0.2 * verlet
 
 
-<<<<<<< HEAD
 @miniature(
     "domains",
     domains_command,
     "--models patchy --shorter 600 --rounds 1",
-    "--models chain --methods hmc sier2 inner --steps 40 --shorter 3000",
+    "--models chain --kinds bath --methods hmc sier2 inner --steps 40 --shorter 3000",
 )
 def domains(found):
     rows = found["averages"].set_index(["key", "name", "step"])
@@ -203,17 +202,6 @@ def domains(found):
     assert list(found["gains"]["step"]) == [20, 40, 60]
 
 
-@miniature("native-program", counts, "--schemes sier2 sier4g")
-def counted(found):
-    rows = found["rows"]
-    assert list(rows["scheme"]) == ["SIER2", "SIER4G"] * 2
-    assert list(rows["fast"]) == ["none"] * 2 + ["in inner steps"] * 2
-    # Three RATTLE steps in the drift, and velocities constrained once.
-    assert rows.loc[0, ["native_steps", "constrain_x", "constrain_v"]].tolist() == [2, 3, 1]
-
-
-=======
->>>>>>> bodies55
 @miniature(
     "schemes",
     schemes,
