@@ -110,22 +110,20 @@ def arc(start: np.ndarray, end: np.ndarray, outwards: np.ndarray) -> np.ndarray:
 
 
 def one_chain() -> np.ndarray:
-    """Positions (120, 3) in nm: domains on a line, tails and the linker as zigzags between them."""
+    """Positions (120, 3) in nm: tails and linker are zigzags along z, which enter a domain below and leave it above."""
     places = np.empty((len(SEQUENCE), 3))
-    shape = domain()
+    shape = domain() - domain()[0]
     at = np.zeros(3)
     number = 0
     while number < len(SEQUENCE):
         if number in STARTS:
-            placed = shape - shape[0] + at
-            places[number : number + len(DOMAIN)] = placed
+            places[number : number + len(DOMAIN)] = shape + at
             number += len(DOMAIN)
-            # The chain leaves a domain above or below it, away from the helices.
-            at = placed[-1] + LENGTH * np.array([1.0, 0, 0])
+            at = places[number - 1] + LENGTH * np.array([0, 0, 1.0])
         else:
             places[number] = at
             number += 1
-            at = at + LENGTH * np.array([0.6, 0.8 * (-1) ** number, 0])
+            at = at + LENGTH * np.array([0.28 * (-1) ** number, 0, 0.96])
     return places
 
 

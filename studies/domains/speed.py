@@ -53,7 +53,7 @@ def by_turns(
         for step in plan.in_lammps if lammps.installed() else ():
             actions[lammps.SHORT, step] = _turn_of_lammps(model, start, step, seed, Path(place))
         seconds = turns(actions, rounds)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for (name, step), found in seconds.items():
         spent = median_and_error(found)
         for each in [step] if (name, step) in _with_own_turns(plan) else _steps(model, plan, name):
@@ -70,7 +70,7 @@ def _with_own_turns(plan: Plan) -> set[tuple[str, float]]:
 def _steps(model: Model, plan: Plan, name: str) -> list[float]:
     """All steps for which the speed of a method is told."""
     usual = [model.usual] if name == "langevinmiddle" else []
-    return sorted({*usual, *(plan.baths | plan.energies)[name]})
+    return sorted({*usual, *{**plan.baths, **plan.energies}[name]})
 
 
 def _name(name: str) -> str:

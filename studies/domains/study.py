@@ -23,14 +23,14 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from studies import records
+from studies import records, text
 from studies.command import RunsSettings, chosen
 from studies.domains import bath, drawing, energy, lammps, speed
 from studies.domains.methods import METHODS
 from studies.domains.models import Model
 from studies.domains.plans import PLANS, Plan
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.units import md
 
 #: Averages that are compared with exact ones, and temperatures, which are compared with that of the bath.
@@ -44,7 +44,7 @@ RIGHT = 3.0
 #: Kinds of runs.
 KINDS = BATH, ENERGY, SPEED = "bath", "energy", "speed"
 
-AVERAGES = records.columns("model", "method") | {
+AVERAGES = text.columns("model", "method") | {
     "step/fs": "{step:g}",
     "T/K": "{temperature_text}",
     "T of bodies, translation/K": "{translation_text}",
@@ -57,24 +57,32 @@ AVERAGES = records.columns("model", "method") | {
     "worst, in errors": "{off:.1f}",
     "ns a day": "{ns_a_day:.0f}",
 }
-SPEEDS = records.columns("model", "method") | {
+SPEEDS = text.columns("model", "method") | {
     "step/fs": "{step:g}",
     "ms a step": "{ms:.3g}",
     "ns a day": "{ns_a_day:.0f} ± {ns_a_day_error:.0f}",
     "over springs at their longest": "{over:.2g}",
 }
-ENERGIES = records.columns("model", "method") | {
+ENERGIES = text.columns("model", "method") | {
     "step/fs": "{step:.3g}",
     "forces a step": "{forces}",
     "rms(H)/kJ/mol": "{rms:.2g}",
     "rms(H)/rms(V)/%": "{percent:.2g}",
     "drift/kJ/mol/ps": "{drift:+.1e} ± {drift_error:.0e}",
 }
-GAINS = records.columns("model") | {
+GAINS = text.columns("model") | {
     "SIER4G/fs": "{step:g}",
     "rms(H)/kJ/mol": "{rms:.2g}",
     "Verlet of that error/fs": "{verlet:.2g}",
     "its time over SIER4G's": "{gain:.1f}",
+}
+
+#: Titles and columns of the tables of a record.
+TABLES = {
+    "averages": ("In a bath of 300 K", AVERAGES),
+    "speeds": ("Processor time on one thread", SPEEDS),
+    "energies": ("At constant energy", ENERGIES),
+    "gains": ("Verlet with springs at the same error", GAINS),
 }
 
 
@@ -267,8 +275,8 @@ def study(settings: DomainSettings, report: Report = SILENT) -> Record:
     form = "{kind} of {key}: {name}, {step:g} fs"
     runs = records.all_runs(settings, "domains", tasks(settings), run, report, form)
     record = made_of(settings, runs)
-    for table in tables(record):
-        report.table(table)
+    for name, (title, columns) in TABLES.items():
+        report.table(title, text.table(record.tables[name], columns))
     record.write(settings.out / "domains.json")
     drawing.figure(record, settings.out / "domains.png")
     return record
@@ -284,14 +292,3 @@ def made_of(settings: DomainSettings, runs: pd.DataFrame) -> Record:
     kept = rows.drop(columns=[name for name in ("rows", "picture") if name in rows])
     found = {"averages": kept, "speeds": timed, "energies": energies, "gains": gains(energies, timed)}
     return Record(settings.shared(), found | {"broken": broken}, {"pictures": pictures})
-
-
-def tables(record: Record) -> list[Table]:
-    """All tables of a record."""
-    titles = {
-        "averages": ("In a bath of 300 K", AVERAGES),
-        "speeds": ("Processor time on one thread", SPEEDS),
-        "energies": ("At constant energy", ENERGIES),
-        "gains": ("Verlet at the same error", GAINS),
-    }
-    return [records.table(title, record.tables[name], form, left=2) for name, (title, form) in titles.items()]

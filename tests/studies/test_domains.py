@@ -1,7 +1,10 @@
 """The models of the study of rigid domains, and how it tells what is right."""
 
 import math
+import re
+import shlex
 
+import mdtraj
 import numpy as np
 import openmm
 import pandas as pd
@@ -9,9 +12,11 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from openmm_sier import SIERIntegrator
+from openmm_sier.cli import main
 from openmm_sier.inputs.starts import make_context
 from studies.domains import chain, fullerenes, lammps, methods, models, patchy, study, zeolite
 from studies.units import md
+from tests.support.commands import SYSTEMS
 
 
 def energy(system, positions, groups=-1):
@@ -155,3 +160,23 @@ def test_lammps_has_the_same_energies(tmp_path):
     made = lammps.run(model, model.positions, 1.0, 1, 1, 1.0, 1, tmp_path)
     # Its charges are not shifted at the cut-off: some hundred pairs of 0.003 kJ/mol, and LAMMPS prints six digits.
     assert lammps.KCAL * made.samples["PotEng"][0] == pytest.approx(ours, abs=0.5 + 1e-5 * abs(ours))
+
+
+@pytest.mark.slow
+def test_the_command_of_the_how_to_goes_from_coordinates_to_a_trajectory(tmp_path, monkeypatch):
+    """With less time, and every fifth step."""
+    page = (SYSTEMS.parent / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()
+    (line,) = re.findall(r"^    openmm-sier (run .*)$", page, re.M)
+    lines = re.search(r"with the lines `(.*?)` and `(.*?)`:", page)
+    monkeypatch.chdir(tmp_path)
+    chain.write(tmp_path)
+    (tmp_path / "domains.txt").write_text("\n".join(lines.groups()))
+    shorter = re.sub(r"--time \S+", "--time 0.4", re.sub(r"--equilibrate \S+", "--equilibrate 0.06", line))
+    assert main.main([*shlex.split(shorter), "--every", "0.2", "--platform", "CPU"]) == 0
+    frames = mdtraj.load("chain.dcd", top="chain.pdb")
+    assert frames.n_frames == 2
+    domain = frames.xyz[:, 12:48].astype(float)
+    apart = [pdist(each) for each in domain]
+    # A trajectory has single precision: 24 nm to 2e-6 nm.
+    assert np.abs(apart[1] - apart[0]).max() < 1e-5
+    assert np.abs(np.diff(domain, axis=0)).max() > 1e-4
