@@ -185,11 +185,16 @@ def topology(chains: int = 2) -> app.Topology:
 
 
 def write(folder: Path, chains: int = 2) -> None:
-    """Write the model as users have theirs: chain.pdb and system.xml."""
+    """Write the model as users have theirs: chain.pdb, and system.xml with the bonds within domains.
+
+    They do nothing, but tell programs that write trajectories which atoms are one molecule.
+    """
     made = model(chains)
+    inside = pairs_within(made.bodies) & {pair for molecule in made.chains for pair in itertools.pairwise(molecule)}
+    system = with_force(made.rigid, springs(made.positions, dict.fromkeys(inside, STIFFNESS)))
     with (folder / "chain.pdb").open("w") as file:
         app.PDBFile.writeFile(topology(chains), made.positions * unit.nanometer, file)
-    (folder / "system.xml").write_text(openmm.XmlSerializer.serialize(made.rigid))
+    (folder / "system.xml").write_text(openmm.XmlSerializer.serialize(system))
 
 
 def contact_force() -> openmm.CustomNonbondedForce:
