@@ -22,6 +22,8 @@ class Plan:
         baths: steps in fs for each of `methods.METHODS`.
         energies: steps in fs for each of `energy.INTEGRATORS`, at constant energy.
         energy_time: of a run at constant energy, ps.
+        slow: averages that a run of this length remembers to its end, so that its errors are too small: they are shown,
+            and not compared.
         in_lammps: steps in fs of runs by LAMMPS.
     """
 
@@ -33,6 +35,7 @@ class Plan:
     baths: Mapping[str, tuple[float, ...]]
     energies: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     energy_time: float = 20.0
+    slow: tuple[str, ...] = ()
     in_lammps: tuple[float, ...] = ()
 
 
@@ -53,6 +56,8 @@ PLANS = {
         },
         energies={"sier4g": (10.0, 20.0, 30.0, 60.0), "verlet": (5 / 3, 10 / 3, 10.0)},
         energy_time=6.0,
+        # The shape of chains relaxes within some ns, and contacts of linkers and domains with it.
+        slow=("potential", "gyration"),
         in_lammps=(40.0, 60.0),
     ),
     "patchy": Plan(
