@@ -37,7 +37,7 @@ def by_turns(
     actions: dict[tuple[str, float], Callable[[], float]] = {}
     contexts = []
     for name, steps in plan.baths.items():
-        for step in steps if METHODS[name].inner else steps[:1]:
+        for step in steps if METHODS[name].inner else [*steps, model.usual][:1]:
             made = METHODS[name].make(model, 1e-3 * step, FRICTION, seed)
             contexts.append(bath.context_at(made, model, start, seed, platform))
             actions[name, step] = _turn(made.integrator)
