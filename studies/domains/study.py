@@ -61,7 +61,8 @@ SPEEDS = text.columns("model", "method") | {
     "step/fs": "{step:g}",
     "ms a step": "{ms:.3g}",
     "ns a day": "{ns_a_day:.0f} ± {ns_a_day_error:.0f}",
-    "over springs at their longest": "{over:.2g}",
+    "longest right/fs": "{longest:g}",
+    "over springs at their longest": "{over:.2f}",
 }
 ENERGIES = text.columns("model", "method") | {
     "step/fs": "{step:.3g}",
