@@ -71,7 +71,7 @@ PLANS = {
             "springs-hmc": (15.0,),
             "sier2": (20.0, 40.0, 60.0),
             "frames": (40.0,),
-            "langevinmiddle": (10.0, 20.0),
+            "langevinmiddle": (10.0, 20.0, 30.0, 40.0),
         },
         energies={"sier4g": (20.0, 40.0, 60.0), "verlet": (2.5, 5.0)},
         energy_time=6.0,
