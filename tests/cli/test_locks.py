@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.plan import RunError
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 
 #: Seconds after which a test fails rather than wait.
