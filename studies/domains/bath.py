@@ -76,7 +76,15 @@ def placed(made: Made, positions: np.ndarray) -> np.ndarray:
 
 
 def averages(
-    model: Model, name: str, step: float, time: float, friction: float, start: openmm.State, seed: int, platform: str
+    model: Model,
+    name: str,
+    step: float,
+    time: float,
+    interval: float,
+    friction: float,
+    start: openmm.State,
+    seed: int,
+    platform: str,
 ) -> dict[str, Any]:
     """Means of `OBSERVED` with errors, of a run whose first tenth is left out; `broken` says why it has none.
 
@@ -84,6 +92,7 @@ def averages(
         model, name: what is run, and by which of `METHODS`.
         step: fs.
         time: ps.
+        interval: ps between two samples, or a step if that is longer.
         friction: 1/ps.
         start: positions of the rigid model.
         seed: of the bath and of the velocities.
@@ -92,7 +101,7 @@ def averages(
     made = METHODS[name].make(model, 1e-3 * step, friction, seed)
     context = context_at(made, model, start, seed, platform)
     per_call = 1e-3 * step * (TRIAL if isinstance(made.integrator, SIERHMCIntegrator) else 1)
-    every = max(1, round(INTERVAL / per_call))
+    every = max(1, round(interval / per_call))
     samples = []
     try:
         for _ in range(round(time / (every * per_call))):
@@ -109,10 +118,6 @@ def averages(
     if isinstance(made.integrator, SIERHMCIntegrator):
         found["accepted"] = made.integrator.acceptanceRate
     return found
-
-
-#: ps between two samples, or a step if that is longer.
-INTERVAL = 1.0
 
 
 def sample(model: Model, made: Made, context: openmm.Context) -> dict[str, float]:

@@ -18,6 +18,7 @@ class Plan:
         settle: ps of the equilibration.
         step: of it, fs.
         time: of a run in the bath, ps.
+        interval: ps between two samples.
         most: steps of such a run, which is shorter if it would have more.
         baths: steps in fs for each of `methods.METHODS`; without any only its speed is measured.
         energies: steps in fs for each of `energy.INTEGRATORS`, at constant energy.
@@ -35,6 +36,7 @@ class Plan:
     baths: Mapping[str, tuple[float, ...]]
     energies: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     energy_time: float = 20.0
+    interval: float = 1.0
     slow: tuple[str, ...] = ()
     in_lammps: tuple[float, ...] = ()
 
@@ -80,7 +82,8 @@ PLANS = {
         zeolite.model,
         settle=15.0,
         step=5.0,
-        time=15.0,
+        time=30.0,
+        interval=0.1,
         most=6_000,
         baths={"hmc": (12.0,), "sier2": (5.0, 10.0, 20.0), "frames": (10.0,)},
     ),
@@ -89,6 +92,7 @@ PLANS = {
         settle=10.0,
         step=20.0,
         time=30.0,
+        interval=0.2,
         most=1_500,
         baths={
             "hmc": (40.0,),

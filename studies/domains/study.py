@@ -26,6 +26,7 @@ import pandas as pd
 from studies import records, text
 from studies.command import RunsSettings, chosen
 from studies.domains import bath, drawing, energy, lammps, speed
+from studies.domains.drawing import CHAIN
 from studies.domains.methods import METHODS
 from studies.domains.models import Model
 from studies.domains.plans import PLANS, Plan
@@ -158,7 +159,9 @@ def run(task: Task) -> dict[str, Any]:
     found |= {"time": time}
     if method == lammps.SHORT:
         return found | _by_lammps(settings, model, step, time, start)
-    made = bath.averages(model, method, step, time, settings.friction, start, settings.seed, settings.platform)
+    made = bath.averages(
+        model, method, step, time, plan.interval, settings.friction, start, settings.seed, settings.platform
+    )
     return found | {"method": METHODS[method].name} | made
 
 
@@ -167,7 +170,7 @@ def _energies(model: Model, method: str, step: float, time: float, start: openmm
 
 
 def _by_lammps(settings: DomainSettings, model: Model, step: float, time: float, start: openmm.State) -> dict[str, Any]:
-    every = max(1, round(bath.INTERVAL / (1e-3 * step)))
+    every = max(1, round(PLANS[CHAIN].interval / (1e-3 * step)))
     steps = every * round(time / (1e-3 * step * every))
     place = settings.out / "lammps"
     positions = md(start.getPositions(asNumpy=True))
