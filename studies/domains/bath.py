@@ -104,7 +104,7 @@ def averages(
     every = max(1, round(interval / per_call))
     samples = []
     try:
-        for _ in range(round(time / (every * per_call))):
+        for _ in range(max(1, round(time / (every * per_call)))):
             made.integrator.step(every)
             samples.append(sample(model, made, context))
             if not samples[-1]["temperature"] < HIGHEST:

@@ -20,8 +20,8 @@ from studies.units import md
 #: ps and 1/ps of the bath that gives springs their heat before a run.
 WARMING, WARMING_FRICTION = 20.0, 5.0
 
-#: Steps between two samples: a tenth of the periods of bonds or less, so that all oscillations of the energy count.
-EVERY = 1
+#: Steps of the shortest run. There is a sample after each, so that all oscillations of the energy count.
+FEWEST = 10
 
 
 class Integrator(NamedTuple):
@@ -65,14 +65,14 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
     context.setPositions(start.getPositions())
     context.setVelocities(start.getVelocities())
     total, potential = [], []
-    for _ in range(round(1e3 * time / step / EVERY)):
-        integrator.step(EVERY)
+    for _ in range(max(FEWEST, round(1e3 * time / step))):
+        integrator.step(1)
         state = context.getState(energy=True)
         V = md(state.getPotentialEnergy())
         potential.append(V)
         total.append(V + md(state.getKineticEnergy()))
     H = np.array(total)
-    drift, error, _ = slope_and_error(1e-3 * step * EVERY * np.arange(len(H)), H)
+    drift, error, _ = slope_and_error(1e-3 * step * np.arange(len(H)), H)
     return {
         "forces": chosen.forces,
         "rms": rms(H),

@@ -239,7 +239,7 @@ def speeds(runs: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
     """ns a day of each method at each step, over that of springs at the longest step at which they are right."""
     made = []
     for _, run in _of_speed(runs):
-        found = pd.DataFrame(run["rows"]).assign(key=run["key"], model=run["model"])
+        found = pd.DataFrame(run["rows"]).replace({None: math.nan}).assign(key=run["key"], model=run["model"])
         limits = {method: longest_right(rows, run["key"], method) for method in found["method"]}
         found["longest"] = found["method"].map(limits)
         springs = METHODS["langevinmiddle"].name

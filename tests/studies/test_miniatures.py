@@ -184,15 +184,15 @@ def framed(found):
 @miniature(
     "domains",
     domains_command,
-    "--models patchy --shorter 600 --rounds 1",
-    "--models chain --kinds bath --methods hmc sier2 inner --steps 40 --shorter 3000",
+    "--models patchy --shorter 200 --rounds 1",
+    "--models chain --kinds bath --methods hmc sier2 inner --steps 40 --shorter 200",
 )
 def domains(found):
     rows = found["averages"].set_index(["key", "name", "step"])
     names = ("hmc", "springs-hmc", "sier2", "frames", "langevinmiddle")
     assert set(rows.loc["patchy"].index.get_level_values("name")) == set(names)
-    # Means of 1 ps, of 384 degrees of freedom and more: their 7 % scatter less than a third.
-    assert rows.loc["patchy", "temperature"].between(200, 400).all()
+    # Springs start at rest, and take up to half of the heat within these 0.75 ps; 384 degrees of freedom scatter by 7 %.
+    assert rows.loc["patchy", "temperature"].between(100, 450).all()
     assert rows.loc["chain", "gyration"].between(1, 10).all()
     assert found["broken"].empty
     assert (found["speeds"]["ns_a_day"] > 0).all()
