@@ -60,7 +60,7 @@ PLANS = {
         energy_time=6.0,
         # The shape of chains relaxes within some ns, and contacts of linkers and domains with it.
         slow=("potential", "gyration"),
-        in_lammps=(40.0, 60.0),
+        in_lammps=(20.0, 40.0),
     ),
     "patchy": Plan(
         patchy.model,
@@ -85,6 +85,8 @@ PLANS = {
         time=30.0,
         interval=0.1,
         most=6_000,
+        # Molecules go from cage to cage within hundreds of ps.
+        slow=("potential",),
         baths={"hmc": (12.0,), "sier2": (5.0, 10.0, 20.0), "frames": (10.0,)},
     ),
     "c60": Plan(
