@@ -191,7 +191,7 @@ def domains(found):
     rows = found["averages"].set_index(["key", "name", "step"])
     names = ("hmc", "springs-hmc", "sier2", "frames", "langevinmiddle")
     assert set(rows.loc["patchy"].index.get_level_values("name")) == set(names)
-    # Springs start at rest, and take up to half of the heat within these 0.75 ps; 384 degrees of freedom scatter by 7 %.
+    # Springs start at rest, and take up to half of the heat in 0.75 ps; 384 degrees of freedom scatter by 7 %.
     assert rows.loc["patchy", "temperature"].between(100, 450).all()
     assert rows.loc["chain", "gyration"].between(1, 10).all()
     assert found["broken"].empty
