@@ -60,6 +60,8 @@ napoleon_use_ivar = True
 # Classes of other packages, of which no inventory is at hand, and errors that have no page of their own.
 nitpick_ignore_regex = [
     ("py:class", r"(openmm|numpy|collections)\..*"),
+    # What engines are made of has no page of its own, and bodies have theirs under the name that users import.
+    ("py:class", r"openmm_sier\..*\.(Program|RigidBodies|StepCheck|StoredLedger)"),
     ("py:exc", r".*(Error|Exception)"),
 ]
 
