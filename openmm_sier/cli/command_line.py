@@ -8,7 +8,8 @@ from typing import NoReturn
 
 from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
 from openmm_sier.cli.streams import PROGRAM
-from openmm_sier.cli.values import PICTURE, file, number, several, whole
+from openmm_sier.cli.values import PICTURE, SWITCH, choice, file, number, several, whole, word
+from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT, SHAPES
 
 #: Exit code for wrong arguments.
 MISUSED = 2
@@ -58,7 +59,39 @@ SKIP = Option(
     otherwise="what had not settled, if anything",
 )
 
+#: Options of `openmm-sier setup`.
+OF_SETUP = (
+    Option("structure", file("FILE"), "a PDB or PDBx/mmCIF file, of which the first model is taken", positional=True),
+    Option(
+        "out",
+        file("FILE.pdb", "output"),
+        "what `run` reads, with the force field named in it",
+        otherwise="after the structure with -water.pdb, in the current directory",
+    ),
+    Option(
+        "forcefield",
+        several(file()),
+        "force-field files, OpenMM's or your own, with water and ions",
+        otherwise=" ".join(FILES),
+    ),
+    Option("shape", choice(*SHAPES), "of the box; a dodecahedron has the least water", "dodecahedron"),
+    Option("padding", number("nm", 0.1, 100), "least distance between the solute and its images", PADDING),
+    Option("salt", number("mol/l", 0, 10), "of ions beyond those that neutralize the solute", SALT),
+    Option("ph", number("", 0, 14), "by which hydrogens of residues are chosen", PH),
+    Option("leave_out", several(word("RESIDUE")), "names of residues to leave out", otherwise="none"),
+    Option("ends", SWITCH, "add residues that are missing at the ends of chains too", False, otherwise="those within"),
+    Option("seed", whole(), "of the places of what is added", 1),
+    Option("overwrite", SWITCH, "replace an earlier file", False, otherwise="refuse to"),
+)
+
 COMMANDS = {
+    "setup": Command(
+        "from a structure of an archive to what `run` reads",
+        "Add what a structure lacks, by PDBFixer and OpenMM's Modeller: residues within chains, heavy atoms and "
+        "hydrogens, then water and ions in a periodic box. Says what was added, and names the force field in the file "
+        "that it writes.",
+        own=OF_SETUP,
+    ),
     "run": Command(
         "simulate molecules",
         "Read coordinates with a force field or a topology, equilibrate them at a temperature and simulate them at "
