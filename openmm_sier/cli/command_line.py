@@ -7,6 +7,7 @@ from importlib.metadata import version
 from typing import NoReturn
 
 from openmm_sier.cli.options import OF_TUNING, OPTIONS, Option, add_options
+from openmm_sier.cli.seeds import SEEDS
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.cli.values import PICTURE, SWITCH, choice, file, number, several, whole, word
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT, SHAPES
@@ -84,6 +85,24 @@ OF_SETUP = (
     Option("overwrite", SWITCH, "replace an earlier file", False, otherwise="refuse to"),
 )
 
+#: Options of `openmm-sier run` for many runs.
+OF_MANY = (
+    Option(
+        "seeds",
+        SEEDS,
+        "run members beside each other that differ in their seeds, such as 1-24 or 1-4,7, each with files of its own, "
+        "-seedN added to their names; go on with those that are not complete, and print means over all",
+        otherwise="one run",
+    ),
+    Option(
+        "workers",
+        whole(most=10_000),
+        "members that run at a time on this machine",
+        otherwise="one for each core, or one on a GPU",
+    ),
+    Option("scheduler", word("ADDRESS"), "of Dask, whose workers run the members", otherwise="this machine"),
+)
+
 COMMANDS = {
     "setup": Command(
         "from a structure of an archive to what `run` reads",
@@ -99,6 +118,7 @@ COMMANDS = {
         "(CSV) and a checkpoint, from which --restart goes on without a gap and --start begins a new run, in another "
         "ensemble say.",
         tuple(OPTIONS),
+        own=OF_MANY,
         epilog=EXIT_CODES,
     ),
     "tune": Command(

@@ -1,6 +1,6 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import results, run_checks
+from openmm_sier.cli import many, results, run_checks
 from openmm_sier.cli.beginning import Simulated, read_start
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.files import checkpoints, cuts
@@ -47,10 +47,13 @@ COLD = 100.0
 ENERGY_TOLERANCE = 1e-4
 
 
-def execute(**given: Any) -> None:
+def execute(
+    seeds: Sequence[int] | None = None, workers: int | None = None, scheduler: str | None = None, **given: Any
+) -> None:
     """Run `openmm-sier run`.
 
     Args:
+        seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.execute`; None for one run.
         given: options by name, as for `Options`.
 
     Raises:
@@ -59,6 +62,11 @@ def execute(**given: Any) -> None:
         Stopped: a signal ended the run; the message says how to go on.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
+    if seeds:
+        many.execute({name: value for name, value in given.items() if value is not None}, seeds, workers, scheduler)
+        return
+    if workers or scheduler:
+        raise RunError(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     options = Options(**given)
     with FileLocks() as locks, StopRequests() as requests:
         _begin_or_continue(options, requests, locks)
