@@ -149,7 +149,7 @@ def step(least: float, most: float) -> Kind:
 
 
 #: The name of a picture, whose format follows from its ending.
-PICTURE = file("FILE.png|svg", "output")
+PICTURE = file("FILE.png|svg|html", "output")
 
 #: A length of time.
 TIME = number("ps", 0, 1e9, beyond=True)
