@@ -2,12 +2,13 @@
 
     python -m sphinx -W --keep-going -n docs build/site
 
-builds it with warnings as errors. Notebooks are shown as they were stored: `python docs/notebooks/execute.py` executes
-them anew.
+builds it with warnings as errors. Pages that show records say so in their first lines, and MyST-NB executes them. The
+notebooks are shown as they were stored: `python docs/notebooks/execute.py` executes them anew.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -23,22 +24,29 @@ author = "The openmm_sier developers"
 project_copyright = author
 version = release = __version__
 
-# The studies, which are not installed, and the extensions of this site.
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent / "_extensions")]
+# The studies, which are not installed; for the kernels of executed pages too.
+ROOT = str(Path(__file__).parents[1])
+sys.path.insert(0, ROOT)
+os.environ["PYTHONPATH"] = os.pathsep.join([ROOT, *filter(None, [os.environ.get("PYTHONPATH")])])
 
 extensions = [
     "myst_nb",
-    "records",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "_extensions", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
 
-myst_enable_extensions = ["dollarmath", "deflist"]
+myst_enable_extensions = ["attrs_block", "dollarmath", "deflist"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"
+nb_execution_show_tb = True
+# Seconds for a cell, on the busiest machine.
+nb_execution_timeout = 300
+nb_eval_name_regex = ".*"
+nb_render_markdown_format = "myst"
+nb_output_stderr = "remove"
 
 # Docstrings put code between single backquotes.
 default_role = "code"

@@ -11,8 +11,10 @@ from openmm_sier.integrators.named import SIER2Integrator, SIER4GIntegrator, SIE
 from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
 from openmm_sier.prepare.frames import FramedSystem, with_frames
+from openmm_sier.prepare.inertia import set_inertia
 from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
+from openmm_sier.system.body_selection import SelectedBodies, select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.version import __version__
@@ -22,6 +24,7 @@ hooks.install()
 __all__ = ["SIER2", "SIER2P3", "SIER2V2", "SIER4", "SIER4G", "SIER4P", "SIER4V", "Scheme"]
 __all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PIntegrator", "SIERIntegrator"]
 __all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
-__all__ += ["BodyState", "RigidBodies", "RigidityError", "make_whole"]
+__all__ += ["BodyState", "RigidBodies", "RigidityError", "SelectedBodies", "make_whole", "select_bodies"]
 __all__ += ["ForceCheck", "ForceFault", "check_forces"]
-__all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system", "with_frames"]
+__all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system"]
+__all__ += ["set_inertia", "with_frames"]

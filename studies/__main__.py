@@ -11,7 +11,7 @@ from studies import STUDIES
 
 
 def summary(module: str) -> str:
-    """The first line of a module's docstring, without importing it."""
+    """Return the first line of a module's docstring, without importing it."""
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError(f"there is no study {module}")

@@ -28,7 +28,7 @@ from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
-from studies import boxes, records, style
+from studies import boxes, records, style, text
 from studies.command import BoxSettings, RunsSettings, chosen, command
 from studies.methods import REVERSIBLE
 from studies.records import Record, Task
@@ -47,11 +47,11 @@ APART, ALIKE = 1.12, 0.03
 #: Number of molecules up to which lines of acceptance are drawn.
 LARGEST_DRAWN = 262144
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     "molecules", "method", "fs_per_force", "length", "trials", "acceptance", "spread", "mean", "noise"
 )
 
-LIMITS = records.columns("method", "fs_per_force") | {
+LIMITS = text.columns("method", "fs_per_force") | {
     "sd for one molecule/kT": "{spread:.5f} ± {spread_error:.5f}",
     "largest box measured": "{measured}",
     "by sd ~ sqrt(N)": "{largest:.0f} ± {largest_error:.0f}",
@@ -257,8 +257,8 @@ def study(settings: AcceptanceSettings, report: Report = SILENT) -> Record:
     """Measure, and write acceptance.json and acceptance.png."""
     rows = measure(settings, report)
     found = limits(rows)
-    report.table(records.table("Energy error of trajectories, and acceptance", rows, COLUMNS, left=2))
-    report.table(records.table("Largest box with an acceptance above 0.5", found, LIMITS))
+    report.table("Energy error of trajectories, and acceptance", text.table(rows, COLUMNS))
+    report.table("Largest box with an acceptance above 0.5", text.table(found, LIMITS))
     record = Record(settings.recorded(), {"rows": rows, "limits": found}, {})
     record.write(settings.out / "acceptance.json")
     figure(record, settings.out / "acceptance.png")

@@ -23,6 +23,9 @@ TOLERANCE = 1e-5
 #: Stands for DHFR in water, the benchmark of Amber and CHARMM, whose files openmmtools has.
 DHFR = Path("dhfr")
 
+#: Names of residues that are water.
+WATERS = ("HOH", "WAT")
+
 #: Liquid water, g/cm^3.
 DENSITY = 0.997
 
@@ -121,6 +124,11 @@ class Replica(NamedTuple):
     molecules: int
     positions: np.ndarray
     system: openmm.System
+
+
+def is_water(path: Path) -> bool:
+    """Return whether a PDB file has nothing but water."""
+    return all(residue.name in WATERS for residue in app.PDBFile(str(path)).topology.residues())
 
 
 def copies_for(molecules: int, of: int) -> tuple[int, int, int]:

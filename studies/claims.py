@@ -1,21 +1,21 @@
-"""What README and the documentation claim, each beside the record or the tests that show it.
+"""What README and the documentation claim of measurements, each beside the record that shows it.
 
     python -m studies.claims
 
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
-tests assert. The command writes docs/measurements/trust.md, and the figures into README and the draft of the paper: a
-new sentence is written there with any figures, and gets those of the record.
+tests assert. The command writes the figures into README and the draft of the paper: a new sentence is written there
+with any figures, and gets those of the record. The page docs/measurements/trust.md lists all claims.
 """
 
 from __future__ import annotations
 
-from studies import claim_figures as figures
-from studies import records, trust
-from studies.report import Table
-from studies.sources import DATA
-from studies.trust import ANY, ROOT, Claim, Tested
+import pandas as pd
 
-PAGE = ROOT / "docs" / "measurements" / "trust.md"
+from studies import claim_figures as figures
+from studies import records, text, trust
+from studies.sources import DATA
+from studies.trust import ANY, ROOT, Claim
+
 README = ROOT / "README.md"
 DRAFT = ROOT / "paper" / "paper.md"
 
@@ -227,95 +227,6 @@ TOPICS = {
 
 CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
 
-TESTED = (
-    Tested(
-        "Free rotation is exact: it agrees with SciPy's elliptic functions, an ODE solver and the paper's own formulas"
-        " to rounding.",
-        ("tests/dynamics/rotation",),
-    ),
-    Tested(
-        "Schemes have the order that they claim, and are reversible, also beside constrained molecules.",
-        ("tests/dynamics/test_schemes.py", "tests/dynamics/test_operators.py", "tests/dynamics/test_constrained.py"),
-    ),
-    Tested(
-        "SIER2, SIER4 and SIER4V are symplectic to rounding, SIER4G and SIER4P up to fifth order in the step.",
-        (
-            "tests/dynamics/test_operators.py::test_a_step_of_two_waters_is_symplectic",
-            "tests/dynamics/test_gradient_kick.py::test_symplecticity_defect_is_of_fifth_order",
-        ),
-    ),
-    Tested(
-        "The steps of the native engine approach those of the exact one, and trajectories go on with the other engine.",
-        ("tests/engines/test_native_engine.py",),
-        "python -m studies.native.accuracy",
-    ),
-    Tested(
-        "Rigid molecules of any kind move as their peers do in OpenMM, and reports count their degrees of freedom.",
-        ("tests/engines/test_body_kinds.py", "tests/system/test_temperature.py"),
-    ),
-    Tested(
-        "Averages of harmonic motion around a bath, and the temperatures that reports show, have no error of the step.",
-        (
-            "tests/dynamics/test_constrained.py::test_harmonic_averages_around_a_bath_are_exact",
-            "tests/integrators/test_langevin.py::test_temperatures_are_those_just_after_the_bath",
-        ),
-        "python -m studies.checks.andersen_oscillators",
-    ),
-    Tested(
-        "Hybrid Monte Carlo is exact with both engines, and with constraints too.", ("tests/integrators/test_hmc.py",)
-    ),
-    Tested(
-        "physical_validation finds no deviation of kinetic energies from the canonical ensemble, and finds one where a "
-        "step is too long.",
-        ("tests/validation/test_physical_validation.py",),
-    ),
-    Tested(
-        "openmmtools' caches, moves and replica exchange work.",
-        ("tests/validation/test_openmmtools.py",),
-    ),
-    Tested(
-        "Restarts are bit-identical on Reference, and on CPU with one thread.",
-        ("tests/integrators/test_restart.py",),
-    ),
-    Tested(
-        "Ctrl-C leaves the Context at a completed step, or at the last sample.",
-        ("tests/engines/test_interrupts.py",),
-        "python -m studies.checks.interrupts",
-    ),
-    Tested(
-        "A command that is killed, interrupted or out of disk loses nothing that it has written, and goes on without a "
-        "gap.",
-        (
-            "tests/cli/test_cli.py::test_killed_run_leaves_usable_files_and_goes_on_without_a_gap",
-            "tests/cli/test_stopping.py",
-            "tests/cli/test_outputs.py",
-        ),
-        "python -m studies.checks.kill_loop",
-    ),
-    Tested(
-        "A second command on the same files is refused before it writes anything.",
-        ("tests/cli/test_locks.py",),
-        "python -m studies.checks.two_commands",
-    ),
-    Tested(
-        "Files of AMBER, GROMACS and CHARMM have the energies of OpenMM's own readers, to the last bit.",
-        ("tests/cli/test_inputs.py::test_energies_are_those_of_openmms_own_reader_to_the_last_bit",),
-    ),
-)
-
-LIMITS = (
-    "The native engine was run on one GPU, an H200, for minutes. All other tests of GPU platforms use OpenCL on a CPU.",
-    "Gains over whole runs are of one start each. A random walk scatters from start to start, and gains with it.",
-    "Why TIP5P gains less is not known.",
-    "Balanced sums of PME leave a larger net force on the box than OpenMM's (`python -m studies.checks.net_force`).",
-    "Of a protein in long steps only stability, temperatures, speed and acceptance were measured, not averages.",
-    "Speeds are those of one thread of one machine, by processor time. Ratios may differ on others.",
-    "Errors from fewer than 20 independent samples are too small. The command marks them.",
-    "With the native engine an error inside a step of molecular dynamics leaves the Context where it happened, as with "
-    "OpenMM's integrators.",
-)
-
-
 # --- what is made of the list ---
 
 #: Rows of README's table, by the names that they have in the record.
@@ -326,46 +237,40 @@ SHOWN = {
 }
 
 
-def table_of_speeds() -> Table:
-    """README's: simulated time over that of LangevinMiddle at 4 fs, in a heat bath."""
+def table_of_speeds() -> pd.DataFrame:
+    """Return README's table of text: simulated time over that of LangevinMiddle at 4 fs, in a heat bath."""
     rows = records.read(DATA / "speed.json").tables["speeds"].set_index("name").loc[list(SHOWN)].reset_index()
     boxes = rows["box"].str.replace("-", ", ").str.replace("dhfr", "DHFR")
     named = rows.assign(name=rows["name"].map(SHOWN), box=boxes)
-    return records.table("", named, {"": "{name}", "-": "{over_middle:.2f}"}, across="box")
+    return text.table(named, {"": "{name}", "{box}": "{over_middle:.2f}"})
 
 
-def readme(text: str) -> str:
-    """README with the figures of the records.
+def readme(written: str) -> str:
+    """Return README with the figures of the records.
 
     Raises:
         ValueError: it lacks a sentence or the table.
     """
     for claim in CLAIMS:
-        text = claim.written(text) if claim.in_readme else text
-    return trust.with_table(text, table_of_speeds())
+        written = claim.written(written) if claim.in_readme else written
+    return trust.with_table(written, table_of_speeds())
 
 
-def draft(text: str) -> str:
-    """The draft of the paper with the figures of the records.
+def draft(written: str) -> str:
+    """Return the draft of the paper with the figures of the records.
 
     Raises:
         ValueError: it lacks a sentence.
     """
     for claim in CLAIMS:
-        text = claim.written(text) if claim.in_paper else text
-    return text
-
-
-def page() -> str:
-    """The page of the documentation."""
-    return trust.page(TOPICS, TESTED, LIMITS)
+        written = claim.written(written) if claim.in_paper else written
+    return written
 
 
 def main() -> None:
-    """Write the page, and the figures into README and the draft."""
-    made = {README: readme(README.read_text()), DRAFT: draft(DRAFT.read_text()), PAGE: page()}
-    for path, text in made.items():
-        path.write_text(text)
+    """Write the figures into README and the draft."""
+    README.write_text(readme(README.read_text()))
+    DRAFT.write_text(draft(DRAFT.read_text()))
 
 
 if __name__ == "__main__":

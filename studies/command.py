@@ -47,7 +47,7 @@ class Settings:
                     raise ValueError(f"{name} must be above 0, got {number}")
 
     def recorded(self) -> dict[str, Any]:
-        """The settings as they are written beside results: files by their names, and not where results go."""
+        """Return what is written beside results: files by their names, and not where results go."""
         values = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "out"}
         return {name: value.name if isinstance(value, Path) else value for name, value in values.items()}
 
@@ -92,7 +92,7 @@ Given = TypeVar("Given", bound=Settings)
 def command(
     kind: type[Given], study: Callable[[Given, Report], object], description: str | None, module: str
 ) -> Callable[[Sequence[str] | None], int]:
-    """The function `main` of a study; it is called at once in the module that Python was started with.
+    """Make the function `main` of a study, and call it in the module that Python was started with.
 
     Args:
         kind: of the settings.
@@ -121,13 +121,13 @@ def command(
 
 
 def _program() -> str:
-    """The command as it was given, for the help."""
+    """Return the command as it was given, for the help."""
     module = getattr(sys.modules["__main__"].__spec__, "name", "studies")
     return f"python -m {module.removesuffix('.__main__')}"
 
 
 def chosen(names: Sequence[str], known: dict[str, Any], what: str) -> list[Any]:
-    """The values of names; all of them where none is named.
+    """Return the values of names; all of them where none is named.
 
     Raises:
         ValueError: a name is unknown.

@@ -12,8 +12,8 @@ import mdtraj
 import numpy as np
 
 from openmm_sier import analysis
-from openmm_sier.cli.options import OPTIONS
-from openmm_sier.cli.plan import NothingLeft
+from openmm_sier.cli.errors import NothingLeft
+from openmm_sier.cli.settings import words
 
 #: Names of the files of a run.
 TRAJECTORY, LOG, CHECKPOINT = "run.dcd", "run.csv", "run.chk"
@@ -37,7 +37,7 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     begin = ["--out", TRAJECTORY, "--overwrite"]
     way = ["--restart", CHECKPOINT] if (directory / CHECKPOINT).exists() else begin
-    given = [word for name, value in options.items() for word in OPTIONS[name].words(value)]
+    given = [word for name, value in options.items() for word in words(name, value)]
     line = [sys.executable, "-m", "openmm_sier.cli", "run", str(box.resolve()), *given, *way]
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode not in (0, NothingLeft.exit_code):
@@ -45,12 +45,12 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
 
 
 def read_log(directory: Path, skip: float) -> dict[str, np.ndarray]:
-    """Columns of the log of a run without its first `skip` ps."""
+    """Return the columns of the log of a run without its first `skip` ps."""
     log = analysis.read_log(directory / LOG)
     kept = log["Time (ps)"] >= skip
     return {name: column[kept] for name, column in log.items()}
 
 
 def read_frames(directory: Path, box: Path) -> mdtraj.Trajectory:
-    """The frames of a run of a PDB file."""
+    """Return the frames of a run of a PDB file."""
     return mdtraj.load(str(directory / TRAJECTORY), top=str(box))

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, RigidBodies, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.inputs.starts import make_context
-from studies import boxes, records, style
+from studies import boxes, style, text
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -42,7 +42,7 @@ EVERY, LAG = 10.0, 200.0
 #: nm^3 of a protein for each dalton.
 SPECIFIC_VOLUME = 1.21e-3
 
-COLUMNS = records.columns("fraction", "beads") | {
+COLUMNS = text.columns("fraction", "beads") | {
     "edge, nm": "{edge:.1f}",
     "translation, D/D0": "{translation:.2f} ± {translation_error:.2f}",
     "rotation, D/D0": "{rotation:.2f} ± {rotation_error:.2f}",
@@ -50,7 +50,7 @@ COLUMNS = records.columns("fraction", "beads") | {
 }
 
 
-WATER_COLUMNS = records.columns("protein", "atoms") | {
+WATER_COLUMNS = text.columns("protein", "atoms") | {
     "atoms of water": "{beside}",
     "ms a step": "{milliseconds:.0f}",
 }
@@ -225,8 +225,8 @@ def study(settings: CrowdSettings, report: Report = SILENT) -> Record:
         report.note(f"{fraction:g} of the volume: {row['translation']:.3f}, {row['rotation']:.3f}")
     tables = {"crowds": pd.DataFrame(rows), "water": pd.DataFrame(cost_in_water(settings))}
     title = "Diffusion in a crowd of DHFR, over that without interactions"
-    report.table(records.table(title, tables["crowds"], COLUMNS))
-    report.table(records.table("DHFR in water, SIER4G at 4.5 fs", tables["water"], WATER_COLUMNS))
+    report.table(title, text.table(tables["crowds"], COLUMNS))
+    report.table("DHFR in water, SIER4G at 4.5 fs", text.table(tables["water"], WATER_COLUMNS))
     # nm^2/ps, of a free body: kT/(m friction), less what the motion before the first collision takes.
     kT = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin) * settings.temperature
     known = kT / protein.masses.sum() / settings.friction

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar, Literal
 
+import pandas as pd
+
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.forcefields import Interactions
-from studies import boxes, records
+from studies import boxes, records, text
 from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import GridSettings, conserved
 
 #: What makes a cell of the table.
@@ -53,7 +55,7 @@ class DefaultsSettings(GridSettings):
 
 
 def run(task: Task) -> dict[str, Any]:
-    """A run with its `percent`, rms(H)/rms(V)."""
+    """Return a run with its `percent`, rms(H)/rms(V)."""
     settings, point = task.settings, task.point
     interactions = Interactions(point["cutoff"], None if point["switch"] == "yes" else 0.0, point["tolerance"])
     system = forcefields.read_box(settings.box, settings.forcefield, interactions=interactions).system
@@ -75,18 +77,17 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
     form = "{method}, {tolerance:g}, {cutoff:g} nm, switch {switch}, balanced {balanced}, seed {seed}: {percent:.3g} %"
     runs = records.all_runs(settings, "defaults", tasks, run, report, form)
     record = Record(settings.recorded(), {"rows": runs}, {})
-    report.table(tables(record)[0])
+    title = f"rms(H)/rms(V)/%, {settings.dt:g} fs per force evaluation: mean and range over starts"
+    report.table(title, ranges(runs))
     return record.write(settings.out / "defaults.json")
 
 
-def tables(record: Record) -> list[Table]:
-    """Mean and range over the starts, one column for each method, for the report and the documentation."""
-    found = record.tables["rows"].groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
+def ranges(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of text with mean and range over the starts, one column for each method."""
+    found = runs.groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
     columns = {"ewaldErrorTolerance": "{tolerance:g}", "cut-off/nm": "{cutoff:g}"}
-    columns |= records.columns("switch", "balanced") | {"-": "{mean:.3g} ({min:.2g} to {max:.2g})"}
-    title = f"rms(H)/rms(V)/%, {record.settings['dt']:g} fs per force evaluation: mean and range over starts"
-    found = found.sort_values("tolerance", ascending=False, kind="stable")
-    return [records.table(title, found, columns, across="method")]
+    columns |= text.columns("switch", "balanced") | {"{method}": "{mean:.3g} ({min:.2g} to {max:.2g})"}
+    return text.table(found.sort_values("tolerance", ascending=False, kind="stable"), columns)
 
 
 main = command(DefaultsSettings, study, __doc__, __name__)

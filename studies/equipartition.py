@@ -25,7 +25,7 @@ from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.conservation import density
-from studies import records, sampling, style
+from studies import records, sampling, style, text
 from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY, Method, with_bath
 from studies.records import Record, Task
@@ -38,7 +38,7 @@ FORCE_SAMPLES, FORCE_INTERVAL, FORCE_STEP = 20, 10, 0.001
 #: What is measured, each with its standard error: temperatures in K, kJ/mol, g/cm^3.
 MEASURED = ("translation", "rotation", "difference", "potential", "density")
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     "method", "step", "fs_per_force", "time", "translation", "rotation", "difference", "predicted", "density"
 ) | {"V per body/kJ/mol": "{potential_text}"}
 
@@ -157,7 +157,7 @@ def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
     runs = records.all_runs(settings, "equipartition", tasks, run, report, form)
     rows = pooled(runs)
     title = f"Equipartition, {settings.ensemble.upper()}; velocities at whole steps"
-    report.table(records.table(title, rows, COLUMNS))
+    report.table(title, text.table(rows, COLUMNS))
     record = Record(settings.shared(), {"rows": rows, "runs": runs}, {}).write(settings.out / "equipartition.json")
     figure(record, settings.out / "equipartition.png")
     return record

@@ -34,7 +34,7 @@ BATH_BOX, EXACT = "peptide", " HMC"
 
 
 def bath(record: Record, path: Path) -> None:
-    """Errors of averages against speed, by integrator and step, in a heat bath: temperature of water, and energy."""
+    """Draw errors of averages against speed, by integrator and step: temperature of water, and energy."""
     rows = record.tables["rows"]
     rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
     # At constant volume or pressure: energies of one of them can be compared.
@@ -52,7 +52,7 @@ def bath(record: Record, path: Path) -> None:
 
 
 def bath_title(rows: pd.DataFrame) -> str:
-    """What was found at the usual step of SIER2 with heavy hydrogens, or at the nearest that was tried."""
+    """Return what was found at the usual step of SIER2 with heavy hydrogens, or at the nearest that was tried."""
     ours = rows[rows["method"].str.startswith(f"{SIER2.name},") & ~rows["method"].str.endswith("light")]
     steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
     best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
@@ -61,7 +61,7 @@ def bath_title(rows: pd.DataFrame) -> str:
 
 
 def _against_speed(axes: Any, rows: pd.DataFrame, key: str) -> None:
-    """A point with two errors for each method and step, which is written beside it."""
+    """Draw a point with two errors for each method and step, which is written beside it."""
     families = rows.assign(method=rows["method"].str.partition(",")[0])
     style.curves(
         axes,

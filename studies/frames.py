@@ -26,7 +26,7 @@ from openmm import unit
 from openmm_sier import SIER4GIntegrator, with_frames
 from openmm_sier.dynamics.species import Species
 from openmm_sier.prepare.frame_shapes import FrameShape
-from studies import records
+from studies import text
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -46,8 +46,8 @@ SIGMA, EPSILON, NEIGHBOUR = 0.3469, 0.2763, 1.004
 #: Condition of the equations of four atoms in a plane, but for rounding.
 SINGULAR = 1e12
 
-MOMENTS = records.columns("body", "atoms", "script", "frame")
-ENERGIES = records.columns("integrator", "step", "percent")
+MOMENTS = text.columns("body", "atoms", "script", "frame")
+ENERGIES = text.columns("integrator", "step", "percent")
 
 
 @dataclass(frozen=True)
@@ -194,9 +194,9 @@ def study(settings: FrameSettings, report: Report = SILENT) -> Record:
         script, frame = errors_of_moments(masses, places)
         rows.append({"body": name, "atoms": len(masses), "script": 100 * script, "frame": 100 * frame})
     moments = pd.DataFrame(rows)
-    report.table(records.table("Errors of moments of inertia, %", moments, MOMENTS))
+    report.table("Errors of moments of inertia, %", text.table(moments, MOMENTS))
     found = energies(settings)
-    report.table(records.table("rms(H)/rms(V), eight molecules of C60", found, ENERGIES))
+    report.table("rms(H)/rms(V), eight molecules of C60", text.table(found, ENERGIES))
     tables = {"moments": moments, "energies": found}
     return Record(settings.recorded(), tables, {}).write(settings.out / "frames.json")
 

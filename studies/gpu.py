@@ -15,36 +15,47 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
 import pandas as pd
 from openmm import unit
 
-from openmm_sier import SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.inputs.starts import make_context
-from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
-from studies import gpu_boxes, records
+from studies import gpu_boxes, text
 from studies.bench.timing import median_and_error, turns
 from studies.command import Settings, command
+from studies.contestants import (
+    MIDDLE_IN_RIGID_WATER,
+    SEVERAL_STEPS,
+    Bath,
+    Contestant,
+    at_constant_energy,
+    in_bath,
+    middle,
+    verlet,
+)
 from studies.gpu_boxes import GpuBox
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: What ratios are taken over.
 REFERENCE = "LangevinMiddle, 4 fs"
 
 #: What averages are compared with.
 SHORT_STEPS = "LangevinMiddle, 1 fs"
+
+#: Of baths, 1/ps.
+FRICTION = 5.0
 
 #: Steps in one call of `step`, as `Simulation` makes them.
 CALL = 10
@@ -90,74 +101,26 @@ class GpuSettings(Settings):
     settle: float = 10.0
 
 
-class Method(NamedTuple):
-    """An integrator at a step.
-
-    Attributes:
-        name: with the step.
-        step: fs.
-        masses: of hydrogens in dalton, in water too; None leaves them as the box has them.
-        prepared: whether its System is.
-        make: (temperature in K, step in ps) -> integrator.
-        is_timed: whether its speed is measured; else it is there for its averages alone.
-        has_bath: whether it keeps a temperature, so that it has averages.
-    """
-
-    name: str
-    step: float
-    masses: float | None
-    prepared: bool
-    make: Callable[[float, float], openmm.Integrator]
-    is_timed: bool = True
-    has_bath: bool = True
-
-
-def _middle(friction: float, temperature: float, h: float) -> openmm.Integrator:
-    return openmm.LangevinMiddleIntegrator(temperature, friction, h)
-
-
-def _several_steps(temperature: float, h: float) -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(temperature, 1.0, h, [(0, 1), (1, 4)])
-
-
-def _sier2(temperature: float, h: float, **options: Any) -> openmm.Integrator:
-    return SIERLangevinIntegrator(temperature, 5.0, h, **options)
-
-
-def methods(has_solute: bool) -> list[Method]:
-    """Return all methods for a box."""
+def methods(has_solute: bool) -> list[Contestant]:
+    """Return all methods for a box; the bath of LangevinMiddle at 4 fs is that of OpenMM's benchmark."""
+    long_steps = Contestant("SIER2", 9, in_bath, hydrogens=4.0, prepared=True)
     found = [
-        Method("Verlet, 2 fs", 2, None, False, lambda _, h: openmm.VerletIntegrator(h), has_bath=False),
-        Method(REFERENCE, 4, None, False, partial(_middle, 1.0)),
-        Method(SHORT_STEPS, 1, 4.0, True, partial(_middle, 5.0), is_timed=False),
+        Contestant("Verlet", 2, verlet, has_bath=False),
+        Contestant("LangevinMiddle", 4, middle, friction=1.0),
+        Contestant("LangevinMiddle", 1, middle, hydrogens=4.0, prepared=True),
     ]
     if has_solute:
-        found.append(Method("LangevinMiddle, 5 fs", 5, 3.0, False, partial(_middle, 1.0)))
-        found.append(Method("MTSLangevin, 8 fs", 8, 4.0, True, _several_steps))
+        found.append(Contestant("LangevinMiddle", 5, middle, hydrogens=3.0, friction=1.0))
+        found.append(replace(SEVERAL_STEPS, friction=1.0))
     else:
-        found.append(Method("LangevinMiddle, 9 fs, heavy hydrogens", 9, 4.0, True, partial(_middle, 5.0)))
-    found.append(Method("SIER2, 9 fs", 9, 4.0, True, _sier2))
+        found.append(replace(MIDDLE_IN_RIGID_WATER, detail="heavy hydrogens"))
+    found.append(long_steps)
     if has_solute:
-        found.append(Method("SIER2, 9 fs, three inner steps", 9, 4.0, True, partial(_sier2, substeps=2)))
-    found.append(Method("SIER2, 9 fs, heat counted", 9, 4.0, True, partial(_sier2, countsHeat=True)))
-    found.append(Method("SIER4G, 4 fs", 4, None, True, lambda _, h: SIER4GIntegrator(h), has_bath=False))
+        found.append(replace(long_steps, make=partial(in_bath, substeps=2), detail="three inner steps"))
+    found.append(replace(long_steps, make=partial(in_bath, countsHeat=True), detail="heat counted"))
+    steady = partial(at_constant_energy, scheme=SIER4G)
+    found.append(Contestant("SIER4G", 4, steady, SIER4G.force_evaluations, prepared=True, has_bath=False))
     return found
-
-
-class Systems:
-    """The System of a box in the forms that methods need, each made once."""
-
-    def __init__(self, box: GpuBox):
-        self._box = box
-        self.of = cache(self._of)
-
-    def _of(self, masses: float | None, prepared: bool) -> openmm.System:
-        system = copy.deepcopy(self._box.system)
-        if prepared:
-            prepare_system(system, hydrogenMass=masses)
-        elif masses is not None:
-            set_hydrogen_masses(system, masses)
-        return system
 
 
 def start(box: GpuBox, settings: GpuSettings) -> openmm.State:
@@ -184,9 +147,11 @@ def run(context: openmm.Context, steps: int) -> None:
     context.getState(positions=True)
 
 
-def speeds(box: GpuBox, contexts: dict[str, openmm.Context], chosen: list[Method], settings: GpuSettings) -> list[dict]:
+def speeds(
+    box: GpuBox, contexts: dict[str, openmm.Context], chosen: list[Contestant], settings: GpuSettings
+) -> list[dict]:
     """Return a row for each timed method."""
-    timed = [method for method in chosen if method.is_timed]
+    timed = [method for method in chosen if method.name != SHORT_STEPS]
     counts = {method.name: _steps_of_turn(contexts[method.name], settings.turn) for method in timed}
 
     def seconds(name: str) -> float:
@@ -284,7 +249,7 @@ def _waters(system: openmm.System) -> np.ndarray:
     return atoms[np.argsort(molecules[atoms], kind="stable")].reshape(-1, 3)
 
 
-def averages(box: GpuBox, context: openmm.Context, method: Method, settings: GpuSettings) -> dict[str, Any]:
+def averages(box: GpuBox, context: openmm.Context, method: Contestant, settings: GpuSettings) -> dict[str, Any]:
     """Return a row of means and their errors over a run of a method."""
     observed = Observed(context.getSystem(), box.has_solute, settings)
     between = round(1000 * EVERY / method.step / CALL) * CALL or CALL
@@ -306,37 +271,37 @@ def measured(name: str, settings: GpuSettings, report: Report) -> tuple[list[dic
     """Return the rows of speeds and of averages of a box."""
     box = gpu_boxes.named(name, settings.benchmarks)
     report.note(f"{name}: {box.system.getNumParticles()} atoms")
-    systems, state = Systems(box), start(box, settings)
+    state, bath = start(box, settings), Bath(settings.temperature, FRICTION)
     with_averages = name in settings.averages
-    chosen = [method for method in methods(box.has_solute) if method.is_timed or with_averages]
+    chosen = [method for method in methods(box.has_solute) if method.name != SHORT_STEPS or with_averages]
     contexts = {}
     for method in chosen:
-        integrator = method.make(settings.temperature, 1e-3 * method.step)
-        contexts[method.name] = make_context(systems.of(method.masses, method.prepared), integrator, settings.platform)
+        system = copy.deepcopy(box.system)
+        method.fit(system)
+        contexts[method.name] = make_context(system, method.integrator(bath), settings.platform)
         contexts[method.name].setState(state)
         # Masses differ from those of the start.
         contexts[method.name].setVelocitiesToTemperature(settings.temperature, settings.seed)
     timings = speeds(box, contexts, chosen, settings)
     for row in timings:
-        report.note(records.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))
+        report.note(text.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))
     means = []
     for method in chosen:
         if with_averages and method.has_bath:
             means.append(averages(box, contexts[method.name], method, settings))
-            report.note(records.cell("{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol", means[-1]))
+            report.note(text.cell("{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol", means[-1]))
     return timings, means
 
 
-def made_tables(record: Record) -> list[Table]:
-    """Return the tables of the report."""
-    found = [records.table("Speed", record.tables["speeds"], SPEEDS, left=2)]
+def tell(record: Record, report: Report) -> None:
+    """Report speeds and averages."""
+    report.table("Speed", text.table(record.tables["speeds"], SPEEDS))
     if "averages" in record.tables:
         means = record.tables["averages"]
         names = [name for name in means if f"{name}_error" in means]
         columns = {"box": "{box}", "method": "{method}"}
         columns |= {name: f"{{{name}:.6g}} ± {{{name}_error:.2g}}" for name in names}
-        found.append(records.table("Averages, kJ/mol and K", means, columns, left=2))
-    return found
+        report.table("Averages, kJ/mol and K", text.table(means, columns))
 
 
 def study(settings: GpuSettings, report: Report = SILENT) -> Record:
@@ -357,8 +322,7 @@ def study(settings: GpuSettings, report: Report = SILENT) -> Record:
         if means:
             found["averages"] = pd.DataFrame(means)
         record = Record(settings.recorded(), found, device(settings.platform)).write(settings.out / "gpu.json")
-    for table in made_tables(record):
-        report.table(table)
+    tell(record, report)
     return record
 
 

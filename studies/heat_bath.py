@@ -18,13 +18,12 @@ samples as are independent.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -33,17 +32,24 @@ from openmm import unit
 from scipy.stats import kstwobign
 from tyro.conf import Positional
 
-from openmm_sier import SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.correlation import inefficiency
-from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.starts import make_context
-from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.system import tables
-from studies import boxes, records, speed_boxes
+from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.contestants import (
+    MIDDLE_IN_RIGID_WATER,
+    SEVERAL_STEPS,
+    Bath,
+    Contestant,
+    exact,
+    middle,
+    own,
+)
 from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
 from studies.report import SILENT, Report
@@ -66,7 +72,7 @@ AVERAGED = {
 }
 
 #: Columns that tell a row.
-NAMES = records.columns("box", "method", "hydrogens", "time", "at")
+NAMES = text.columns("box", "method", "hydrogens", "time", "at")
 
 AVERAGES = {
     **NAMES,
@@ -97,60 +103,18 @@ INTERVAL = 200.0
 FRICTION = 5.0
 
 
-class Bath(NamedTuple):
-    """Temperature in K, friction in 1/ps, and pressure in bar if one is kept."""
-
-    temperature: float
-    friction: float
-    pressure: float | None
-
-
-class Method(NamedTuple):
-    """An integrator at a step.
-
-    Attributes:
-        step: simulated time of one `step(1)`, fs.
-        forces: evaluations in it.
-        mass: of hydrogens, dalton; None leaves them as they are.
-        make: (bath, step in ps) -> integrator for a prepared System.
-    """
-
-    step: float
-    forces: int
-    mass: float | None
-    make: Callable[[Bath, float], openmm.Integrator]
-
-
-def _middle(bath: Bath, step: float) -> openmm.Integrator:
-    return openmm.LangevinMiddleIntegrator(bath.temperature, bath.friction, step)
-
-
-def _several_steps(bath: Bath, step: float) -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(0, 1), (1, 4)])
-
-
-def _own(bath: Bath, step: float) -> openmm.Integrator:
-    return SIERLangevinIntegrator(bath.temperature, bath.friction, step, scheme="SIER2", pressure=bath.pressure)
-
-
-def _trials(bath: Bath, time: float, steps: int) -> openmm.Integrator:
-    options = bath.temperature, time / steps, SIER4G, steps, bath.friction, bath.pressure
-    return SIERHMCIntegrator(*options)
-
-
-def _exact(step: float, steps: int) -> Method:
-    """Hybrid Monte Carlo with steps in fs, and so many of them in a trial."""
-    return Method(step * steps, SIER4G.force_evaluations * steps, 4.0, partial(_trials, steps=steps))
-
-
 METHODS = {
-    **{f"LangevinMiddle, {step} fs, light": Method(step, 1, None, _middle) for step in (2, 4)},
-    **{f"LangevinMiddle, {step} fs": Method(step, 1, 3.0, _middle) for step in (4, 5)},
-    "MTSLangevin, 8 fs": Method(8, 1, 4.0, _several_steps),
-    **{f"SIER2, {step} fs, light": Method(step, 1, None, _own) for step in (4, 5, 6)},
-    **{f"SIER2, {step} fs": Method(step, 1, 4.0, _own) for step in (8, 9, 10, 11)},
-    **{f"SIER2, 9 fs, hydrogens of {mass:g}": Method(9, 1, mass, _own) for mass in (2.0, 3.0, 4.5)},
-    **{f"SIER4G HMC, {step} fs": _exact(step, steps) for step, steps in ((8, 5), (9, 4))},
+    method.name: method
+    for method in (
+        *(Contestant("LangevinMiddle", step, middle, detail="light") for step in (2, 4)),
+        *(Contestant("LangevinMiddle", step, middle, hydrogens=3.0) for step in (4, 5)),
+        MIDDLE_IN_RIGID_WATER,
+        SEVERAL_STEPS,
+        *(own(step, hydrogens=None, detail="light") for step in (4, 5, 6)),
+        *(own(step) for step in (8, 9, 10, 11)),
+        *(own(9, hydrogens=mass, detail=f"hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
+        *(exact(step, steps) for step, steps in ((8, 5), (9, 4))),
+    )
 }
 
 
@@ -160,7 +124,7 @@ class BathSettings(RunsSettings):
 
     Attributes:
         box: PDB file that names its force field, or dhfr.
-        methods: by name, all unless given.
+        methods: by name; unless given all that the box bears.
         starts: runs of each.
         time: of each run, ps.
         equilibrate: before it, ps.
@@ -189,7 +153,7 @@ class Observer:
     def __init__(self, box: Any, system: openmm.System):
         self._masses = tables.masses(system)
         self._total = self._masses.sum() / (unit.AVOGADRO_CONSTANT_NA._value * 1e-21)
-        solute = np.array([atom.residue.name not in ("HOH", "WAT") for atom in box.topology.atoms()])
+        solute = np.array([atom.residue.name not in boxes.WATERS for atom in box.topology.atoms()])
         pairs = tables.constraints(system).pairs
         held = np.bincount(solute[pairs[:, 0]].astype(int), minlength=2) if len(pairs) else np.zeros(2)
         # Rigid water of three massive sites has as many degrees of freedom of translation as of rotation.
@@ -245,26 +209,35 @@ def tasks(settings: BathSettings) -> Iterator[Task]:
     chosen(settings.methods, METHODS, "method")
     at = "constant volume" if settings.pressure is None else f"{settings.pressure:g} bar"
     at += "" if settings.friction == FRICTION else f", {settings.friction:g}/ps"
+    is_water = settings.box.exists() and boxes.is_water(settings.box)
     place = {"box": settings.box.stem, "at": at, "time": settings.time}
-    for seed, name in product(range(settings.seed, settings.seed + settings.starts), settings.methods or METHODS):
+    names = settings.methods or [name for name, method in METHODS.items() if is_water or not method.only_rigid]
+    for seed, name in product(range(settings.seed, settings.seed + settings.starts), names):
         yield Task(settings, place | {"method": name, "seed": seed}, name)
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Averages of a run with their errors, and its speed in fs per second of processor time."""
-    settings, method, seed = task.settings, METHODS[task.method], task.point["seed"]
-    box = _read_box(settings)
+    """Return what is kept of a run."""
+    return task.point | measure(task.settings, METHODS[task.method], task.point["seed"])
+
+
+def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, Any]:
+    """Return averages and costs of a run with their errors, and its speed in fs per second of processor time."""
+    box = read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
-    integrator = method.make(bath, 1e-3 * method.step)
+    integrator = method.integrator(bath)
     integrator.setRandomNumberSeed(seed)
-    _fit(box.system, method, bath, integrator)
-    found = task.point | {"hydrogens": "as they are" if method.mass is None else f"{method.mass:g} Da", "broken": ""}
+    method.fit(box.system)
+    if bath.pressure is not None and not isinstance(integrator, SIERIntegrator):
+        box.system.addForce(openmm.MonteCarloBarostat(bath.pressure, bath.temperature))
+    masses = "as they are" if method.hydrogens is None else f"{method.hydrogens:g} Da"
+    found: dict[str, Any] = {"hydrogens": masses, "broken": ""}
     try:
         context = make_context(box.system, integrator, "CPU")
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, seed)
-        integrator.step(max(1, round(1e3 * settings.equilibrate / method.step)))
+        integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         if isinstance(integrator, SIERHMCIntegrator):
             integrator.resetStatistics()
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
@@ -298,7 +271,7 @@ def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
     return {name: cost(values, forces / len(series)).value for name, values in samples.items()}
 
 
-def _read_box(settings: BathSettings) -> Any:
+def read_box(settings: BathSettings) -> Any:
     """What has topology, positions and system, its sums of PME in balance."""
     if settings.box.stem == "dhfr":
         box = boxes.dhfr(speed_boxes.CUTOFF, speed_boxes.SWITCH, settings.tolerance, speed_boxes.HYDROGEN)
@@ -308,24 +281,13 @@ def _read_box(settings: BathSettings) -> Any:
     return box
 
 
-def _fit(system: openmm.System, method: Method, bath: Bath, integrator: openmm.Integrator) -> None:
-    """Masses of hydrogens, forces in groups for integrators that use them, and a barostat for those that need one."""
-    # LangevinMiddle gains nothing from the forces that preparing adds.
-    if not isinstance(integrator, openmm.LangevinMiddleIntegrator):
-        prepare_system(system, hydrogenMass=method.mass)
-    elif method.mass is not None:
-        set_hydrogen_masses(system, method.mass)
-    if bath.pressure is not None and not isinstance(integrator, SIERIntegrator):
-        system.addForce(openmm.MonteCarloBarostat(bath.pressure, bath.temperature))
-
-
 def _sampled(
-    context: openmm.Context, observe: Observer, method: Method, time: float
+    context: openmm.Context, observe: Observer, method: Contestant, time: float
 ) -> tuple[list[dict[str, float]], float]:
     """Samples of a run, and its processor time in seconds."""
-    every = max(1, round(INTERVAL / method.step))
+    every = max(1, round(INTERVAL / method.duration))
     samples, processor = [], 0.0
-    for _ in range(max(1, round(1e3 * time / (every * method.step)))):
+    for _ in range(max(1, round(1e3 * time / (every * method.duration)))):
         begun = process_time()
         context.getIntegrator().step(every)
         processor += process_time() - begun
@@ -340,7 +302,7 @@ def study(settings: BathSettings, report: Report = SILENT) -> Record:
     form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: done"
     rows = averaged(records.all_runs(settings, "heat-bath", tasks(settings), run, report, form))
     for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
-        report.table(records.table(title, rows, columns, left=3))
+        report.table(title, text.table(rows, columns))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "heat-bath.json")
 
 

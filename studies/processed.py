@@ -21,7 +21,7 @@ import numpy as np
 from openmm_sier.analysis.observables import energy_error, energy_walk
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, GRADIENT_KICK, Stage
-from studies import records
+from studies import records, text
 from studies.command import command
 from studies.methods import of_scheme
 from studies.records import Record, Task
@@ -35,7 +35,7 @@ TAKAHASHI_IMADA = Scheme(
     "Takahashi and Imada, J. Phys. Soc. Jpn. 53, 3765 (1984)",
 )
 
-COLUMNS = records.columns("liquid", "step", "fs_per_force", "seed", "percent", "walk") | {
+COLUMNS = text.columns("liquid", "step", "fs_per_force", "seed", "percent", "walk") | {
     "of the processed state/%": "{processed:.3g}",
 }
 
@@ -71,7 +71,7 @@ def study(settings: ProcessedSettings, report: Report = SILENT) -> Record:
     form = "{liquid}, {step:g} fs, seed {seed}: {percent:.3f}, {processed:.3f} %"
     tried = tasks(replace(settings, methods=("sier4g",)))
     rows = records.all_runs(settings, "processed", tried, run, report, form).assign(method=TAKAHASHI_IMADA.name)
-    report.table(records.table("Takahashi and Imada's scheme over whole runs", rows, COLUMNS))
+    report.table("Takahashi and Imada's scheme over whole runs", text.table(rows, COLUMNS))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "processed.json")
 
 

@@ -1,4 +1,4 @@
-"""Results of studies: tables of pandas with the settings that gave them, as files and as text.
+"""Results of studies: tables of pandas with the settings that gave them, as files; as text they are in `text`.
 
 A column that has a standard error has it in another one, whose name ends in `_error`.
 """
@@ -10,7 +10,7 @@ import math
 import multiprocessing
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import metadata
@@ -25,7 +25,8 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.version import __version__
 from studies.command import RunsSettings, claim
-from studies.report import Report, Table
+from studies.report import Report
+from studies.text import cell
 
 #: Packages that results can depend on.
 PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
@@ -46,7 +47,7 @@ class Record:
     notes: Mapping[str, Any]
 
     def write(self, path: Path) -> Record:
-        """Write everything, and versions and machine, as JSON, with null for what is not finite; the record itself."""
+        """Write everything, versions and machine as JSON, with null for what is not finite, and return the record."""
         tables = {name: frame.to_dict("records") for name, frame in self.tables.items()}
         content = {**provenance(), "settings": self.settings, "notes": self.notes, "tables": tables}
         replace_file(path, json.dumps(_plain(content), indent=1, allow_nan=False, default=str) + "\n")
@@ -54,7 +55,7 @@ class Record:
 
 
 def read(path: Path) -> Record:
-    """A record that was written.
+    """Return a record that was written.
 
     Raises:
         ValueError: the file is no such record.
@@ -68,7 +69,7 @@ def read(path: Path) -> Record:
 
 
 def provenance() -> dict[str, Any]:
-    """Versions and machine."""
+    """Return versions and machine."""
     versions = {"openmm-sier": __version__, "python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -80,7 +81,7 @@ def provenance() -> dict[str, Any]:
 
 
 def processor() -> str:
-    """The name of the processor."""
+    """Return the name of the processor."""
     information = Path("/proc/cpuinfo")
     for line in information.read_text().splitlines() if information.exists() else []:
         if line.startswith("model name"):
@@ -89,7 +90,7 @@ def processor() -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON can hold it."""
+    """Return a value as JSON can hold it."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -110,7 +111,7 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def kept_runs(path: Path) -> list[dict[str, Any]]:
-    """The runs in a file, one of JSON on each line; none if there is no file yet."""
+    """Return the runs in a file, one of JSON on each line; none if there is no file yet."""
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
@@ -125,7 +126,7 @@ class Identified(Protocol):
 
     @property
     def point(self) -> dict[str, Any]:
-        """What identifies the run, a part of what is kept of it."""
+        """Return what identifies the run, a part of what is kept of it."""
 
 
 class Task(NamedTuple):
@@ -148,7 +149,7 @@ Some = TypeVar("Some", bound=Identified)
 def make_missing(
     path: Path, tasks: Iterable[Some], run: Callable[[Some], dict[str, Any]], processes: int
 ) -> Iterator[dict[str, Any]]:
-    """The runs that a file lacks, in the order in which they are done; each is added to the file first.
+    """Yield the runs that a file lacks, in the order in which they are done; each is added to the file first.
 
     Args:
         path: of the file, see `keep_run`.
@@ -166,7 +167,7 @@ def make_missing(
 
 
 def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
-    """Means over runs of one kind, with errors; NaN where no run has a value."""
+    """Return means over runs of one kind, with errors; NaN where no run has a value."""
     found = {}
     for name in names:
         known = runs.reindex(columns=[name, f"{name}_error"]).dropna()
@@ -183,14 +184,14 @@ def all_runs(
     report: Report,
     form: str,
 ) -> pd.DataFrame:
-    """All runs that `out` has of a study, after those were made that it lacks.
+    """Return all runs that `out` has of a study, after those were made that it lacks.
 
     Args:
         settings: of the study; those that are `SHARED` are noted beside the runs.
         name: of the study's files.
         tasks, run: see `make_missing`.
         report: gets a note of each run that is made.
-        form: of the note, see `cell`; what has broken down has the reason.
+        form: of the note, see `text.cell`; what has broken down has the reason.
 
     Raises:
         ValueError: the directory has runs of other settings.
@@ -200,94 +201,3 @@ def all_runs(
     for made in make_missing(path, tasks, run, settings.processes):
         report.note(made.get("broken") or cell(form, made))
     return pd.DataFrame(kept_runs(path)).replace({None: math.nan})
-
-
-# --- as text ---
-
-#: Headings of what several studies have, by its name in their tables.
-HEADINGS = {
-    "label": "run",
-    "fast": "fast forces",
-    "step": "step/fs",
-    "time": "ps",
-    "length": "trial/fs",
-    "percent": "rms(H)/rms(V)/%",
-    "walk": "walk/%",
-    "drift": "drift of the box/kJ/mol/ps",
-    "spread": "sd/kT",
-    "translation": "T_trans/K",
-    "rotation": "T_rot/K",
-    "difference": "T_rot - T_trans/K",
-    "potential": "V/kJ/mol",
-    "density": "g/cm³",
-    "relative": "over Verlet at 2 fs",
-}
-
-
-def columns(*names: str) -> dict[str, str]:
-    """Columns for `table`: values, with their errors where there are any; names that `HEADINGS` lacks are headings."""
-    return {HEADINGS.get(name, name.replace("_", " ")): f"{{{name}_text}}" for name in names}
-
-
-def table(title: str, frame: pd.DataFrame, columns: Mapping[str, str], left: int = 1, across: str = "") -> Table:
-    """A table of text.
-
-    Args:
-        title: above the table.
-        frame: of which each row becomes one.
-        columns: for each heading what stands in its cells, see `cell`.
-        left: number of leading columns that are aligned to the left, the others being numbers.
-        across: a column of which each value becomes a column of the table. The last of `columns` is then what stands
-            there, and the others tell the lines of the table; its heading, such as a unit, is added to the values
-            unless it is "-".
-    """
-    rows = [[cell(form, row) for form in columns.values()] for row in frame.to_dict("records")]
-    if not across:
-        return Table(title, list(columns), rows, left)
-    *leading, heading = columns
-    values = list(dict.fromkeys(frame[across]))
-    lines: dict[tuple[str, ...], dict[Any, str]] = {}
-    for value, (*line, last) in zip(frame[across], rows, strict=True):
-        lines.setdefault(tuple(line), {})[value] = last
-    body = [[*line, *(cells.get(value, "-") for value in values)] for line, cells in lines.items()]
-    return Table(title, [*leading, *(_heading(value, heading) for value in values)], body, len(leading))
-
-
-def _heading(value: Any, unit: str) -> str:
-    """The heading of a column for a value: a number has its unit after a space, a name after a comma."""
-    number = isinstance(value, (int, float))
-    name = f"{value:.6g}" if number else str(value)
-    return name if unit == "-" else f"{name}{' ' if number else ', '}{unit}"
-
-
-class _Known(dict[str, Any]):
-    """A row in which `NAME_text` is a value with its error, and whatever else it does not have is not a number."""
-
-    def __missing__(self, name: str) -> Any:
-        of = name.removesuffix("_text")
-        if of == name or of not in self:
-            return math.nan
-        value = self[of]
-        if f"{of}_error" in self:
-            return str(Estimate(value, self[f"{of}_error"]))
-        if not isinstance(value, float):
-            return str(value)
-        return f"{value:.0f}" if value.is_integer() or abs(value) >= 1000 else f"{value:.3g}"
-
-
-def cell(form: str, row: Mapping[str, Any]) -> str:
-    """What stands in one cell.
-
-    Args:
-        form: such as "{rotation:.1f} ± {rotation_error:.1f}", or "{rotation_text}" for a value with its error as far as
-            that is known.
-        row: the numbers. What is not known, or not there, makes the cell "-".
-    """
-    text = form.format_map(_Known(row)).replace(" ± nan", "").replace("±nan", "")
-    return "-" if "nan" in text else text
-
-
-def markdown(made: Table) -> str:
-    """A table for a page of documentation."""
-    lines: Sequence[Sequence[str]] = [made.columns, ["---"] * len(made.columns), *made.rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

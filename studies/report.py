@@ -2,41 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import pandas as pd
 
 from openmm_sier.cli import console
 from openmm_sier.inputs import report
 
 
-class Table(NamedTuple):
-    """A table of text.
-
-    Attributes:
-        title: above the table.
-        columns: headings; none are shown if all are empty.
-        rows: cells, in each row one for each column.
-        left: number of leading columns that are aligned to the left, the others being numbers.
-    """
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    left: int = 1
-
-
 class Report(report.Report):
     """The receiver of a study's reports. This one ignores them."""
 
-    def table(self, table: Table) -> None:
-        """Take a table of results."""
+    def table(self, title: str, rows: pd.DataFrame) -> None:
+        """Take a table of text, see `studies.text`."""
 
 
 class PrintedReport(console.ConsoleReport, Report):
     """Prints."""
 
-    def table(self, table: Table) -> None:
-        console.table(*table)
+    def table(self, title: str, rows: pd.DataFrame) -> None:
+        print(f"{title}\n{rows.to_string(index=False)}\n", flush=True)
 
 
 SILENT = Report()

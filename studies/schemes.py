@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
-from studies import records
+from studies import records, text
 from studies.command import chosen, command
 from studies.methods import CONSTANT_ENERGY, Method, of_scheme
 from studies.records import Record, Task
@@ -35,7 +35,7 @@ REFERENCE, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
 #: What a point of the table has in common; its runs differ in their seeds alone.
 POINT = ["liquid", "method", "fs_per_force"]
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     "liquid", "method", "order", "forces", "step", "fs_per_force", "starts", "percent", "relative", "drift"
 )
 
@@ -115,7 +115,7 @@ def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
     form = "{method} at {fs_per_force:g} fs per force, seed {seed}: {percent:.3f} %, drift {drift:+.2f} kJ/mol/ps"
     runs = records.all_runs(settings, "schemes", tasks, run, report, form)
     rows = points(runs)
-    report.table(records.table(f"Conservation of energy, {settings.time:g} ps each", rows, COLUMNS, left=2))
+    report.table(f"Conservation of energy, {settings.time:g} ps each", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows, "runs": runs}, {}).write(settings.out / "schemes.json")
 
 

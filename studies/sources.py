@@ -36,11 +36,6 @@ COMMANDS = {
         "--out long-steps",
         "python -m studies.step_study --boxes tip3p-512 --methods verlet --per-force 2 --times 20 --out long-steps",
     ),
-    "mesh.json": ("OPENMM_CPU_THREADS=1 python -m studies.mesh --platform CPU",),
-    "mesh-110592.json": (
-        "OPENMM_CPU_THREADS=1 python -m studies.mesh --platform CPU --molecules 110592 --tolerances 5e-4 1e-4 "
-        "--meshes 6 --spacing 0.068 0.15 --rounds 3",
-    ),
     "mixture.json": (
         "python -m studies.hmc.mixture --method hmc --step 2 --time 60",
         "python -m studies.hmc.mixture --method langevin --step 4 --time 120",
@@ -53,7 +48,6 @@ COMMANDS = {
     "native-platforms.json": (
         "python -m studies.native.accuracy systems/BOX.pdb --on Reference OpenCL:double OpenCL:mixed --time 0.06",
     ),
-    "native-program.json": ("python -m studies.native.program",),
     "paper-dipole.json": ("python -m studies.paper dipole",),
     "paper-free-rotation.json": ("python -m studies.paper free-rotation --quick",),
     "paper-water.json": ("python -m studies.paper water",),

@@ -27,18 +27,25 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from openmm_sier import SIERLangevinIntegrator, prepare_system
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.starts import make_context
-from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.prepare.masses import set_hydrogen_masses
-from studies import records, speed_boxes
+from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.command import BoxSettings, chosen, command
+from studies.contestants import (
+    MIDDLE_IN_RIGID_WATER,
+    SEVERAL_STEPS,
+    Bath,
+    Contestant,
+    at_constant_energy,
+    in_bath,
+    middle,
+    verlet,
+)
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import equilibrated_liquid
 from studies.speed_boxes import SOLUTES, Start
 
@@ -93,66 +100,25 @@ class SpeedSettings(BoxSettings):
     starts: int = 3
 
 
-class Contestant(NamedTuple):
-    """An integrator at a step.
-
-    Attributes:
-        method: name without the step.
-        step: fs.
-        forces: evaluations in a step.
-        prepared: whether its System is.
-        hydrogens: their mass in dalton, in water too; None leaves them as the box has them.
-        make: (step in ps, temperature in K) -> integrator.
-    """
-
-    method: str
-    step: float
-    forces: int
-    prepared: bool
-    hydrogens: float | None
-    make: Callable[[float, float], openmm.Integrator]
-
-    @property
-    def name(self) -> str:
-        return f"{self.method}, {self.step:g} fs"
-
-
 def contestants(has_solute: bool) -> list[Contestant]:
-    """All of them; with solutes SIER2P3 has the step that bonds allow."""
+    """Return all of them; with solutes SIER2P3 has the step that bonds allow."""
 
     def own(scheme: Scheme, step: float) -> Contestant:
-        make = partial(_at_constant_energy, scheme)
-        return Contestant(scheme.name, step, scheme.force_evaluations, True, None, make)
+        make = partial(at_constant_energy, scheme=scheme)
+        return Contestant(scheme.name, step, make, scheme.force_evaluations, prepared=True, has_bath=False)
 
     def bath(scheme: Scheme, step: float) -> Contestant:
-        make = partial(_in_bath, scheme)
-        return Contestant(f"{scheme.name} in a bath", step, scheme.force_evaluations, True, 4.0, make)
+        make = partial(in_bath, scheme=scheme)
+        return Contestant(f"{scheme.name} in a bath", step, make, scheme.force_evaluations, 4.0, prepared=True)
 
-    found = [Contestant("OpenMM Verlet", step, 1, False, None, _verlet) for step in (1.0, 2.0)]
+    found = [Contestant("OpenMM Verlet", step, verlet, has_bath=False) for step in (1.0, 2.0)]
     found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, 1, False, 3.0, _middle) for step in (2.0, 4.0, 5.0)]
-    several = Contestant("OpenMM MTSLangevin", 8.0, 1, True, 4.0, _several_steps)
-    return [*found, several if has_solute else bath(SIER2P3, 18.0), *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
-
-
-def _verlet(h: float, _: float) -> openmm.Integrator:
-    return openmm.VerletIntegrator(h)
-
-
-def _middle(h: float, temperature: float) -> openmm.Integrator:
-    return openmm.LangevinMiddleIntegrator(temperature, FRICTION, h)
-
-
-def _several_steps(h: float, temperature: float) -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(temperature, FRICTION, h, [(0, 1), (1, 4)])
-
-
-def _at_constant_energy(scheme: Scheme, h: float, _: float) -> openmm.Integrator:
-    return SIERIntegrator(h, scheme)
-
-
-def _in_bath(scheme: Scheme, h: float, temperature: float) -> openmm.Integrator:
-    return SIERLangevinIntegrator(temperature, FRICTION, h, scheme)
+    found += [Contestant("OpenMM LangevinMiddle", step, middle, hydrogens=3.0) for step in (2.0, 4.0, 5.0)]
+    found.append(replace(SEVERAL_STEPS, method="OpenMM MTSLangevin"))
+    if not has_solute:
+        found.append(replace(MIDDLE_IN_RIGID_WATER, method="OpenMM LangevinMiddle"))
+        found.append(bath(SIER2P3, 18.0))
+    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
 
 
 class Turn(NamedTuple):
@@ -164,7 +130,7 @@ class Turn(NamedTuple):
 
 
 def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
-    """A row for each method in one box."""
+    """Return a row for each method in one box."""
     methods = {method.name: method for method in contestants(start.has_solute)}
     contexts = {name: _context(method, start, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
@@ -186,12 +152,12 @@ def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[s
             "method": method.method if method else row["name"].partition(",")[0],
             "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
         }
-        report.note(records.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
+        report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
     return rows
 
 
 def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
-    """Speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
+    """Return speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
     clock = 2 if platform in ON_PROCESSORS else 1
     speed = {name: each[:, 0] / each[:, clock] for name, each in found.items()}
     rows = []
@@ -209,12 +175,8 @@ def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, An
 
 def _context(method: Contestant, start: Start, settings: SpeedSettings) -> openmm.Context:
     system = copy.deepcopy(start.system)
-    if method.prepared:
-        prepare_system(system, hydrogenMass=method.hydrogens)
-    elif method.hydrogens is not None:
-        set_hydrogen_masses(system, method.hydrogens)
-    integrator = method.make(1e-3 * method.step, settings.temperature)
-    context = make_context(system, integrator, settings.platform)
+    method.fit(system)
+    context = make_context(system, method.integrator(Bath(settings.temperature, FRICTION)), settings.platform)
     context.setState(start.state)
     return context
 
@@ -228,14 +190,14 @@ def _turn(context: openmm.Context, steps: int, step: float) -> Turn:
 
 
 def _evaluations(context: openmm.Context, least: float) -> int:
-    """Number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
+    """Return the number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
     _turn(context, EVALUATIONS, 1.0)
     seconds = _turn(context, EVALUATIONS, 1.0).wall
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
 
 
 def _actions_of_peers(start: Start, evaluations: int, settings: SpeedSettings) -> dict[str, Callable[[], Turn]]:
-    """Turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
+    """Return turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
     if start.has_solute or start.molecules > settings.largest_for_peers:
         return {}
     liquid = peers.liquid_of(start.system, start.state)
@@ -256,7 +218,7 @@ def _turn_of_peer(peer: peers.Peer, liquid: peers.Liquid, steps: int) -> Turn:
 
 
 def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
-    """Points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
+    """Return points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
     found = []
     for seed in range(settings.seed, settings.seed + settings.starts):
         mine = replace(settings, seed=seed)
@@ -266,7 +228,7 @@ def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
 
 
 def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
-    """Speed of each method in each box of water at each of `LEVELS`.
+    """Return the speed of each method in each box of water at each of `LEVELS`.
 
     The step that has an error is interpolated for each start; its mean and standard error are over the starts.
     """
@@ -288,7 +250,7 @@ def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
 
 
 def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, float]:
-    """fs per force that have an error, mean over the starts and its standard error; NaN where a start has none."""
+    """Return the fs per force that have an error, with the error over starts; NaN where a start has none."""
     each = np.array([accuracy.step_at(mine, method, level) for _, mine in points.groupby("seed")])
     return float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
 
@@ -296,8 +258,8 @@ def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, f
 # --- the study ---
 
 
-def tables(record: Record) -> list[Table]:
-    """Speeds, for the report: a row for each method and a column for each box."""
+def tell(record: Record, report: Report) -> None:
+    """Report speeds, with a row for each method and a column for each box."""
     rows = record.tables["speeds"]
     platform = rows["platform"].iloc[0]
     of_processor = platform in ON_PROCESSORS and record.notes["threads"] == 1
@@ -307,11 +269,11 @@ def tables(record: Record) -> list[Table]:
         f"{unit}, and over Verlet at 2 fs": f"{speed}, {{over_text}}",
         f"Over {BATH_REFERENCE}": "{over_middle_text}",
     }
-    made = [records.table(name, rows, {"method": "{name}", "-": form}, across="box") for name, form in forms.items()]
+    for title, form in forms.items():
+        report.table(title, text.table(rows, {"method": "{name}", "{box}": form}))
     if "equal" in record.tables:
-        columns = records.columns("percent", "method", "fs_per_force") | {"-": "{over_text}"}
-        made.append(records.table("At equal energy error, over Verlet", record.tables["equal"], columns, across="box"))
-    return made
+        columns = text.columns("percent", "method", "fs_per_force") | {"{box}": "{over_text}"}
+        report.table("At equal energy error, over Verlet", text.table(record.tables["equal"], columns))
 
 
 def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
@@ -332,8 +294,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
         found["equal"] = at_equal_error(found["speeds"], found["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
     record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
-    for table in tables(record):
-        report.table(table)
+    tell(record, report)
     return record.write(settings.out / "speed.json")
 
 

@@ -27,10 +27,10 @@ import pandas as pd
 from openmm_sier.analysis import transport
 from openmm_sier.analysis.statistics import Estimate, mean_and_error
 from openmm_sier.cli.methods import METHODS
-from studies import command_runs, records, style
+from studies import command_runs, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: Properties by their keys in rows, with their names in the table and labels in the figure.
 PROPERTIES = {
@@ -42,7 +42,7 @@ PROPERTIES = {
 #: What follows from runs, with its heading in the table.
 MEASURED = {"translation": "T_trans, K", "rotation": "T_rot, K"} | {key: name for key, (name, _) in PROPERTIES.items()}
 
-COLUMNS = records.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
+COLUMNS = text.columns("box", "method", "step", "fs_per_force", "runs", "time") | {
     heading: f"{{{key}_text}}" for key, heading in MEASURED.items()
 }
 
@@ -78,7 +78,7 @@ TITLE = "Verlet with AndersenThermostat leaves the exact averages;\nthe others s
 #: What ends the name of a method whose averages have no error of the step.
 EXACT = " HMC"
 
-#: Left out of the reference: its bath heats the liquid at any step (`studies.checks.andersen_oscillators`).
+#: Left out of the reference: its bath heats the liquid at any step (`tests/system/test_openmm_heat_baths.py`).
 HEATED = "OpenMM Verlet"
 
 #: fs by which the points of different methods are shifted apart.
@@ -110,7 +110,7 @@ class StepSettings(RunsSettings):
 
 
 def tasks(settings: StepSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed, long steps first."""
+    """Yield all runs that the settings ask for, seed by seed, long steps first."""
     chosen(settings.methods, METHODS | {TRIALS: None}, "method")
     seeds = range(settings.seed, settings.seed + settings.starts)
     lengths = zip(settings.per_force, settings.times, strict=True)
@@ -122,7 +122,7 @@ def tasks(settings: StepSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """What follows from a run; what it does not tell is NaN."""
+    """Return what follows from a run; what it does not tell is NaN."""
     step, seed, skip = task.point["step"], task.point["seed"], task.settings.skip
     directory = task.settings.out / f"{task.point['box']}-{task.method}-{step:g}fs-seed{seed}"
     box = SYSTEMS / f"{task.point['box']}.pdb"
@@ -143,7 +143,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def diffusion(frames: mdtraj.Trajectory, step: float, skip: float) -> Estimate:
-    """Self-diffusion in the box, 10^-9 m^2/s, by the first atoms of molecules; NaN where the run is too short.
+    """Return the self-diffusion in the box, 10^-9 m^2/s, by the first atoms of molecules; NaN for short runs.
 
     Args:
         frames: of the run.
@@ -169,16 +169,18 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
     form = "{box}, {method}, {step:g} fs, seed {seed}: {density_text} g/cm³, {energy_text} kJ/mol"
     runs = records.all_runs(settings, "step-study", tasks(settings), run, report, form)
     rows = in_order(with_shared_errors(averaged(runs)))
-    record = Record(settings.recorded(), {"rows": rows}, {"title": "Water against the step, 297 K, 1 bar"})
-    for made in tables(record):
-        report.table(made)
+    record = Record(settings.recorded(), {"rows": rows}, {})
+    report.table("Water against the step, 297 K, 1 bar", text.table(rows, COLUMNS))
+    found = deviations(rows)
+    for key, (name, _) in PROPERTIES.items():
+        report.table(f"{name}, less the reference", beside_reference(found, key))
     record.write(settings.out / "step-study.json")
     figure(record, settings.out / "step-study.png")
     return record
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each point; of a run that was made longer only the longer one counts."""
+    """Return a row for each point; of a run that was made longer only the longer one counts."""
     longest = runs.sort_values("length").drop_duplicates([*POINT, "seed"], keep="last")
     rows = []
     for point, mine in longest.groupby(POINT):
@@ -188,7 +190,7 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows whose errors fall as the root of their length, with one factor for each box, method and property.
+    """Return rows whose errors fall as the root of their length, with one factor for each box, method and property.
 
     A run of a few correlation times underestimates the correlation, and so its own error. Liquids relax alike at all
     steps, except by hybrid Monte Carlo with shorter trials. So the square of the factor is the mean over rows of one
@@ -206,24 +208,14 @@ def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def in_order(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows by box and method, in the order in which these first appear, and by step."""
+    """Return rows by box and method, in the order in which these first appear, and by step."""
     boxes, methods = (list(rows[name].unique()) for name in ("box", "method"))
     places = {"box": boxes.index, "method": methods.index, "fs_per_force": float}
     return rows.sort_values(list(places), key=lambda column: column.map(places[column.name]), ignore_index=True)
 
 
-def tables(record: Record) -> list[Table]:
-    """The rows as text, and the tables of deviations, in the order of `PROPERTIES`."""
-    rows = record.tables["rows"]
-    found = deviations(rows)
-    return [
-        records.table(record.notes["title"], rows, COLUMNS, left=2),
-        *(_deviations(found[found["property"] == key], PROPERTIES[key][0]) for key in PROPERTIES),
-    ]
-
-
 def deviations(rows: pd.DataFrame) -> pd.DataFrame:
-    """How far properties are from the exact averages, by box.
+    """Return how far properties are from the exact averages, by box.
 
     Hybrid Monte Carlo has no error of the step, so that the mean over its rows is exact. It has no dynamics: the
     diffusion is compared with the mean over the rows of the shortest step at which it is known, without those whose
@@ -248,24 +240,28 @@ def deviations(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _reference(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows of one box and property of which the reference is the mean."""
+    """Return the rows of one box and property of which the reference is the mean."""
     exact = rows[rows["method"].str.endswith(EXACT)]
     cold = rows[rows["method"] != HEATED]
     return exact if len(exact) else cold[cold["fs_per_force"] == cold["fs_per_force"].min()]
 
 
-def _deviations(found: pd.DataFrame, name: str) -> Table:
-    """A line for each method and step, with a column for each box; errors have that of the reference in them."""
+def beside_reference(found: pd.DataFrame, key: str) -> pd.DataFrame:
+    """Return a table of text of the `deviations` of one property, with a line for each method and step.
+
+    Errors have that of the reference in them.
+    """
+    found = found[found["property"] == key]
     error = np.hypot(found["difference_error"], found["reference_error"])
     own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
     reference = own.drop_duplicates("box").assign(method="reference", fs_per_force="")
     reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
-    columns = records.columns("method", "fs_per_force") | {"-": "{value_text}"}
-    return records.table(f"{name}, less the reference", pd.concat([reference, own]), columns, across="box")
+    columns = text.columns("method", "fs_per_force") | {"{box}": "{value_text}"}
+    return text.table(pd.concat([reference, own]), columns)
 
 
 def figure(record: Record, path: Path) -> None:
-    """A row of panels for each property and one for each box: differences from the exact averages, by step.
+    """Draw a row of panels for each property and one for each box: differences from the exact averages, by step.
 
     The band is two errors of the reference, and so are the bars.
     """

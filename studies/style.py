@@ -58,7 +58,7 @@ OWN = ("SIER", "MRDL", "SEJ4")
 
 
 def of_method(name: str) -> dict[str, Any]:
-    """Keyword arguments of `Axes.plot` for a method; one that is not in the table is black.
+    """Return keyword arguments of `Axes.plot` for a method; one that is not in the table is black.
 
     Hybrid Monte Carlo has the colour of its scheme. What stands after a comma, such as a step, does not matter, and
     "OpenMM" before the name of an integrator may be missing.
@@ -73,7 +73,7 @@ def of_method(name: str) -> dict[str, Any]:
 
 
 def context() -> AbstractContextManager:
-    """The style of all figures, for a with-statement."""
+    """Return the style of all figures, for a with-statement."""
     import matplotlib as mpl
 
     return mpl.rc_context(RC)
@@ -81,7 +81,7 @@ def context() -> AbstractContextManager:
 
 @contextmanager
 def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
-    """A figure of one panel with type that can be read at half its size, and a title that says what was found.
+    """Make a figure of one panel with type that can be read at half its size, and a title that says what was found.
 
     Args:
         path: PNG file to write.
@@ -103,7 +103,7 @@ def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
 
 @contextmanager
 def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterator[tuple[Figure, list[Axes]]]:
-    """A figure of panels side by side, which is written to a file after they were drawn.
+    """Make a figure of panels side by side, which is written to a file after they were drawn.
 
     Args:
         path: PNG file to write.
@@ -122,7 +122,7 @@ def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterato
 
 
 def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, **look: Any) -> None:
-    """One line for each method, with standard errors where they are known.
+    """Draw one line for each method, with standard errors where they are known.
 
     Args:
         axes: to draw on.
@@ -143,12 +143,12 @@ def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, 
 
 
 def shared_legend(made: Figure, axes: Axes) -> None:
-    """One legend for all panels, beside them, with the labels of one."""
+    """Draw one legend for all panels, beside them, with the labels of one."""
     made.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
 
 
 def logarithmic(axes: Axes) -> None:
-    """Logarithmic axes with their numbers written out."""
+    """Make axes logarithmic, with their numbers written out."""
     from matplotlib.ticker import LogLocator
 
     axes.set(xscale="log", yscale="log")
@@ -159,6 +159,6 @@ def logarithmic(axes: Axes) -> None:
 
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:
-    """Ticks of a logarithmic axis at given values, written out."""
+    """Put ticks of a logarithmic axis at given values, written out."""
     axis.set_ticks(list(values), labels=[f"{value:g}" for value in values])
     axis.set_ticks([], minor=True)

@@ -1,21 +1,17 @@
-"""Claims: what each says, its bounds, the page that lists them, and their sentences in other texts.
-
-The list is in `studies.claims`, whose command writes what is made of it.
-"""
+"""Claims: what each says, its bounds, and its sentence in texts. The list is in `studies.claims`."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from string import Formatter
 
 import pandas as pd
 
-from studies import records
+from studies import records, text
 from studies.command import SYSTEMS
 from studies.records import Record
-from studies.report import Table
 from studies.sources import COMMANDS, DATA
 
 ROOT = SYSTEMS.parent
@@ -31,18 +27,6 @@ FIGURE = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?"
 
 #: A table of Markdown without a heading over its first column, as that of speeds.
 TABLE = re.compile(r"^\| +\|.*\n\|[-| ]+\n(?:\|.*\n)*", re.MULTILINE)
-
-INTRODUCTION = """\
-# How far it can be trusted
-
-Every claim of README and of this site, and what shows it: a record of measurements, or tests. The figures below are \
-read from the records, and a test asserts each bound, so that a record that no longer keeps its claim fails the tests. \
-What README and the draft of the paper claim are sentences of this list, word for word. `python -m studies.claims` \
-writes this page.
-
-Errors are one standard error. [How to read the numbers](index.md#how-to-read-the-numbers) says what is meant by \
-the energy error.
-"""
 
 
 @dataclass(frozen=True)
@@ -68,7 +52,7 @@ class Claim:
     in_paper: bool = False
 
     def found(self) -> Mapping[str, float]:
-        """The figures of the record.
+        """Return the figures of the record.
 
         Raises:
             LookupError: it lacks a row or a column that the claim is about.
@@ -79,11 +63,11 @@ class Claim:
             raise LookupError(f"{self.record} does not show {self.text!r}: {error}") from error
 
     def sentence(self) -> str:
-        """The text with its figures."""
+        """Return the text with its figures."""
         return self.text.format_map(self.found())
 
     def broken(self) -> list[str]:
-        """Bounds that the record does not keep, in words."""
+        """Return the bounds that the record does not keep, in words."""
         figures = self.found()
         return [
             f"{in_words(name, bound)}, got {figures[name]:g}"
@@ -92,7 +76,7 @@ class Claim:
         ]
 
     def written(self, text: str) -> str:
-        """A text in which this sentence, found there with any figures, has those of the record.
+        """Return a text in which this sentence, found there with any figures, has those of the record.
 
         Raises:
             ValueError: it has no such sentence.
@@ -108,23 +92,8 @@ class Claim:
         return text
 
 
-@dataclass(frozen=True)
-class Tested:
-    """A claim that tests show.
-
-    Attributes:
-        text: the sentence.
-        tests: files or folders, or files with the name of a test after "::".
-        more: a study that shows it too.
-    """
-
-    text: str
-    tests: tuple[str, ...]
-    more: str = ""
-
-
 def in_words(name: str, bound: Bound) -> str:
-    """A bound as the page has it."""
+    """Return a bound as the page has it."""
     (least, most), name = bound, name.replace("_", " ")
     if least == most:
         return f"{name} = {least:g}"
@@ -133,37 +102,31 @@ def in_words(name: str, bound: Bound) -> str:
     return f"{name} ≤ {most:g}" if least == -ANY else f"{least:g} ≤ {name} ≤ {most:g}"
 
 
-def page(topics: Mapping[str, Sequence[Claim]], tested: Iterable[Tested], limits: Iterable[str]) -> str:
-    """The page of the documentation: claims that records show by topic, then those of tests, then what is not known."""
-    parts = [INTRODUCTION]
-    for topic, claims in topics.items():
-        parts.append(f"## {topic}\n")
-        for claim in claims:
-            bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
-            commands = [claim.command] if claim.command else COMMANDS[claim.record]
-            shown = ", then ".join(f"`{command}`" for command in commands)
-            parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
-    parts.append("## Shown by tests\n")
-    for each in tested:
-        commands = [f"`pytest {' '.join(each.tests)}`", *([f"`{each.more}`"] if each.more else [])]
-        parts.append(f"- {each.text}\\\n  {', '.join(commands)}\n")
-    return "\n".join([*parts, "## Limits, and what is not known\n", *(f"- {each}" for each in limits), ""])
+def listed(claims: Iterable[Claim]) -> str:
+    """Return claims as a page lists them, each with its bounds, its record and the commands that make it."""
+    parts = []
+    for claim in claims:
+        bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
+        commands = [claim.command] if claim.command else COMMANDS[claim.record]
+        shown = ", then ".join(f"`{command}`" for command in commands)
+        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
+    return "\n".join(parts)
 
 
-def with_table(text: str, made: Table) -> str:
-    """A text in which the first table without a heading over its first column is this one.
+def with_table(written: str, made: pd.DataFrame) -> str:
+    """Return a text in which the first table without a heading over its first column is this one.
 
     Raises:
         ValueError: it has no such table.
     """
-    text, count = TABLE.subn(lambda _: records.markdown(made), text, count=1)
+    written, count = TABLE.subn(lambda _: text.markdown(made), written, count=1)
     if not count:
         raise ValueError("there should be a table whose first heading is empty")
-    return text
+    return written
 
 
 def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:
-    """The only row that has these values.
+    """Return the only row that has these values.
 
     Raises:
         LookupError: there is none, or there are several.

@@ -32,11 +32,11 @@ from openmm_sier.inputs.starts import make_context
 from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.stability.vibrations import WATER
 from openmm_sier.system import find_bodies
-from studies import boxes, records, style
+from studies import boxes, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
 #: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
@@ -61,14 +61,14 @@ POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
 PME = {"PME": "{tolerance:g}/{share:g}"}
 
-COLUMNS = records.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
+COLUMNS = text.columns("liquid", "molecules", "time", "method", "step", "fs_per_force", "starts") | {
     "rms(H)/rms(V)/%": "{percent:.3g} ± {percent_error:.1g}",
     "walk/%": "{walk:.2g} ± {walk_error:.1g}",
     "drift of the box/kJ/mol/ps": "{drift:+.5f} ± {its_error:.5f}",
     **PME,
 }
 
-GAINS = records.columns("liquid", "molecules", "time") | {
+GAINS = text.columns("liquid", "molecules", "time") | {
     **PME,
     "fs per force": "{per_force:.3g}",
     "OpenMM Verlet/%": "{percent_verlet:.3f} ± {percent_error_verlet:.1g}",
@@ -119,7 +119,7 @@ class WholeRunSettings(RunsSettings):
 
 
 def tasks(settings: WholeRunSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
+    """Yield all runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
     chosen(settings.liquids, LIQUIDS, "liquid")
     chosen(settings.methods, CONSTANT_ENERGY, "method")
     shared = {"time": settings.time, "tolerance": settings.tolerance, "share": DIRECT_SHARE}
@@ -132,7 +132,7 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
 
 
 def start(task: Task) -> Liquid:
-    """The equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
+    """Return the equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
     file, *forcefield = LIQUIDS[liquid]
     kept = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
@@ -151,7 +151,7 @@ def start(task: Task) -> Liquid:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """The energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
+    """Return the energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
     method = CONSTANT_ENERGY[task.method]
     found = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
     figures, series = conserved(start(task), method, found["fs_per_force"], task.settings.time, INTERVAL)
@@ -168,7 +168,7 @@ def run(task: Task) -> dict[str, Any]:
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each liquid, size, length, scheme and step: means over the starts with standard errors."""
+    """Return a row for each liquid, size, length, scheme and step: means over the starts with standard errors."""
     return pd.DataFrame([_point(mine) for _, mine in runs.groupby(POINT, sort=False)])
 
 
@@ -180,7 +180,7 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def walk_slope(means: np.ndarray) -> float:
-    """Standard deviation of the slope that a random walk gives a run by chance, from means of H over 1 ps, kJ/mol/ps.
+    """Return the standard deviation in kJ/mol/ps of the slope that a random walk of means of H over 1 ps has by chance.
 
     The mean square of what H changes by in a time grows with it by the diffusion D of the walk; what oscillates adds a
     constant. A straight line through a walk of the length T has a slope of the variance 6 D/(5 T).
@@ -198,23 +198,15 @@ def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
     runs = records.all_runs(settings, "whole-run", tasks(settings), run, report, form)
     rows = points(runs).sort_values(POINT, kind="stable")
     record = Record(settings.shared(), {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
-    for table in tables(record):
-        report.table(table)
+    report.table("Conservation of energy over whole runs", text.table(rows, COLUMNS))
+    report.table("Gain over Verlet with as many forces", text.table(record.tables["gains"], GAINS))
     record.write(settings.out / "whole-run.json")
     figure(record, settings.out / "whole-run.png")
     return record
 
 
-def tables(record: Record) -> list[Table]:
-    """Every point; and Verlet beside SIER4G where both had as many forces."""
-    return [
-        records.table("Conservation of energy over whole runs", record.tables["rows"], COLUMNS, left=1),
-        records.table("Gain over Verlet with as many forces", record.tables["gains"], GAINS, left=1),
-    ]
-
-
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
+    """Return Verlet's error over SIER4G's in the same box, length and simulated time per force evaluation."""
     same = ["liquid", "molecules", "time", "tolerance", "share"]
     rows = rows.assign(per_force=rows["fs_per_force"].round(4))
     ours, theirs = rows[rows["method"] == SIER4G.name], rows[rows["method"] == VERLET]
@@ -223,7 +215,7 @@ def gains(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def law(rows: pd.DataFrame) -> dict[str, Any]:
-    """How fast the walk of schemes of fourth order dies out with a shorter step.
+    """Return how fast the walk of schemes of fourth order dies out with a shorter step.
 
     The walk is A exp(-c T/h) with an A for each scheme and one c, fitted to the logarithms where the walk is above the
     floor of forces in single precision and the run is still one of a liquid. T is the period of the fastest librations
@@ -241,12 +233,12 @@ def law(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def first_box(rows: pd.DataFrame) -> pd.DataFrame:
-    """The points of the box and the length of run that have the most of them."""
+    """Return the points of the box and the length of run that have the most of them."""
     return max((mine for _, mine in rows.groupby(POINT[:5], sort=False)), key=len)
 
 
 def figure(record: Record, path: Path) -> None:
-    """The walk against the step, with its law."""
+    """Draw the walk against the step, with its law."""
     with style.figure(path, 1) as (made, (axes,)):
         rows = first_box(record.tables["rows"])
         style.curves(axes, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
@@ -263,7 +255,7 @@ def figure(record: Record, path: Path) -> None:
 
 
 def energies(record: Record, path: Path) -> None:
-    """The energy of Verlet and SIER4G against time, over the longest run that both made with as many forces."""
+    """Draw the energy of Verlet and SIER4G over the longest run that both made with as many forces."""
     pairs, runs = record.tables["gains"].dropna(subset="gain"), record.tables["runs"]
     pair = pairs.sort_values("time", kind="stable").iloc[-1]
     time = f"{pair['time'] / 1000:g} ns" if pair["time"] >= 1000 else f"{pair['time']:g} ps"

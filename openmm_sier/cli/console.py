@@ -6,12 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 
-try:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-    from rich.table import Table as RichTable
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError("the command needs rich; install it with: pip install 'openmm-sier[cli]'") from error
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table as RichTable
 
 from openmm_sier.inputs.report import Advance, Report
 

@@ -1,7 +1,7 @@
 """The command `openmm-sier info`: what moves in an input, as rigid bodies and as points."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,12 +9,13 @@ import openmm
 from openmm import app
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.options import OPTIONS, Options
-from openmm_sier.cli.plan import ignored_options
+from openmm_sier.cli.errors import Misused
+from openmm_sier.cli.planning import new_settings
 from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
+from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: Moments that differ by less than this fraction of the largest are called equal.
@@ -31,35 +32,35 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
 
     Args:
         box: as `inputs.read_input` gives it.
-        rigid: names of residues to be held rigid, in the geometry that they have in the coordinates.
+        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
 
     Raises:
-        RigidityError: constraints make no rigid bodies, or a named residue cannot be one.
-        ValueError: there is no residue of that name.
+        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
+        ValueError: nothing is described by one of the words.
     """
-    named = dict.fromkeys(rigid, "rigid") if rigid else None
+    named = select_bodies(box.topology, rigid) if rigid else None
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
-def execute(**given: Any) -> None:
+def execute(given: Mapping[str, Any]) -> None:
     """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
-        given: options of a run by name, as for `Options`.
+        given: settings of a run by name, see `RunSettings`.
 
     Raises:
-        RunError: an option would do nothing with the topology.
+        RunError: a setting would do nothing with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    options = Options(**given)
-    ignored_options(options.topology, [name for name, value in given.items() if value is not None])
-    constraints = options.constraints or OPTIONS["constraints"].default
-    read = read_input(options.box, options.topology, options.forcefield, constraints, edges=options.edges)
-    bodies = rigid_bodies(read, options.rigid)
+    if "box" not in given:
+        raise Misused("info needs BOX, the coordinates (see openmm-sier info --help)")
+    asked = new_settings(given)
+    read = read_input(asked.box, asked.topology, asked.forcefield, asked.constraints, edges=asked.edges)
+    bodies = rigid_bodies(read, asked.rigid)
     atoms = list(read.topology.atoms())
     riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]
-    table(f"{options.box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
+    table(f"{asked.box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
     points = int(np.count_nonzero(bodies.point_particles))
     counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
     if points:

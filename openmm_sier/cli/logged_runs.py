@@ -15,11 +15,12 @@ from openmm_sier.analysis import read_log
 from openmm_sier.analysis.observables import blocks
 from openmm_sier.analysis.statistics import Estimate, of_independent, pooled, rms, settled_from
 from openmm_sier.cli import results
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.options import CONTINUED
-from openmm_sier.cli.plan import Plan, RunError, checkpoint_of, noted_plan
+from openmm_sier.cli.planning import noted_settings
 from openmm_sier.cli.results import DENSITY, Quantity
+from openmm_sier.cli.settings import CONTINUED, RunSettings, checkpoint_of
 from openmm_sier.dynamics.correlation import is_constant
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
@@ -68,7 +69,7 @@ class Run(NamedTuple):
 
     path: Path
     log: dict[str, np.ndarray]
-    plan: Plan | None = None
+    plan: RunSettings | None = None
     unsettled: str | None = None
 
     @property
@@ -212,7 +213,7 @@ def read_run(path: Path) -> Run:
     # The checkpoint tells no more than names, which are not needed.
     with suppress(ValueError, LookupError, TypeError, OSError):
         notes = checkpoints.read_notes(checkpoint)
-        plan = noted_plan(checkpoint, notes["plan"])
+        plan = noted_settings(checkpoint, notes["plan"])
         if same_file(plan.report, path):
             return Run(path, log, plan, notes.get("unsettled"))
     return Run(path, log)

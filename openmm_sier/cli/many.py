@@ -1,7 +1,9 @@
 """The command `openmm-sier run --seeds`: runs beside each other, how far they are in one table, and their means."""
 
+import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import openmm
@@ -9,17 +11,19 @@ import openmm
 from openmm_sier.analysis.many_runs import Member, RunsError, named, run_many
 from openmm_sier.cli import summary
 from openmm_sier.cli.console import note
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.outputs import same_file
 from openmm_sier.cli.logged_runs import FEWEST_ROWS
 from openmm_sier.cli.many_table import watching
 from openmm_sier.cli.pictures import canvas
-from openmm_sier.cli.plan import Options, Plan, RunError, new_plan
+from openmm_sier.cli.planning import new_settings
 from openmm_sier.cli.seeds import shown
+from openmm_sier.cli.settings import RunSettings, flag
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.backend.threads import cores
 
 #: Options that name a file which each member writes by itself.
-OF_MEMBERS = ("report", "pressure_tensor")
+OF_MEMBERS = ("report", "pressure_tensor", "save_config")
 
 #: What a member warns of, and the table of means too.
 UNSETTLED = "not equilibrated"
@@ -42,19 +46,19 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
         Stopped: a signal stopped the members.
         ForceFieldError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
-    options = dict(given)
+    options = {name: value for name, value in given.items() if not _is_usual(name, value)}
     picture = options.pop("plot", None)
     _check(options, workers, scheduler)
-    plan = new_plan(Options(**options))
-    members = [named(plan.out, seed) for seed in seeds]
+    settings = new_settings(options)
+    members = [named(settings.out, seed) for seed in seeds]
     if picture:
-        canvas.check(picture, [plan.box, *members], may_replace=True)
-    _refuse_one_file(options, plan, seeds)
+        canvas.check(picture, [settings.box, *members], may_replace=True)
+    _refuse_one_file(options, settings, seeds)
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
-    note(f"{len(seeds)} runs of {plan.title}, to step {plan.steps} ({plan.steps * plan.step_time:g} ps), {where}")
-    with StopRequests() as requests, watching(plan.steps) as watch:
+    note(f"{len(seeds)} runs of {settings.title}, to step {settings.length(settings.steps)}, {where}")
+    with _dask_in_silence(), StopRequests() as requests, watching(settings.steps) as watch:
         requests.defer()
         try:
             ended = run_many(
@@ -74,10 +78,20 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
         raise Stopped(requests.received, f"stopped, {_counted(ended)}; the same command goes on")
     if any(member.state != "complete" for member in ended):
         raise RunError(f"{_complaints(ended)}. {_counted(ended)}; the same command goes on with the others")
-    if plan.steps // plan.interval(plan.report_every) + 1 < FEWEST_ROWS:
+    if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
         note(f"logs of fewer than {FEWEST_ROWS} rows have no means: lower --report-every")
         return
     summary.execute([member.log for member in ended], json=None, plot=picture, skip=None)
+
+
+@contextmanager
+def _dask_in_silence() -> Iterator[None]:
+    """Let Dask, which shows where its errors come from, say nothing of what is told in one line."""
+    logging.disable()
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
@@ -90,15 +104,20 @@ def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | Non
         raise RunError("--workers is for this machine: leave it out with --scheduler, which has workers of its own")
 
 
-def _refuse_one_file(options: dict[str, Any], plan: Plan, seeds: Sequence[int]) -> None:
+def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
     """Refuse files of which each member needs its own under another name."""
     for name in OF_MEMBERS:
         if options.get(name):
-            raise RunError(f"--{name.replace('_', '-')} names one file, and each member writes its own: leave it out")
+            raise RunError(f"{flag(name)} names one file, and each member writes its own: leave it out")
     for seed in seeds:
-        for read in (plan.box, plan.topology):
-            if read and same_file(named(plan.out, seed), read):
-                raise RunError(f"{named(plan.out, seed)} would destroy {read}: name another file with --out")
+        for read in (settings.box, settings.topology):
+            if read and same_file(named(settings.out, seed), read):
+                raise RunError(f"{named(settings.out, seed)} would destroy {read}: name another file with --out")
+
+
+def _is_usual(name: str, value: object) -> bool:
+    """Return whether a switch is off that is off by itself, for which a command line has no word."""
+    return value is False and RunSettings.model_fields[name].default is False
 
 
 def _usual_workers(platform: str | None) -> int:

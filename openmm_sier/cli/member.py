@@ -12,9 +12,9 @@ import threading
 import time
 from pathlib import Path
 
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.main import main
-from openmm_sier.cli.plan import RunError
 
 #: s, for an earlier process of the same member, whose starter was killed, to complete its step and its files.
 PATIENCE = 60.0

@@ -1,14 +1,13 @@
 """The platform of a run: a restart keeps that of its checkpoint, and says what of it is different."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import openmm
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.options import Options
-from openmm_sier.cli.plan import RunError
+from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.settings import RunSettings
 
 #: In the notes of a checkpoint, the name of the platform, and properties on which the last bits of forces depend.
 NAME, PROPERTIES = "Platform", ("Precision", "Threads")
@@ -21,26 +20,26 @@ def platform_of(context: openmm.Context) -> dict[str, str]:
     return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in known}}
 
 
-def keep_platform(options: Options, checkpoint: Path, noted: Mapping[str, str]) -> Options:
-    """The options of a restart, on the platform of its checkpoint unless another is asked for.
+def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, str]) -> RunSettings:
+    """Return the settings of a restart, on the platform of its checkpoint unless another is asked for.
 
     Args:
-        options: of the command.
+        settings: of the run.
         checkpoint: its path.
         noted: by the checkpoint, as `platform_of` gave it.
 
     Raises:
         RunError: OpenMM does not have the platform here.
     """
-    if options.platform is not None:
-        return options
+    if settings.platform is not None:
+        return settings
     here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if noted[NAME] not in here:
         raise RunError(
             f"{checkpoint} is of a run on the {noted[NAME]} platform, which OpenMM does not have here: choose one of "
             f"{', '.join(here)} by --platform"
         )
-    return replace(options, platform=noted[NAME])
+    return settings.model_copy(update={"platform": noted[NAME]})
 
 
 def tell_of_another_platform(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> None:

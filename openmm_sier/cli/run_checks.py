@@ -13,7 +13,7 @@ import openmm
 
 from openmm_sier.analysis.observables import energy_error_within_1_ps
 from openmm_sier.analysis.statistics import rms
-from openmm_sier.cli.plan import Plan
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
@@ -41,7 +41,7 @@ class Runaway(RuntimeError):
 Bounds = dict[str, float]
 
 
-def bounds(plan: Plan, dof: DegreesOfFreedom) -> Bounds:
+def bounds(plan: RunSettings, dof: DegreesOfFreedom) -> Bounds:
     """The temperatures that a run with these degrees of freedom does not exceed."""
     return {name: hottest(plan.temperature, number) for name, number in dof._asdict().items() if number}
 
@@ -65,7 +65,7 @@ def is_runaway(error: BaseException) -> bool:
     return broken or "coordinate is NaN" in str(error)
 
 
-def likely_cause(plan: Plan) -> str:
+def likely_cause(plan: RunSettings) -> str:
     """Why a run with this plan may have run away, and what to do."""
     usual, name = plan.method.usual_step(plan.ensemble, plan.hydrogen_mass), plan.method.name
     if plan.dt > usual:
@@ -77,7 +77,7 @@ def likely_cause(plan: Plan) -> str:
     )
 
 
-def fluctuation_warning(plan: Plan, log: Mapping[str, np.ndarray]) -> str | None:
+def fluctuation_warning(plan: RunSettings, log: Mapping[str, np.ndarray]) -> str | None:
     """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
 
     Only constant energy draws one, and only what H does within 1 ps counts, so that a drift does not.

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from openmm_sier.cli.values import Kind
+from openmm_sier.cli.errors import Misused
 
 #: Most seeds of one range.
 MOST = 10_000
@@ -13,20 +13,22 @@ def read_seeds(text: str) -> list[int]:
     """Return the seeds that a text such as "1-24" or "1-4,7,9" means.
 
     Raises:
-        ValueError: it means none, or one twice.
+        Misused: it means none, or one twice.
     """
     seeds: list[int] = []
     for part in text.split(","):
         if not (found := re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", part)):
-            raise ValueError(f"expected seeds such as 1-24 or 1-4,7,9, got {text!r}")
+            raise Misused(f"--seeds: expected seeds such as 1-24 or 1-4,7,9, got {text!r}")
         first, last = int(found[1]), int(found[2] or found[1])
         if not 1 <= first <= last < 2**31:
-            raise ValueError(f"expected seeds from 1 to {2**31 - 1}, the least first, got {part.strip()!r}")
+            raise Misused(
+                f"--seeds: expected seeds from 1 to {2**31 - 1}, the least first, got {part.strip()!r} of {text!r}"
+            )
         if last - first >= MOST:
-            raise ValueError(f"expected at most {MOST} seeds, got {part.strip()!r}")
+            raise Misused(f"--seeds: expected at most {MOST} seeds, got {text!r}")
         seeds += range(first, last + 1)
     if len(set(seeds)) < len(seeds):
-        raise ValueError(f"expected each seed once, got {text!r}")
+        raise Misused(f"--seeds: expected each seed once, got {text!r}")
     return seeds
 
 
@@ -40,12 +42,3 @@ def shown(seeds: Sequence[int]) -> str:
             parts.append([seed])
     words = [f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts]
     return f"{'seed' if len(set(seeds)) == 1 else 'seeds'} {','.join(words)}"
-
-
-#: Seeds on a command line.
-SEEDS = Kind(
-    "seeds from 1 on, each once, such as 1-24 or 1-4,7,9",
-    lambda value: isinstance(value, list) and value != [],
-    parse=read_seeds,
-    metavar="SEEDS",
-)

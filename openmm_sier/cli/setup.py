@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from openmm_sier.cli.console import note, table
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
 

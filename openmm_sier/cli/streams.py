@@ -10,6 +10,9 @@ from openmm_sier.stability import advice
 
 PROGRAM = "openmm-sier"
 
+#: What the extra `cli` brings.
+LIBRARIES = ("cyclopts", "filelock", "mdtraj", "pydantic", "rich", "tomli")
+
 #: What the library advises its callers, as options of the command, which prepares every System.
 AS_OPTIONS = {
     advice.PREPARE: "Take a shorter step (--dt)",
@@ -61,6 +64,8 @@ def note_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def described(error: Exception) -> str:
     """An error in one line."""
+    if isinstance(error, ModuleNotFoundError) and (library := str(error.name).split(".")[0]) in LIBRARIES:
+        return f"the command needs {library}; install it with: pip install 'openmm-sier[cli]'"
     message = for_the_command(error) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror

@@ -9,10 +9,9 @@ from typing import Any
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.files.outputs import check_place
 from openmm_sier.cli.logged_runs import Runs, read_runs, remarks
 from openmm_sier.cli.pictures import canvas, drawing
-from openmm_sier.cli.plan import RunError
 from openmm_sier.cli.results import Quantity
 from openmm_sier.version import __version__
 
@@ -30,7 +29,7 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
         RunError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
     if json:
-        _check_json(json, logs)
+        check_place(json, logs)
     if plot:
         canvas.check(plot, [*logs, *([json] if json else [])], may_replace=True)
     runs = read_runs(logs, skip)
@@ -50,17 +49,6 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
 
 def _counted(runs: Runs) -> str:
     return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
-
-
-def _check_json(path: Path, logs: list[Path]) -> None:
-    """Refuse a file that would destroy a log or cannot be written."""
-    for log in logs:
-        if same_file(path, log):
-            raise RunError(f"{path} would destroy the log {log}: name another file")
-    if path.exists() and not path.is_file():
-        raise RunError(f"{path} is no regular file")
-    if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
 
 
 def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:

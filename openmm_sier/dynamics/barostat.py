@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.noise import generator
 
 #: Largest change of ln V at the beginning, times the square root of the number of molecules. In these units ln V
@@ -140,15 +141,23 @@ class MoleculeCentres:
     def __init__(self, bodies: RigidBodies, molecules: Sequence[Sequence[int]]):
         """
         Args:
-            bodies: rigid and point bodies. One that joins several molecules belongs to the first.
+            bodies: rigid and point bodies. Molecules that a body joins are one.
             molecules: particle indices of what is moved as a whole.
         """
-        first = np.concatenate([species.atoms[:, 0] for species in bodies.species])
-        owner = molecule_of_atoms(molecules, bodies.n_particles)[first]
-        self._owner = np.unique(owner, return_inverse=True)[1]
+        molecule = molecule_of_atoms(molecules, bodies.n_particles)
+        of_atoms = [molecule[species.atoms] for species in bodies.species]
+        whole = joined(len(molecules), np.concatenate([_different(numbers) for numbers in of_atoms]))
+        first = np.concatenate([numbers[:, 0] for numbers in of_atoms])
+        self._owner = np.unique(whole[first], return_inverse=True)[1]
         self._weights = bodies.masses / np.bincount(self._owner, bodies.masses)[self._owner]
         self.count = int(self._owner.max()) + 1
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """Centres, (3, n), at centres of bodies (3, n)."""
         return np.stack([np.bincount(self._owner, self._weights * x)[self._owner] for x in q])
+
+
+def _different(molecules: np.ndarray) -> np.ndarray:
+    """Return pairs of molecules that bodies join, from the molecules of their atoms, (m, k)."""
+    pairs = np.stack([np.broadcast_to(molecules[:, :1], molecules.shape), molecules], axis=-1).reshape(-1, 2)
+    return pairs[pairs[:, 0] != pairs[:, 1]]

@@ -16,8 +16,12 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.names import FEW, as_ranges
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
+
+#: Messages name so many residues of a body; of more the first and the last.
+MOST_RESIDUES = 3
 
 
 class NotFiniteError(ValueError):
@@ -187,10 +191,15 @@ class RigidBodies:
         return self.describe_atoms(self.atoms_of(body))
 
     def describe_atoms(self, atoms: Sequence[int] | np.ndarray) -> str:
-        names = "atoms " + ", ".join(str(int(i)) for i in atoms) if len(atoms) > 1 else f"atom {int(atoms[0])}"
+        """Return a name for messages: residues, if known, and atoms; those of large bodies as ranges."""
+        is_few = len(atoms) <= FEW
+        numbers = ", ".join(str(int(i)) for i in atoms) if is_few else as_ranges(atoms)
+        names = f"atoms {numbers}" if len(atoms) > 1 else f"atom {numbers}"
         if self.labels is None:
             return names if len(atoms) == 1 else f"the body of {names}"
         residues = list(dict.fromkeys(self.labels[i] for i in atoms))
+        if len(residues) > MOST_RESIDUES:
+            return f"residues {residues[0]} to {residues[-1]} ({names})"
         return f"residue {' and '.join(residues)} ({names})"
 
     # --- from atoms to bodies ---

@@ -3,14 +3,15 @@
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
 masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
-bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). Attributes of the root are the
+bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). With names of bodies also name
+(n,), empty for those that have none. Attributes of the root are the
 conventions and units (`CONVENTIONS`), and `wrapped`: whether centres are wrapped into the box.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,9 @@ from numpy.typing import ArrayLike
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.names import as_ranges
 from openmm_sier.observe import conservation
+from openmm_sier.system.body_selection import SelectedBodies
 from openmm_sier.system.boxes import wrapped
 
 if TYPE_CHECKING:
@@ -37,6 +40,9 @@ CONVENTIONS = {
     "units": "time in ps; q, box and sites in nm; masses in dalton; moments in dalton nm^2; p in dalton nm/ps; L in "
     "dalton nm^2/ps; heat in kJ/mol",
 }
+
+#: Names of bodies, each with the particle indices of one.
+Names = SelectedBodies | Mapping[str, Sequence[int]] | None
 
 #: Size of a chunk in numbers, 64 kB.
 CHUNK = 8192
@@ -75,7 +81,37 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     return {name: np.asarray(values) for name, values in found.items()}
 
 
-def begin(file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray], unwrapped: bool) -> None:
+def names_of(bodies: RigidBodies, names: Names) -> list[str]:
+    """Return for each body its name, or an empty one.
+
+    Args:
+        bodies: in whose order the names are.
+        names: see `Names`; virtual sites may be among the particles.
+
+    Raises:
+        ValueError: particles that have a name are not exactly one body.
+    """
+    found = [""] * bodies.n
+    if names is None:
+        return found
+    pairs = zip(names.names, names.atoms, strict=True) if isinstance(names, SelectedBodies) else names.items()
+    for name, particles in pairs:
+        atoms = np.asarray(list(particles), dtype=np.int64)
+        inside = atoms[(atoms >= 0) & (atoms < bodies.n_particles)]
+        numbers = sorted(set(bodies.owners[inside].tolist()) - {-1})
+        is_whole = len(numbers) == 1 and len(inside) == len(atoms) and np.isin(bodies.atoms_of(numbers[0]), atoms).all()
+        if not is_whole:
+            raise ValueError(
+                f"names must be those of whole bodies: {name!r} has atoms {as_ranges(atoms)}, which are not one body "
+                f"of {bodies!r}"
+            )
+        found[numbers[0]] = name
+    return found
+
+
+def begin(
+    file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray], unwrapped: bool, names: Names = None
+) -> None:
     """Describe the bodies in an empty file, or check that a file with frames goes on with these.
 
     Args:
@@ -83,15 +119,20 @@ def begin(file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray],
         bodies: the bodies of the frames.
         frame: the first one that will be appended.
         unwrapped: see `body_frame`.
+        names: of bodies; a file that is continued keeps those that it has.
 
     Raises:
-        ValueError: the file has another layout or wrapping, or is of other bodies.
+        ValueError: the file has another layout or wrapping, or is of other bodies; or names are not those of bodies.
     """
+    named = names_of(bodies, names)
     conventions = CONVENTIONS | {"wrapped": "no" if unwrapped or "box" not in frame else "into the box"}
     if not len(file):
         file.attrs.update(conventions)
         for name, values in _constants(bodies).items():
             file[name] = values
+        if any(named):
+            # As bytes of UTF-8, which every reader of HDF5 knows as text.
+            file["name"] = [name.encode() for name in named]
         for name, values in frame.items():
             # There may be no bodies, and a chunk is never empty.
             most = [max(1, size) for size in values.shape]

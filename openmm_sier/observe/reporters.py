@@ -127,7 +127,12 @@ class BodyStateReporter(_Reporter):
     """
 
     def __init__(
-        self, file: str | PathLike[str], reportInterval: int, append: bool = False, unwrapped: bool = True
+        self,
+        file: str | PathLike[str],
+        reportInterval: int,
+        append: bool = False,
+        unwrapped: bool = True,
+        names: body_states.Names = None,
     ) -> None:
         """
         Args:
@@ -138,10 +143,12 @@ class BodyStateReporter(_Reporter):
             unwrapped: write centres as they are in the Context, along continuous paths. Otherwise each centre is moved
                 into the periodic box, as molecules are in OpenMM's trajectories by default (`enforcePeriodicBox`) and
                 in those of `openmm-sier run`.
+            names: of bodies, which the file then has: what `select_bodies` gave, or a mapping of names to the particle
+                indices of a body each. Other bodies have an empty name.
 
         Raises:
             ValueError: the interval is no whole number from 1 on; at the first report, the file to be continued is of
-                other bodies.
+                other bodies, or a name is not that of one body.
             ModuleNotFoundError: h5py is missing.
         """
         super().__init__(reportInterval)
@@ -149,7 +156,8 @@ class BodyStateReporter(_Reporter):
             import h5py
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
-        self._path, self._unwrapped, self._begun = Path(file), unwrapped, False
+        self._path, self._unwrapped, self._names = Path(file), unwrapped, names
+        self._begun = False
         # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
         self._file = h5py.File(self._path, "a" if append else "w", libver="earliest")
         self._file.flush()
@@ -159,9 +167,11 @@ class BodyStateReporter(_Reporter):
         frame = body_states.body_frame(simulation.context, state, self._unwrapped)
         if not self._begun:
             try:
-                body_states.begin(self._file, simulation.integrator.bodies, frame, self._unwrapped)
+                body_states.begin(self._file, simulation.integrator.bodies, frame, self._unwrapped, self._names)
             except ValueError as error:
-                raise ValueError(f"{self._path} cannot be continued: {error}") from None
+                raise ValueError(
+                    f"{self._path} cannot be {'continued' if len(self._file) else 'begun'}: {error}"
+                ) from None
             self._begun = True
         body_states.append(self._file, frame)
 

@@ -20,14 +20,15 @@ class FastForces:
     frozen atom. Forces that the preparation added are left out.
 
     Attributes:
-        points: for each particle whether it is a body of its own.
+        owner: for each particle the number of its body, (N,), -1 where it has none; frozen atoms have one together.
+        points: for each particle whether it is a body of its own, (N,).
         acting: Forces that exert forces, by their numbers.
         fast: those that can be fast, by their numbers.
         slow: bonded Forces that do work and cannot be fast.
         inner: names of bonded Forces that another Force contains, and that could be fast if none did.
     """
 
-    def __init__(self, system: openmm.System, bodies: Bodies):
+    def __init__(self, system: openmm.System, bodies: Bodies | BodyPlan):
         owner, self.points = _owners(system, bodies)
         # Terms between frozen atoms do no work, like those inside one body.
         owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
@@ -38,6 +39,7 @@ class FastForces:
             if i not in own and not isinstance(force, WITHOUT_FORCES)
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
+        self.owner = owner
         self.fast = {i: self.acting[i] for i, between in working.items() if self.points[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
         inner = [(part, working_terms(part.force, owner)) for part in parts(system) if part.within and part.weight]
@@ -113,14 +115,15 @@ def _groups(force: openmm.Force) -> set[int]:
     return found
 
 
-def _owners(system: openmm.System, bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> tuple[np.ndarray, np.ndarray]:
     """For each particle the number of its body, and whether that is a point."""
     if isinstance(bodies, RigidBodies):
         found = linked(system, bodies)
         return found.owners.copy(), found.point_particles
+    plan = bodies if isinstance(bodies, BodyPlan) else BodyPlan(system, rigid=bodies)
     owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
     number = 0
-    for kind in BodyPlan(system, rigid=bodies).kinds:
+    for kind in plan.kinds:
         for cluster in kind.clusters:
             owner[list(cluster)], point[list(cluster)], number = number, len(cluster) == 1, number + 1
     return owner, point

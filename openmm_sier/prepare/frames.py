@@ -212,7 +212,8 @@ def with_frames(
     gets some, with which energies and forces stay what they were. In custom Forces these are a factor in the
     expression. Long-range corrections alone depend on the number of particles N, as N/(N + 1).
 
-    Call it before `prepare_system`, which the copy is given to like any other System.
+    Call it before `prepare_system`, which the copy is given to like any other System. Where `prepare_system(system,
+    bodies)` of the original excluded interactions within bodies, the copy has none either.
 
     Args:
         system: openmm.System; it stays as it is.

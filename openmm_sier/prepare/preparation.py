@@ -1,19 +1,23 @@
 """Preparation of a System for long steps: fast forces in their own group, and balanced PME sums."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
+from openmm_sier.prepare.inside_bodies import FEWEST_ATOMS, PAIRWISE, Excluded, exclude_inside_bodies, useless_terms
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.prepare.split_terms import points_divided
+from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
 
 
 @dataclass(frozen=True)
@@ -24,11 +28,16 @@ class Preparation:
         fastForceGroups: the fast force groups, which integrators find in the System; empty if no force is fast.
         done: a sentence for each thing that was done or left as it was.
         limits: a sentence for each thing that still limits how well energy is conserved, with its remedy.
+        excludedPairs: how many pairs of atoms within rigid bodies do not interact any more.
+        excludedEnergy: their energy, which is a constant, and by which the potential energy is lower. It is that of
+            default values of global parameters, and of the bodies' shapes.
     """
 
     fastForceGroups: frozenset[int]
     done: tuple[str, ...]
     limits: tuple[str, ...] = ()
+    excludedPairs: int = 0
+    excludedEnergy: unit.Quantity = field(default_factory=lambda: 0.0 * unit.kilojoule_per_mole)
 
     def __str__(self) -> str:
         return "\n".join(self.done + self.limits)
@@ -39,16 +48,23 @@ def prepare_system(
 ) -> Preparation:
     """Prepare a System, of water alone or with solutes, for long steps.
 
-    The potential energy stays what it is, but for the accuracy of PME:
+    Forces on bodies stay what they are, and so does the potential energy, but for a constant and the accuracy of PME:
 
     - The sums of PME are balanced, also of Forces within an ATMForce or a CustomCVForce, see `balance_pme`.
     - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
-      integrator finds them. Fast forces may move only atoms outside rigid bodies. So a Force with a term between a
-      rigid body and something else, or on a virtual site, stays slow, and so does a Force within another one.
+      integrator finds them. Fast forces may move only atoms outside rigid bodies. So terms between a rigid body and
+      something else, or on a virtual site, stay slow: a Force that has such terms is divided, by a new Force with those
+      on points alone, which lose their strength in the old one. A Force whose energy is an expression stays slow as a
+      whole then, and so does a Force within another one.
+    - Where all bonds and angles are slow, as those of beads that stand for residues, no force is fast, unless
+      `fastForceGroup` asks for it. Inner steps would cost time alone. What limits the step then is told.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
       to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
       NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
       forces is that of the System without preparation.
+    - Interactions between atoms of one rigid body do no work and cost time. Where `bodies` tell its shape, those of
+      NonbondedForces, CustomNonbondedForces and GayBerneForces are excluded, and their energy, a constant, is told.
+      With PME they stay, since excluded pairs would take longer. Bonded terms within bodies are told of.
 
     Preparing a System again for the same bodies renews all of this; for other bodies prepare a new System. A Context
     must be created after the preparation: the integrator refuses the next step if its System was changed.
@@ -58,7 +74,7 @@ def prepare_system(
     All molecules with bonded forces are rigid, so no force is fast.
 
     Args:
-        system: openmm.System; its force groups and PME parameters are changed, and two Forces may be added.
+        system: openmm.System; its force groups, PME parameters and exclusions are changed, and two Forces may be added.
         bodies: the bodies that the integrator will be given, as it takes them; None: those of the System's constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31. None: 1 or, if that has other forces, the first
             that has none.
@@ -78,7 +94,8 @@ def prepare_system(
     """
     system = checked_system(system)
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
-    known = FastForces(system, checked_bodies(bodies))
+    found = known_or_planned(system, checked_bodies(bodies))
+    known = FastForces(system, found)
     if group is None:
         group = known.free_group()
     for force in known.others_in(group):
@@ -97,14 +114,16 @@ def prepare_system(
         system.removeForce(i)
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
-    fast = list(known.fast.values())
-    for force in fast:
-        force.setForceGroup(group)
+    coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
+    fast = [] if coarse else _put_fast_forces(system, known, group)
     if fast:
         done += _add_close_pairs(system, known.points, fast, group)
+    elif coarse:
+        done.append(describe_coarse(coarse))
     elif not known.slow and not known.inner:
         done.append("All molecules with bonded forces are rigid, so no force is fast.")
-    if left := [force.getName() for force in known.slow]:
+    left = [force.getName() for force in known.slow]
+    if left and not coarse:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     if known.inner:
@@ -112,7 +131,64 @@ def prepare_system(
             f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Where that does "
             "not change them, add them to the System itself: then they are fast."
         )
-    return Preparation(frozenset({group} if fast else ()), tuple(done), describe_jumps(system))
+    excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
+    done += _inside_bodies(system, found, excluded, known.owner)
+    return Preparation(
+        frozenset({group} if fast else ()),
+        tuple(done),
+        describe_jumps(system),
+        excluded.pairs,
+        excluded.energy * unit.kilojoule_per_mole,
+    )
+
+
+def _coarse_motion(system: openmm.System, bodies: RigidBodies | BodyPlan, owner: np.ndarray) -> Stiffest | None:
+    """Return the stiffest motion by bonded Forces if it is so slow that no force need be fast."""
+    found = stiffest(system, bodies if isinstance(bodies, RigidBodies) else None, owner)
+    return found if found is not None and found.is_coarse else None
+
+
+def _put_fast_forces(system: openmm.System, known: FastForces, group: int) -> list[openmm.Force]:
+    """Put what can be fast into a group, also the terms on points alone of Forces that cannot; returns these Forces."""
+    fast = list(known.fast.values())
+    for force in known.slow:
+        of_points = points_divided(force, known.points)
+        if of_points is not None:
+            system.addForce(of_points)
+            fast.append(of_points)
+    for force in fast:
+        force.setForceGroup(group)
+    return fast
+
+
+def _inside_bodies(
+    system: openmm.System, bodies: RigidBodies | BodyPlan, excluded: Excluded, owner: np.ndarray
+) -> list[str]:
+    """Return what was done about interactions within rigid bodies, which do no work."""
+    done = []
+    if isinstance(bodies, BodyPlan):
+        count = sum(len(kind.clusters) for kind in bodies.kinds if len(kind.masses) >= FEWEST_ATOMS)
+        if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
+            done.append(
+                f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
+                "particles do not tell which are near. Give prepare_system the bodies of RigidBodies.from_system("
+                "system, topology, lists, positions): then they are excluded."
+            )
+    elif excluded.refusal:
+        done.append(f"Interactions within rigid bodies do no work, and stay: {excluded.refusal}.")
+    elif excluded.pairs:
+        done.append(
+            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies, which do no work, are excluded "
+            f"from {', '.join(excluded.forces)}. Their energy of {excluded.energy:.6g} kJ/mol is a constant that the "
+            "potential energy does not have any more."
+        )
+    if useless := useless_terms(system, owner):
+        counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
+        done.append(
+            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave "
+            "elastic networks out where you make the Forces. Bonds along chains are cheap, and keep molecules whole."
+        )
+    return done
 
 
 def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openmm.Force], group: int) -> list[str]:

@@ -5,7 +5,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import working_terms
+from openmm_sier.system.bonded_terms import DIVISIBLE, working_terms
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
 from openmm_sier.system.hydrogens import hydrogens
 
@@ -44,9 +44,14 @@ class Remedies:
         self._masses = tables.masses(system)
         self._hydrogens = {atom for found in hydrogens(system).values() for atom in found}
 
-    def can_be_fast(self, force: openmm.Force) -> bool:
-        """Tell whether `prepare_system` would let a Force act within drifts: it is bonded and acts on points alone."""
+    def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
+        """Tell whether `prepare_system` would let a term of a Force act within drifts.
+
+        It is bonded and acts on points alone, and so do all terms of the Force, or the Force can be divided.
+        """
         terms = working_terms(force, self._owner)
+        if isinstance(force, DIVISIBLE):
+            return bool(self._points[list(atoms)].all())
         return bool(len(terms) and self._points[terms].all())
 
     def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:

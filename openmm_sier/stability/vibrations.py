@@ -26,6 +26,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.inner_forces import Part, is_linear, parts
+from openmm_sier.system.mobilities import COARSE, mobilities
 from openmm_sier.system.notices import notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
@@ -155,7 +156,9 @@ class Vibrations:
                 share = slow_share(system, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
                 is_bond = isinstance(part.force, BONDS) and len(found.atoms) == 2
-                can_be_fast = not part.within and self._remedies.can_be_fast(part.force)
+                can_be_fast = (
+                    period < COARSE and not part.within and self._remedies.can_be_fast(part.force, found.atoms)
+                )
                 self._bonds.append(Motion(period, found.atoms, part.group, share, part.name, is_bond, can_be_fast))
         return True
 
@@ -394,7 +397,7 @@ def _fastest_bonds(
             period = 2 * math.pi / math.sqrt(squares[fastest])
             atoms = tuple(ends[fastest].tolist())
             share = slow_share(system, atoms, strength[fastest], mobility)
-            can_be_fast = not part.within and remedies.can_be_fast(part.force)
+            can_be_fast = period < COARSE and not part.within and remedies.can_be_fast(part.force, atoms)
             yield Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
 
 
@@ -412,17 +415,3 @@ def _fastest_swings(system: openmm.System, bodies: RigidBodies, links: Links, mo
         atom = max(squares, key=squares.__getitem__)
         if squares[atom] > 0:
             yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)
-
-
-def mobilities(bodies: RigidBodies) -> np.ndarray:
-    """For each particle its largest inverse effective mass in any direction, 1/dalton; 0 for particles of no body.
-
-    A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.
-    """
-    mobility = np.zeros(bodies.n_particles)
-    for species in bodies.species:
-        cross = np.cross(np.eye(3), species.sites.T[:, None])
-        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
-        turning = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
-        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(turning)[:, -1]
-    return mobility

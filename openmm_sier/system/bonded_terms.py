@@ -18,6 +18,9 @@ TERMS = {
     openmm.CustomTorsionForce: ("Torsion", _FOUR),
 }
 
+#: Those whose terms have a strength, so that a term can be moved to another Force. Others are expressions or maps.
+DIVISIBLE = (openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
+
 #: These change the box and positions together, and neither read nor change velocities.
 BAROSTATS = (
     openmm.MonteCarloBarostat,
@@ -64,6 +67,11 @@ def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndar
     parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in _elements(force)]
     lengths, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
     return bonded_terms(force), lengths, strengths
+
+
+def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray]:
+    """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
+    return bonded_terms(force), np.array([float(term.attrib["k"]) for term in _elements(force)], dtype=float)
 
 
 def _elements(force: openmm.Force) -> list[ElementTree.Element]:

@@ -17,3 +17,13 @@ def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -
     for axis in (2, 1, 0):
         moved -= np.outer(rounded(moved[:, axis] / box[axis, axis]), box[axis])
     return moved
+
+
+def widths(box: np.ndarray) -> np.ndarray:
+    """Return the distances between opposite faces of a box, (3,), nm.
+
+    Args:
+        box: box vectors as rows, (3, 3), nm.
+    """
+    faces = np.cross(np.roll(box, -1, axis=0), np.roll(box, -2, axis=0))
+    return np.abs(np.linalg.det(box)) / np.linalg.norm(faces, axis=1)

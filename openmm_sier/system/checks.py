@@ -135,7 +135,7 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
             raise RigidityError(
                 f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
                 f"{type(barostats(system)[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of "
-                "any strength)"
+                "any strength); or leave out the barostat, and give the integrator pressure=…"
             )
 
 

@@ -60,7 +60,8 @@ class RigidBodies(dynamics.RigidBodies):
         Args:
             system: openmm.System.
             topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
-            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices; or a mapping
+            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices, such as
+                `select_bodies` gives them; or a mapping
                 {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each heavy atom and the hydrogens
                 bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles, and leaves all torsions free.
             positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.

@@ -22,7 +22,7 @@ import pandas as pd
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.schemes import SIER4G
-from studies import records, style
+from studies import style, text
 from studies.bench import peers
 from studies.bench.timing import counts_processor_time
 from studies.command import BoxSettings, command
@@ -43,8 +43,8 @@ LEVELS = (0.02, 0.05, 0.1)
 #: Of which the figure has multiples: the speed of Verlet at its usual step.
 VERLET, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
 
-POINTS = records.columns("method", "fs_per_force", "percent", "fs_per_second")
-COSTS = records.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_per_second")
+POINTS = text.columns("method", "fs_per_force", "percent", "fs_per_second")
+COSTS = text.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_per_second")
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ def study(settings: BenchSettings, report: Report = SILENT) -> Record:
             made.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings), report))
     points = pd.DataFrame(made)
     found = {"points": points, "costs": costs_of(points)}
-    report.table(records.table("Energy error and speed", points, POINTS))
-    report.table(records.table("Cost of an accuracy; - where the steps do not enclose it", found["costs"], COSTS))
+    report.table("Energy error and speed", text.table(points, POINTS))
+    report.table("Cost of an accuracy; - where the steps do not enclose it", text.table(found["costs"], COSTS))
     of_processor = counts_processor_time(settings.platform)
     builds = {peer.name: peer.build for peer in peers.installed()}
     notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}

@@ -26,7 +26,7 @@ from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.inputs.forcefields import read_box
 from openmm_sier.observe.stock import BAROSTAT_INTERVAL
-from studies import command_runs, records
+from studies import command_runs, records, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
@@ -77,7 +77,7 @@ OBSERVED = {"potential": "Potential Energy (kJ/mole)", "volume": "Box Volume (nm
 #: Of what means are shown.
 MEANS = OBSERVED | {"density": "Density (g/mL)"}
 
-COLUMNS = records.columns("label", "runs", "time", "accepted", "spread", "potential", "density") | {
+COLUMNS = text.columns("label", "runs", "time", "accepted", "spread", "potential", "density") | {
     "volume, nm³": "{volume_text}",
     "forces for an independent V": "{potential_cost_text}",
     "volume": "{volume_cost_text}",
@@ -173,7 +173,7 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
         ValueError: there is no such method.
     """
     rows = averaged(records.all_runs(settings, "costs", tasks(settings), run, report, "{label}, seed {seed}: done"))
-    report.table(records.table("Samples", rows, COLUMNS))
+    report.table("Samples", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "costs.json")
 
 

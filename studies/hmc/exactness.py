@@ -26,7 +26,7 @@ from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
-from studies import records
+from studies import text
 from studies.command import Settings, command
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -35,7 +35,7 @@ from studies.units import md
 TEMPERATURE = 300.0
 KT = GAS_CONSTANT * TEMPERATURE
 
-COLUMNS = records.columns("name", "mean", "error", "exact", "off")
+COLUMNS = text.columns("name", "mean", "error", "exact", "off")
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def study(settings: ExactnessSettings, report: Report = SILENT) -> Record:
         ]
         rows = pd.DataFrame([row for each in found for row in each.result()])
     for model, mine in rows.groupby("model", sort=False):
-        report.table(records.table(str(model), mine, COLUMNS))
+        report.table(str(model), text.table(mine, COLUMNS))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "exactness.json")
 
 

@@ -31,7 +31,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.observe.conservation import density
 from openmm_sier.system.temperature import temperatures
-from studies import records
+from studies import records, text
 from studies.command import RunsSettings, command
 from studies.hmc.curvature import KINDS, Curvature
 from studies.records import Record, Task
@@ -49,7 +49,7 @@ LATTICE = (2, 2, 3)
 #: ps between two samples.
 EVERY = 0.06
 
-COLUMNS = records.columns("label", "time", "accepted", "potential", "density", "translation", "rotation") | {
+COLUMNS = text.columns("label", "time", "accepted", "potential", "density", "translation", "rotation") | {
     "T_amide": "{flexible_text}",
     "configurational: T_trans": "{conf_translation_text}",
     "T_rot": "{conf_rotation_text}",
@@ -96,8 +96,8 @@ def study(settings: MixtureSettings, report: Report = SILENT) -> None:
     task = Task(settings, {"label": settings.label, "seed": settings.seed, "time": settings.time})
     runs = records.all_runs(settings, "mixture", [task], run, report, "{label}, seed {seed}")
     rows, tests = table(runs), kinetic_tests(runs, settings.temperature)
-    report.table(records.table("A mixture at 1 bar", rows, COLUMNS))
-    report.table(records.table("Tests of kinetic energies, standard errors", tests, TESTS, left=2))
+    report.table("A mixture at 1 bar", text.table(rows, COLUMNS))
+    report.table("Tests of kinetic energies, standard errors", text.table(tests, TESTS))
     Record(settings.recorded(), {"rows": rows, "tests": tests}, {}).write(settings.out / "mixture.json")
 
 
@@ -235,7 +235,7 @@ def configurational(samples: pd.DataFrame, kind: str) -> Estimate:
     return found.times(1 / GAS_CONSTANT)
 
 
-TESTS = records.columns("label", "group", "samples") | {
+TESTS = text.columns("label", "group", "samples") | {
     "mean": "{mean:.1f}",
     "width": "{width:.1f}",
     "shape, p": "{shape:.2g}",

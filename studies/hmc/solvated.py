@@ -24,7 +24,7 @@ import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.acceptance import spread_at
-from studies import records
+from studies import records, text
 from studies.acceptance import expected_acceptance, pooled_spread, statistics
 from studies.command import chosen, command
 from studies.hmc import solutes
@@ -34,12 +34,12 @@ from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.units import md
 
-COLUMNS = records.columns(
+COLUMNS = text.columns(
     *("box", "moving", "scheme", "atoms", "solute", "masses", "per_force", "length"),
     *("trials", "accepted", "acceptance", "spread", "mean", "expected"),
 )
 
-LAWS = records.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
+LAWS = text.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def study(settings: SolvatedSettings, report: Report = SILENT) -> None:
     rows = records.all_runs(settings, "solvated", tasks, run, report, form)
     rows = rows.sort_values(["atoms", "moving", "masses", "scheme", "per_force"])
     found = laws(rows)
-    report.table(records.table("Trials of solvated molecules", rows, COLUMNS, left=3))
-    report.table(records.table("Laws by size", found, LAWS, left=2))
+    report.table("Trials of solvated molecules", text.table(rows, COLUMNS))
+    report.table("Laws by size", text.table(found, LAWS))
     Record(settings.recorded(), {"rows": rows, "laws": found}, {}).write(settings.out / "solvated.json")
 
 

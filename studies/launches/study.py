@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import pandas as pd
 
-from studies import records
+from studies import records, text
 from studies.command import RunsSettings, chosen
 from studies.launches import cases, counting, shim
 from studies.records import Record, Task
@@ -101,6 +101,6 @@ def study(settings: LaunchesSettings, report: Report = SILENT) -> Record:
     rows = pd.DataFrame([row for each in counted for row in rows_of(each)])
     kernels = pd.DataFrame([row for each in counted for row in kernels_of(each)])
     for per in ("step", "call"):
-        report.table(records.table(f"For each {per}", rows[rows["per"] == per], COLUMNS, left=3))
+        report.table(f"For each {per}", text.table(rows[rows["per"] == per], COLUMNS))
     made = Record(settings.recorded(), {"rows": rows, "kernels": kernels}, {})
     return made.write(settings.out / "launches.json")

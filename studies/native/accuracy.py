@@ -19,7 +19,7 @@ import pandas as pd
 from openmm_sier import RigidBodies, SIER2Integrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.inputs.starts import make_context
-from studies import boxes, records
+from studies import boxes, text
 from studies.command import BoxSettings, chosen, command
 from studies.methods import of_scheme
 from studies.records import Record
@@ -32,7 +32,7 @@ EQUILIBRATION = 2.0
 #: fs between two energies.
 INTERVAL = 4.0
 
-COLUMNS = records.columns("scheme", "engine", "platform", "substeps", "fs_per_force", "percent", "ratio", "drift")
+COLUMNS = text.columns("scheme", "engine", "platform", "substeps", "fs_per_force", "percent", "ratio", "drift")
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def compare(begun: Liquid, scheme: Scheme, settings: NativeSettings, report: Rep
         found, _ = conserved(replace(begun, platform=place), method, fs, settings.time, INTERVAL)
         row = {"scheme": scheme.name, "fs_per_force": fs, "engine": engine, "platform": place, "substeps": k or ""}
         rows.append(row | {"ratio": found["percent"] / exact.setdefault(fs, found["percent"])} | found)
-        report.note(records.cell("{scheme} at {fs_per_force:g} fs, {engine} on {platform}: {percent:.5f} %", rows[-1]))
+        report.note(text.cell("{scheme} at {fs_per_force:g} fs, {engine} on {platform}: {percent:.5f} %", rows[-1]))
     return rows
 
 
@@ -87,7 +87,7 @@ def study(settings: NativeSettings, report: Report = SILENT) -> Record:
     begun = start(settings)
     rows = pd.DataFrame([row for scheme in schemes for row in compare(begun, scheme, settings, report)])
     title = f"{settings.box.stem}, {settings.time:g} ps"
-    report.table(records.table(title, rows, COLUMNS, left=4))
+    report.table(title, text.table(rows, COLUMNS))
     return Record(settings.recorded(), {"rows": rows}, {}).write(settings.out / "native-accuracy.json")
 
 

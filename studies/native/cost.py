@@ -19,7 +19,7 @@ import pandas as pd
 from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.inputs.starts import make_context
-from studies import boxes, records
+from studies import boxes, text
 from studies.bench.timing import interleaved, median_and_error
 from studies.command import BoxSettings, chosen, command
 from studies.records import Record
@@ -70,11 +70,8 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
             ratio, error, _ = median_and_error(native / seconds[other])
             rows.append({"scheme": scheme.name, "what": what, "ratio": ratio, "ratio_error": error})
     found = pd.DataFrame(rows)
-    report.table(
-        records.table(
-            f"{settings.box.stem} on {settings.platform}", found, records.columns("scheme", "what", "ratio"), left=2
-        )
-    )
+    shown = text.table(found, text.columns("scheme", "what", "ratio"))
+    report.table(f"{settings.box.stem} on {settings.platform}", shown)
     return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-cost.json")
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple
 
+import pandas as pd
 from tyro.conf import Positional
 
 from openmm_sier.dynamics.backend.threads import cores
@@ -22,7 +23,7 @@ from studies import records
 from studies.command import RunsSettings
 from studies.paper import dipole, free_rotation, liquids, water, water_runs
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ def _carry_out(name: str, experiment: Experiment, settings: PaperSettings, repor
     begun = perf_counter()
     record = experiment.find(settings, report)
     seconds = perf_counter() - begun
-    for table in experiment.tables(record):
-        report.table(table)
+    for title, table in experiment.tables(record).items():
+        report.table(title, table)
     record.write(settings.out / f"{name}.json")
     if name == "water":
         water.figure(record, settings.out / "water.png")
@@ -83,10 +84,10 @@ def _simulate_water(settings: PaperSettings, report: Report) -> Record:
 
 
 class Experiment(NamedTuple):
-    """Functions that find the numbers, and make tables of text of them."""
+    """Functions that find the numbers, and make tables of text of them, by their titles."""
 
     find: Callable[[PaperSettings, Report], Record]
-    tables: Callable[[Record], list[Table]]
+    tables: Callable[[Record], dict[str, pd.DataFrame]]
 
 
 #: In the order of the paper.

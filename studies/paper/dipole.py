@@ -25,12 +25,12 @@ from openmm_sier.analysis.statistics import Estimate, jackknife
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState
-from studies import records
+from studies import text
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, tip4p
 from studies.paper.published import FS
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: One debye times one MV/m in kJ/mol: 1e-21/299792458 C m (CODATA), 1e6 V/m, the Avogadro constant.
 DEBYE_MV_PER_M = 1e-21 / 299792458 * 1e6 * 6.02214076e23 / 1e3
@@ -200,26 +200,26 @@ def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, 
 # --- as text ---
 
 
-def tables(record: Record) -> list[Table]:
-    """Both halves of Table 1, with the paper's values beside ours."""
+def tables(record: Record) -> dict[str, pd.DataFrame]:
+    """Return both halves of Table 1 as text, by their titles, with the paper's values beside ours."""
     settings, rows = record.settings, record.tables["rows"]
     what = (
         f"{settings['dipole']:g} D in {settings['field']:g} MV/m, {settings['bodies']} runs of {settings['span']:g} ps"
     )
     energy = _beside(rows, "energy", published.ENERGY, lambda value, error: str(Estimate(value, error)))
     momentum = _beside(rows, "momentum", published.MOMENTUM, lambda value, error: f"{value:.2g}")
-    return [
-        records.table(f"Table 1, energy: rms(H)/rms(V) in %, {what}", energy, ENERGY, left=2),
-        records.table("Table 1, angular momentum along the field: rms(L_z)/<|L_z|>", momentum, MOMENTUM, left=2),
-    ]
+    return {
+        f"Table 1, energy: rms(H)/rms(V) in %, {what}": text.table(energy, ENERGY),
+        "Table 1, angular momentum along the field: rms(L_z)/<|L_z|>": text.table(momentum, MOMENTUM),
+    }
 
 
-def _beside(rows: pd.DataFrame, name: str, theirs: dict, text: Callable[[float, float], str]) -> pd.DataFrame:
+def _beside(rows: pd.DataFrame, name: str, theirs: dict, told: Callable[[float, float], str]) -> pd.DataFrame:
     """Rows with a quantity as text, the paper's, and the ratio of both."""
     beside = []
     for row in rows.to_dict("records"):
         paper = theirs.get((row["method"], row["force_step_fs"]))
-        row["ours"] = text(row[name], row[f"{name}_error"])
-        row["paper"] = "-" if paper is None else text(*paper)
+        row["ours"] = told(row[name], row[f"{name}_error"])
+        row["paper"] = "-" if paper is None else told(*paper)
         beside.append(row | {"ratio": published.ratio(row[name], None if paper is None else paper[0])})
     return pd.DataFrame(beside)

@@ -26,12 +26,12 @@ from openmm_sier.dynamics import operators, rotation
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
-from studies import records
+from studies import text
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, reference, tip4p
 from studies.paper.published import FS
 from studies.records import Record
-from studies.report import SILENT, Report, Table
+from studies.report import SILENT, Report
 
 #: Deviation up to which delta is proportional to t for an inexact map.
 MODERATE = 0.1
@@ -181,12 +181,12 @@ def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
 # --- as text ---
 
 
-def tables(record: Record) -> list[Table]:
-    """tau, with the paper's values beside ours."""
+def tables(record: Record) -> dict[str, pd.DataFrame]:
+    """Return tau as text, with the paper's values beside ours, by the title of the table."""
     settings = record.settings
     taus = pd.DataFrame([row | _beside(row) for row in record.tables["taus"].to_dict("records")])
     title = f"Free rotation of water, {settings['temperature']:g} K: tau from delta = t/(10 tau), "
-    return [records.table(f"{title}runs of {settings['span']:g} ps", taus, TAUS, left=2)]
+    return {f"{title}runs of {settings['span']:g} ps": text.table(taus, TAUS)}
 
 
 def _beside(row: dict[str, Any]) -> dict[str, str]:

@@ -16,12 +16,11 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.analysis.statistics import jackknife
-from studies import records, style
+from studies import style, text
 from studies.methods import PAPER
 from studies.paper import liquids, published
 from studies.paper.water_runs import PhasePoint, WaterSettings
 from studies.records import Record
-from studies.report import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,20 +129,20 @@ def _slope(curve: dict[float, float], limits: tuple[float, float]) -> float:
 # --- as text and figure ---
 
 
-def tables(record: Record) -> list[Table]:
-    """rms(H)/rms(V), methods side by side, and where SIER4 stops being better."""
+def tables(record: Record) -> dict[str, pd.DataFrame]:
+    """Return rms(H)/rms(V), methods side by side, and where SIER4 stops being better, as text by their titles."""
     settings, points = record.settings, record.tables["points"]
     told = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
-    made = []
-    columns = {"h/f (fs)": "{force_step_fs:g}", "-": "{shown}"}
+    made = {}
+    columns = {"h/f (fs)": "{force_step_fs:g}", "{method}": "{shown}"}
     for kind in settings["kinds"]:
         mine = points[points["kind"] == kind].sort_values("force_step_fs", kind="stable")
-        shown = [records.cell("{percent_text}", row) if row["runs"] else "breaks" for row in mine.to_dict("records")]
-        made.append(records.table(f"Liquid water, {kind}, {told}", mine.assign(shown=shown), columns, across="method"))
+        shown = [text.cell("{percent_text}", row) if row["runs"] else "breaks" for row in mine.to_dict("records")]
+        made[f"Liquid water, {kind}, {told}"] = text.table(mine.assign(shown=shown), columns)
     ratios = [published.ratio(value, published.CROSSING) for value in record.tables["crossings"]["force_step_fs"]]
     crossings = record.tables["crossings"].assign(ratio=ratios)
     title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
-    return [*made, records.table(title, crossings, CROSSINGS)]
+    return made | {title: text.table(crossings, CROSSINGS)}
 
 
 def _molecules(settings: Any) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.plan import RunError
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 
 #: Seconds after which a test fails rather than wait.
@@ -139,8 +139,8 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
 
 @pytest.mark.slow
 def test_two_commands_started_one_after_the_other(tmp_path):
-    """What `python -m studies.checks.two_commands` does a hundred times for each pair."""
-    program = [sys.executable, "-m", "studies.checks.two_commands", "--times", "2", "--out", str(tmp_path)]
+    """What `python -m tests.loops.two_commands` does a hundred times for each pair."""
+    program = [sys.executable, "-m", "tests.loops.two_commands", "--times", "2", "--out", str(tmp_path)]
     # A process that it may fork.
     done = subprocess.run(
         [*program, "--pairs", "run,restart"],

@@ -3,13 +3,14 @@
 import math
 import shutil
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from openmm_sier.cli.main import MISUSED, main
 from openmm_sier.cli.methods import ENSEMBLES, METHODS
-from openmm_sier.cli.options import MAY_LACK, NOTED, RECOMMENDED, Options
-from openmm_sier.cli.plan import FILES, OUTPUTS, new_plan
+from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.settings import FILES, NOTED, OUTPUTS, RECOMMENDED, RunSettings
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.inputs import forcefields
 from tests.support.commands import complaint, contents, rewrite_notes, write_lattice
@@ -76,10 +77,11 @@ def test_this_directory_is_no_file_of_coordinates(capsys):
 
 
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
-    assert new_plan(Options(Path("box.pdb"))).constraints == "hbonds"
-    assert new_plan(Options(Path("box.pdb"), constraints="none")).constraints == "none"
-    unconstrained = new_plan(Options(Path("box.pdb"), constraints="none"))
-    assert new_plan(Options(Path("box.pdb"), start=Path("a.chk")), unconstrained).constraints == "none"
+    box = {"box": Path("box.pdb")}
+    assert new_settings(box).constraints == "hbonds"
+    unconstrained = new_settings({**box, "constraints": "none"})
+    assert unconstrained.constraints == "none"
+    assert new_settings({**box, "start": Path("a.chk")}, unconstrained).constraints == "none"
 
 
 # --- wrong values in files ---
@@ -101,7 +103,8 @@ def refuse(capsys, place, file, field, *command):
 @pytest.mark.parametrize("name", NOTED)
 def test_wrong_options_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()
-    values = WRONG if name in MAY_LACK else [*WRONG, None]
+    may_lack = type(None) in get_args(RunSettings.model_fields[name].annotation)
+    values = WRONG if may_lack else [*WRONG, None]
     restart, start = ["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]
     for command, value in [(start, math.nan), *((restart, value) for value in values)]:
         (copied / "box.chk").write_bytes(original)

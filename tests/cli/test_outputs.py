@@ -14,8 +14,7 @@ from openmm import app
 from openmm_sier.cli import main, streams
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.kinds import KINDS
-from openmm_sier.cli.options import OPTIONS
-from openmm_sier.cli.plan import OUTPUTS
+from openmm_sier.cli.settings import OUTPUTS, SETTINGS
 from openmm_sier.inputs import starts
 from tests.support.commands import SMALL, complaint, frames, write_lattice
 
@@ -41,7 +40,7 @@ def no_equilibration(monkeypatch):
 
 def test_each_option_of_an_output_has_a_kind_and_each_kind_its_interval():
     assert {kind.option for kind in KINDS.values()} == set(OUTPUTS)
-    assert {kind.every for kind in KINDS.values()} <= set(OPTIONS)
+    assert {kind.every for kind in KINDS.values()} <= set(SETTINGS)
 
 
 # --- inputs are not destroyed ---

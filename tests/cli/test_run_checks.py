@@ -10,7 +10,7 @@ import pytest
 
 from openmm_sier.cli import main, results, run_checks
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.plan import Options, new_plan
+from openmm_sier.cli.planning import new_settings
 from openmm_sier.inputs import starts
 from openmm_sier.observe import conservation
 from openmm_sier.stability.runaway import HOTTEST, RunawayError
@@ -19,7 +19,7 @@ from tests.support.commands import SMALL, complaint, frames, log
 
 
 def plan(ensemble="nve", **options):
-    return new_plan(Options(Path("box.pdb"), ensemble=ensemble, **options))
+    return new_settings({"box": Path("box.pdb"), "ensemble": ensemble, **options})
 
 
 def looked_at(dof, *temperatures):

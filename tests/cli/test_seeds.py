@@ -87,7 +87,7 @@ def test_seeds_are_read(text, seeds):
 )
 def test_seeds_that_are_none(capsys, text):
     message = complaint(capsys, "run", "box.pdb", f"--seeds={text}", code=main.MISUSED)
-    assert "expected seeds" in message
+    assert "expected" in message
     assert repr(text) in message
 
 

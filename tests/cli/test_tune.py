@@ -8,7 +8,6 @@ import pytest
 
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.options import OPTIONS, Options
 from openmm_sier.cli.tune import run_line
 from openmm_sier.integrators.tuning import Tuning
 from tests.support.commands import log, run
@@ -43,8 +42,8 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
 
 def test_line_keeps_what_was_given():
     words = "tune a/b.crd --topology c.psf --forcefield x.prm --edges 1 1 2 --dt 6 --no-minimize --start s.chk"
-    given = {name: value for name, value in vars(parse(words.split())).items() if name in OPTIONS}
-    assert run_line(Options(**given), FOUND) == (
+    given = parse(words.split()).carry_out.args[0].given()
+    assert run_line(given, FOUND) == (
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"
     )

@@ -19,10 +19,22 @@ def missing_files(text: str) -> list[str]:
     return [path for path in named if "NEW" not in path and not (ROOT / path).exists()]
 
 
+def missing_tests(text: str) -> list[str]:
+    """Return tests after `pytest` in backquotes that are not there: files or folders, with functions after "::"."""
+    named = [name for line in re.findall(r"`pytest ([^`]*)`", text) for name in re.findall(r"tests/\S+", line)]
+    return [name for name in named if not has_test(*name.partition("::")[::2])]
+
+
 def missing_modules(text: str) -> list[str]:
     """Modules in backquotes or after `python -m`, with attributes of theirs."""
-    named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m (studies(?:\.\w+)*)", text)
+    named = re.findall(r"`(openmm_sier(?:\.\w+)+)", text) + re.findall(r"python -m ((?:studies|tests)(?:\.\w+)*)", text)
     return [name for name in named if not is_there(name)]
+
+
+def has_test(path: str, function: str) -> bool:
+    if not (ROOT / path).exists():
+        return False
+    return not function or f"def {function}(" in (ROOT / path).read_text()
 
 
 def is_there(name: str) -> bool:
@@ -41,7 +53,7 @@ def is_there(name: str) -> bool:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_names_is_there(page):
     text = page.read_text()
-    assert missing_files(text) + missing_modules(text) == []
+    assert missing_files(text) + missing_modules(text) + missing_tests(text) == []
 
 
 def test_links_of_pages_that_sphinx_does_not_build():
@@ -54,5 +66,7 @@ def test_names_that_are_wrong_are_found():
     assert missing_files("`tests/engines/test_native_trials.py` and `tests/conftest.py`") == [
         "tests/engines/test_native_trials.py"
     ]
+    tested = "`pytest tests/conftest.py::test_nothing tests/documentation/test_names.py::is_there tests/none`"
+    assert missing_tests(tested) == ["tests/conftest.py::test_nothing", "tests/none"]
     wrong = "`openmm_sier.context.reporters`, `openmm_sier.hooks.install` and python -m studies.hmc.solid"
     assert missing_modules(wrong) == ["openmm_sier.context.reporters", "studies.hmc.solid"]

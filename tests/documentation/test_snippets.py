@@ -16,7 +16,7 @@ from tests.support.series import stresses
 
 ROOT = Path(__file__).parent.parent.parent
 GUIDES = ["README.md", *(f"docs/guide/{name}.md" for name in ("getting-started", "restarts", "engines"))]
-PAGES = [*GUIDES, "studies/reports.md", *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/guide/howto/*.md"))]
+PAGES = [*GUIDES, *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/guide/howto/*.md"))]
 
 #: Steps that are made instead of more. With hybrid Monte Carlo each is a trial of several.
 FEWER = 5

@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from openmm_sier.engines import interrupts
-from studies.checks import interrupts as study
+from tests.loops import interrupts as loop
 
 
 @pytest.fixture
@@ -57,9 +57,9 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("run", study.RUNS)
+@pytest.mark.parametrize("run", loop.RUNS)
 def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
-    """What the study does two thousand times: each leaves a completed step, of the run that nothing disturbed."""
-    rows = study.study(study.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path))
+    """Each leaves a completed step of the run that nothing disturbed. `python -m tests.loops.interrupts` makes 2000."""
+    rows = loop.study(loop.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path))
     assert [row["engine"] for row in rows] == ["exact", "native"]
     assert all(row["steps"] > 20 for row in rows)

@@ -8,11 +8,19 @@ import pytest
 from openmm import unit
 from scipy import stats
 
-from openmm_sier import SIER2, SIERLangevinIntegrator, SIERThermostatIntegrator
-from openmm_sier.dynamics.barostat import ACCEPTED, JUDGED, LARGEST_SIZE, MonteCarloVolumeMove, MoveSize
+from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator, SIERThermostatIntegrator, select_bodies
+from openmm_sier.dynamics.barostat import (
+    ACCEPTED,
+    JUDGED,
+    LARGEST_SIZE,
+    MoleculeCentres,
+    MonteCarloVolumeMove,
+    MoveSize,
+)
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.ensembles.ensemble import MOVES, SIZE
+from tests.support.domains import descriptions, domain_system, folded, topology_of
 from tests.support.restarts import after_ten_steps, assert_same, everything, simulation_of
 from tests.support.seeded import seeded
 from tests.support.systems import assembled, with_forces
@@ -47,6 +55,22 @@ def nitrogen(n=60, edge=1.65):
     system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
     lattice = np.argwhere(np.ones((4, 4, 4)))[:n] * (edge / 4)
     return system, (lattice[:, None] + np.array([[0, 0, 0], [0.11, 0, 0]])).reshape(-1, 3)
+
+
+def test_molecules_that_a_body_joins_move_as_one():
+    """OpenMM finds molecules by bonds, of which a rigid domain needs none. Linkers follow their domains."""
+    topology, positions, system = topology_of(2), folded(2), domain_system(2, box=12.0, elastic=False)
+    domains = select_bodies(topology, descriptions("AB"))
+    bodies = RigidBodies.from_system(system, topology, domains, positions)
+    context = openmm.Context(system, integrator(bodies=bodies), platform("Reference"))
+    assert len(context.getMolecules()) > 20
+    centres = MoleculeCentres(bodies, context.getMolecules())
+    assert centres.count == 2
+    q, _ = bodies.fit(positions)
+    chains = positions.reshape(2, -1, 3).mean(axis=1)
+    chain = bodies.molecules != bodies.molecules[bodies.owners[0]]
+    # All beads have one mass; positions are those of the exact shapes to rounding.
+    np.testing.assert_allclose(centres(q).T, chains[chain.astype(int)], rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

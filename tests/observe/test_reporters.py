@@ -6,8 +6,9 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator, select_bodies
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
+from tests.support.domains import domain_system, folded, topology_of
 from tests.support.restarts import simulation_of
 from tests.support.seeded import seeded
 from tests.support.systems import with_forces
@@ -162,6 +163,29 @@ def test_body_states(tmp_path, box):
         assert np.array_equal(file["moments"][:], integrator.bodies.moments.T)
         assert "L in dalton nm^2/ps" in file.attrs["units"]
     simulation.reporters[0].close()
+
+
+def test_body_states_have_the_names_of_domains(tmp_path):
+    """Bodies are numbered species by species, not in the order of their names."""
+    topology, positions, system = topology_of(), folded(), domain_system()
+    domains = select_bodies(topology, {"head": "A:2-13", "tail": "A:24-37"})
+    for number, names in enumerate((domains, {"tail": domains[1]}, {"both": range(30)}, {"none": [0, 100]})):
+        simulation = simulation_of(
+            topology, system, SIER2Integrator(0.001, bodies=domains), "Reference", (positions, 0 * positions)
+        )
+        path = tmp_path / f"{number}.h5"
+        simulation.reporters.append(BodyStateReporter(path, 1, names=names))
+        if number > 1:
+            with pytest.raises(ValueError, match=f"{number}.h5 cannot be begun: names must be those of whole bodies"):
+                simulation.step(1)
+            continue
+        simulation.step(1)
+        owners = simulation.integrator.bodies.owners
+        with h5py.File(path, "r") as file:
+            found = file["name"].asstr()[:].tolist()
+        assert found[owners[25]] == "tail"
+        assert found[owners[5]] == ("head" if number == 0 else "")
+        assert sum(map(bool, found)) == 2 - number
 
 
 @pytest.mark.slow

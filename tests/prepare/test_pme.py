@@ -8,6 +8,8 @@ import openmm
 import pytest
 
 from openmm_sier import balance_pme
+from openmm_sier.inputs import forcefields
+from openmm_sier.inputs.forcefields import Interactions
 from tests.support.waters import cluster_system, force_of, periodic_system, plain_context
 
 SYSTEMS = Path(__file__).parents[2] / "systems"
@@ -88,3 +90,18 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
             step[balanced] += side * energy(system, positions)
     # erfc(x) is about exp(-x^2) / (x sqrt(pi)): a share of 200 by the definition, and 22 to 33 % by x.
     assert 235 < step[0] / step[1] < 275
+
+
+@pytest.mark.slow
+def test_the_net_force_on_the_box_grows():
+    """It should be zero. Threefold and more over 20 states; one state scatters by a third about that mean."""
+    box = forcefields.read_box(SYSTEMS / "spce-512.pdb", interactions=Interactions(0.9, 0.75, 5e-4))
+    sizes = []
+    for split in (balance_pme, lambda system: force_of(system).setPMEParameters(0, 0, 0, 0)):
+        split(box.system)
+        context = openmm.Context(box.system, openmm.VerletIntegrator(0.002), openmm.Platform.getPlatformByName("CPU"))
+        context.setPositions(box.positions)
+        forces = context.getState(forces=True).getForces(asNumpy=True)._value
+        sizes.append(np.linalg.norm(forces.sum(axis=0)))
+    balanced, usual = sizes
+    assert balanced > 1.5 * usual > 0

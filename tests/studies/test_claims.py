@@ -1,12 +1,12 @@
-"""Claims keep their bounds, and the page, README and the draft of the paper have their sentences word for word."""
+"""Claims keep their bounds, and README and the draft of the paper have their sentences word for word."""
 
 import re
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 
-from studies import claims, records, trust
-from studies.report import Table
+from studies import claims, text, trust
 
 ROOT = claims.ROOT
 NAMED = pytest.mark.parametrize("claim", claims.CLAIMS, ids=lambda claim: claim.text[:40])
@@ -50,28 +50,20 @@ def test_a_record_without_the_row_is_named():
         lacking.sentence()
 
 
-@pytest.mark.parametrize("claim", claims.TESTED, ids=lambda claim: claim.text[:40])
-def test_tests_that_claims_name_are_there(claim):
-    assert claim.tests
-    for name in claim.tests:
-        path, _, function = name.partition("::")
-        assert (ROOT / path).exists()
-        assert not function or f"def {function}(" in (ROOT / path).read_text()
-
-
 # --- what is made of it ---
 
 
-def test_the_page_is_up_to_date():
-    """`python -m studies.claims` makes it."""
-    assert claims.PAGE.read_text() == claims.page()
-    assert len(claims.page().split()) <= 2000
+def test_the_page_lists_every_claim():
+    page = (ROOT / "docs" / "measurements" / "trust.md").read_text()
+    for topic, listed in claims.TOPICS.items():
+        assert f'claims("{topic}")' in page
+        assert trust.listed(listed).count("Bounds: ") == len(listed)
 
 
 def test_readme_is_up_to_date():
     """Word for word, and cell for cell; `python -m studies.claims` writes the figures."""
     assert claims.readme(claims.README.read_text()) == claims.README.read_text()
-    assert records.markdown(claims.table_of_speeds()) in claims.README.read_text()
+    assert text.markdown(claims.table_of_speeds()) in claims.README.read_text()
 
 
 def test_the_draft_of_the_paper_is_up_to_date():
@@ -98,4 +90,4 @@ def test_figures_are_written_into_a_sentence_and_nothing_else():
     with pytest.raises(ValueError, match="there should be this sentence, with any figures: In TIP5P"):
         claim.written("In TIP5P it is a few times smaller.")
     with pytest.raises(ValueError, match="there should be a table"):
-        trust.with_table("| a | b |\n|---|---|\n| 1 | 2 |\n", Table("", ["", "b"], [["1", "3"]]))
+        trust.with_table("| a | b |\n|---|---|\n| 1 | 2 |\n", pd.DataFrame({"": ["1"], "b": ["3"]}))

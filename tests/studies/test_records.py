@@ -1,4 +1,4 @@
-"""Tables of studies as files and as text, and settings as options."""
+"""Records of studies as files, and settings as options."""
 
 import json
 import math
@@ -30,14 +30,6 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     (tmp_path / "b.json").write_text("{}")
     with pytest.raises(ValueError, match="is no record of a study"):
         records.read(tmp_path / "b.json")
-
-
-def test_cells_say_what_is_known():
-    made = records.table("T", ROWS, {"": "{method}", "T/K": "{T:.1f} ± {T_error:.1f}", "n": "{molecules}"})
-    assert made.rows == [["SIER2", "296.8 ± 0.1", "512"], ["SIER4", "-", "64"]]
-    assert records.cell("{x:.1f} ± {e:.1f}", {"x": 1.0, "e": math.nan}) == "1.0"
-    assert records.markdown(made).splitlines()[1:3] == ["| --- | --- | --- |", "| SIER2 | 296.8 ± 0.1 | 512 |"]
-    assert records.cell("{T_text}", ROWS.iloc[0].to_dict()) == "296.83 ± 0.14"
 
 
 @dataclass(frozen=True)

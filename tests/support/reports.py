@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from studies.report import Table
+import pandas as pd
 
 
 class Told:
@@ -10,14 +10,14 @@ class Told:
 
     def __init__(self):
         self.notes: list[str] = []
-        self.tables: list[Table] = []
+        self.tables: dict[str, pd.DataFrame] = {}
         self.runs: list[tuple[str, list[float]]] = []
 
     def note(self, message: str) -> None:
         self.notes.append(message)
 
-    def table(self, table: Table) -> None:
-        self.tables.append(table)
+    def table(self, title: str, rows: pd.DataFrame) -> None:
+        self.tables[title] = rows
 
     @contextmanager
     def progress(self, description: str, total: float = 1.0, ps: float | None = None):

@@ -5,10 +5,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.plan import Plan, RunError, noted_plan
+from openmm_sier.cli.planning import noted_settings
+from openmm_sier.cli.settings import RunSettings
 
 
 class Cut(NamedTuple):
@@ -23,7 +25,7 @@ class Cut(NamedTuple):
     step: int
 
 
-def find_cuts(plan: Plan, notes: Mapping[str, Any]) -> list[Cut]:
+def find_cuts(plan: RunSettings, notes: Mapping[str, Any]) -> list[Cut]:
     """Return what a restart cuts from each file that has records after the checkpoint.
 
     Args:
@@ -43,13 +45,13 @@ def find_cuts(plan: Plan, notes: Mapping[str, Any]) -> list[Cut]:
     return found
 
 
-def describe(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> str:
+def describe(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> str:
     """Say what is cut, from where and back to where."""
     files = ", ".join(f"{cut.path} from {_ps(plan, cut.step)}" for cut in cuts)
     return f"cuts back to {_ps(plan, step)}, where {checkpoint} is: {files}"
 
 
-def refuse_to_lose(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> None:
+def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> None:
     """Refuse to cut more than a killed run leaves after its last checkpoint.
 
     A run writes its next checkpoint one interval later at the latest. What goes on beyond that, or belongs to a later
@@ -80,7 +82,7 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int)
     )
 
 
-def _later_checkpoint(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: int) -> Path | None:
+def _later_checkpoint(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> Path | None:
     """Return the last checkpoint of the same run, beside this one or its files, that is beyond this one's step."""
     places = {path.parent for path in (checkpoint, *(cut.path for cut in cuts))}
     latest, found = step, None
@@ -88,12 +90,12 @@ def _later_checkpoint(cuts: Sequence[Cut], plan: Plan, checkpoint: Path, step: i
         # Other files may be anything.
         with suppress(ValueError, LookupError, TypeError, OSError):
             notes = checkpoints.read_notes(other)
-            if notes["step"] > latest and _is_of(cuts, noted_plan(other, notes["plan"]), notes):
+            if notes["step"] > latest and _is_of(cuts, noted_settings(other, notes["plan"]), notes):
                 latest, found = notes["step"], other
     return found
 
 
-def _is_of(cuts: Sequence[Cut], plan: Plan, notes: Mapping[str, Any]) -> bool:
+def _is_of(cuts: Sequence[Cut], plan: RunSettings, notes: Mapping[str, Any]) -> bool:
     """Return whether a checkpoint, by its plan and notes, belongs to one of the files as it is now."""
     for name, kind in KINDS.items():
         path = getattr(plan, kind.option)
@@ -103,5 +105,5 @@ def _is_of(cuts: Sequence[Cut], plan: Plan, notes: Mapping[str, Any]) -> bool:
     return False
 
 
-def _ps(plan: Plan, step: int) -> str:
+def _ps(plan: RunSettings, step: int) -> str:
     return f"{step * plan.step_time:g} ps"

@@ -46,10 +46,10 @@ def table_format(path: Path) -> type[Log]:
 
 def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
     """Positions of the atoms that are listed in the file of the coordinates."""
-    plan, box = simulated.plan, simulated.box
-    is_wrapped = box.system.usesPeriodicBoundaryConditions() and not plan.unwrapped
-    topology, interval = _subset(box.topology, box.listed), plan.interval(plan.every)
-    file = trajectory_format(path)(path, topology, plan.step_time, interval, noted)
+    settings, box = simulated.settings, simulated.box
+    is_wrapped = box.system.usesPeriodicBoundaryConditions() and not settings.unwrapped
+    topology, interval = _subset(box.topology, box.listed), settings.interval(settings.every)
+    file = trajectory_format(path)(path, topology, settings.step_time, interval, noted)
 
     def write(values: Mapping[str, float]) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=is_wrapped)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from openmm_sier.cli.plan import RunError
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.streams import PROGRAM
 
 #: Seconds to wait for a lock: for one whose holder is just ending, not for a run.

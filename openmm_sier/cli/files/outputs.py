@@ -1,7 +1,7 @@
 """The output files of a run: where they lie, what is checked before they are written, and when they are due."""
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,12 @@ from typing import Any
 import openmm
 
 from openmm_sier.cli.beginning import Simulated
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.files.trajectories import FORMATS
-from openmm_sier.cli.plan import Plan, RunError
 from openmm_sier.cli.platforms import platform_of
+from openmm_sier.cli.settings import RunSettings
 
 
 class Outputs:
@@ -25,16 +26,16 @@ class Outputs:
         saved_step: of the last checkpoint; None before the first.
     """
 
-    def __init__(self, plan: Plan, checkpoint: Path):
+    def __init__(self, settings: RunSettings, checkpoint: Path):
         """
         Raises:
             RecordError: a name has the wrong ending.
         """
-        self.checkpoint, self.saved_step, self._plan = checkpoint, None, plan
-        self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(plan, kind.option))}
+        self.checkpoint, self.saved_step, self._settings = checkpoint, None, settings
+        self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(settings, kind.option))}
         self.paths = [checkpoint, *self._grown.values()]
-        self._intervals = {name: plan.interval(getattr(plan, KINDS[name].every)) for name in self._grown}
-        self._intervals["checkpoint"] = plan.interval(plan.checkpoint_every)
+        self._intervals = {name: settings.interval(getattr(settings, KINDS[name].every)) for name in self._grown}
+        self._intervals["checkpoint"] = settings.interval(settings.checkpoint_every)
         for name, path in self._grown.items():
             is_trajectory = path.suffix.lower() in FORMATS
             if name == "trajectory" and not is_trajectory:
@@ -42,20 +43,19 @@ class Outputs:
             if name != "trajectory" and is_trajectory:
                 raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
 
-    def __str__(self) -> str:
-        return ", ".join(map(str, self.paths))
-
     # --- before any is opened ---
 
-    def check(self, inputs: Collection[Path]) -> None:
+    def check(self, sources: Iterable[Path]) -> None:
         """Refuse outputs that cannot be written, and any that would destroy an input or another output.
 
         Args:
-            inputs: files that are read.
+            sources: files of the System.
 
         Raises:
             RunError: naming the file.
         """
+        start = self._settings.start
+        inputs = [*sources, *([start] if start else [])]
         for path, other in product(self.paths, inputs):
             if same_file(path, other):
                 raise RunError(f"{path} would destroy the input {other}: name another file")
@@ -111,15 +111,22 @@ class Outputs:
 
     # --- during the run ---
 
-    def open(self, simulated: Simulated, context: openmm.Context, notes: Mapping[str, Any] | None) -> None:
+    def open(
+        self,
+        simulated: Simulated,
+        context: openmm.Context,
+        unsettled: str | None,
+        notes: Mapping[str, Any] | None = None,
+    ) -> None:
         """Open the files, new or cut back to the lengths that a checkpoint notes.
 
         Args:
             simulated: what is simulated.
             context: at the start, or at the checkpoint.
+            unsettled: how a doubtful equilibration ended, in words; None without one.
             notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
         """
-        self._inputs, self._unsettled = simulated.inputs, simulated.unsettled
+        self._inputs, self._unsettled = simulated.inputs, unsettled
         self.saved_step = notes["step"] if notes else None
         self._files, self._writers = {}, {}
         for name, path in self._grown.items():
@@ -151,7 +158,7 @@ class Outputs:
     def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         step = context.getStepCount()
         notes = {
-            "plan": self._plan.noted(self.checkpoint),
+            "plan": self._settings.noted(self.checkpoint),
             "step": step,
             "potential_energy": potential,
             "platform": platform_of(context),
@@ -167,6 +174,28 @@ class Outputs:
         """Close all files at the end of the run."""
         for file in self._files.values():
             file.close()
+
+
+def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
+    """Refuse a file that would destroy another or cannot be written.
+
+    Args:
+        path: of the file.
+        others: files that are read and written besides.
+        option: that names another file, for one that must not exist; none for one that may be replaced.
+
+    Raises:
+        RunError: naming the file.
+    """
+    for other in others:
+        if same_file(path, other):
+            raise RunError(f"{path} would destroy {other}: name another file")
+    if path.exists() and not path.is_file():
+        raise RunError(f"{path} is no regular file")
+    if not path.parent.is_dir():
+        raise RunError(f"there is no directory {path.parent} for {path.name}")
+    if option and path.exists():
+        raise RunError(f"{path} exists: name another file by {option}, or allow --overwrite")
 
 
 def same_file(one: Path, two: Path) -> bool:

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.plan import RunError
+from openmm_sier.cli.files.outputs import check_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,15 +57,7 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
     """
     if path.suffix.lower() not in FORMATS:
         raise RunError(f"a picture ends in {', '.join(FORMATS)}, got {path}")
-    for other in others:
-        if same_file(path, other):
-            raise RunError(f"{path} would destroy {other}: name another file")
-    if path.exists() and not path.is_file():
-        raise RunError(f"{path} is no regular file")
-    if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
-    if path.exists() and not may_replace:
-        raise RunError(f"{path} exists: name another file by --plot, or allow --overwrite")
+    check_place(path, others, "" if may_replace else "--plot")
     try:
         import matplotlib.figure  # noqa: F401
     except ModuleNotFoundError as error:

@@ -1,6 +1,6 @@
 """Two commands on one output, started at random distances: one must be refused in one line, and disturb nothing.
 
-    python -m studies.checks.two_commands [--times 100] [--pairs run,restart restart,run] [--seed 1]
+    python -m tests.loops.two_commands [--times 100] [--pairs run,restart restart,run] [--seed 1]
 
 The files of the command that goes on must be those of one that was alone, byte for byte, and nothing else may be left.
 A second command that comes when the first has ended finds its files, or begins anew with --overwrite. The status is 1

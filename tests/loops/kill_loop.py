@@ -1,6 +1,6 @@
 """`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
-    python -m studies.checks.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM] [--resume]
+    python -m tests.loops.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM] [--resume]
 
 At the end the trajectory must have every frame once, in order. Trajectory and log must be those of an undisturbed run,
 byte for byte. A signal that can be handled must give its exit code and, after the first step, leave a checkpoint of the

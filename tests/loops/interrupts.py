@@ -1,6 +1,6 @@
 """Ctrl-C at random moments of every kind of run: the Context must be at a completed step, and the run must go on.
 
-    python -m studies.checks.interrupts [--interrupts 2000] [--engines exact] [--runs langevin]
+    python -m tests.loops.interrupts [--interrupts 2000] [--engines exact] [--runs langevin]
 
 Another process sends real SIGINTs while a small box of water is run, mostly into calls of `step`. One more step is made
 after each KeyboardInterrupt. Time, energies and momenta at all these steps, and positions, velocities and box at the
@@ -26,7 +26,7 @@ from openmm import app, unit
 from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.cli.stopping import interrupt_behind
 from openmm_sier.inputs import forcefields
-from studies import boxes, records
+from studies import boxes, text
 from studies.command import Settings, chosen, command
 from studies.report import SILENT, Report
 from studies.units import md
@@ -247,7 +247,7 @@ def study(settings: InterruptSettings, report: Report = SILENT) -> list[dict[str
     rows = []
     for run, engine in product(settings.runs or RUNS, settings.engines or ENGINES):
         rows.append(row(run, engine, start, settings))
-        report.note(records.cell(form, rows[-1]))
+        report.note(text.cell(form, rows[-1]))
     return rows
 
 

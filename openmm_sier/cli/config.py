@@ -1,0 +1,65 @@
+"""Settings of a run in TOML files: `openmm-sier run --config` and `--save-config`."""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.fields import options, refusal
+from openmm_sier.cli.files import records
+from openmm_sier.cli.planning import useless_settings
+from openmm_sier.cli.settings import LENGTHS, NOTED, SETTINGS, RunSettings
+from openmm_sier.version import __version__
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+#: Settings of one call of the command that a file has where they were given: they change how a new run begins.
+OF_A_BEGINNING = "start", "equilibrate", "minimize", "platform", "plot"
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Return the settings that a TOML file gives, by name. Paths are relative to the current directory.
+
+    Raises:
+        RunError: it is no TOML, or has a setting that is unknown or wrong; the message names the file and the setting.
+        OSError: it cannot be read.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RunError(f"{path} is no TOML file: {error}") from None
+    named = {name.replace("-", "_"): value for name, value in table.items()}
+    model = options(RunSettings, SETTINGS)
+    try:
+        # As JSON, files are texts, and a text is no number.
+        return model.model_validate_json(json.dumps(named, default=str), strict=True).given()
+    except ValidationError as error:
+        raise RunError(f"{path}: {': '.join(refusal(error, model))}") from None
+
+
+def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a TOML file, with those of the command line in their place."""
+    is_length_given = any(name in of_line for name in LENGTHS)
+    kept = {name: value for name, value in of_file.items() if not (is_length_given and name in LENGTHS)}
+    return kept | dict(of_line)
+
+
+def write_config(path: Path, settings: RunSettings) -> None:
+    """Write a TOML file with which `run --config` makes the same run, replacing an earlier file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    values = settings.model_dump(mode="json", include={*NOTED, *OF_A_BEGINNING}, exclude_none=True)
+    useless = useless_settings(settings)
+    # What JSON writes of texts, numbers and lists of them is TOML.
+    lines = [f"{name} = {json.dumps(value)}" for name, value in values.items() if name not in useless]
+    text = "\n".join([f"# A run of openmm-sier {__version__}: openmm-sier run --config {path.name}", *lines, ""])
+    records.replace(path, memoryview(text.encode()))

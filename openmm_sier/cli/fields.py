@@ -1,0 +1,204 @@
+"""Kinds of settings: fields of pydantic, each with its range, unit and help, and what is said of a wrong value.
+
+Command lines, TOML files and checkpoints are checked by the same fields.
+"""
+
+from collections.abc import Callable, Collection, Iterable
+from copy import copy
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic.fields import FieldInfo
+
+#: What a restart does with a setting: it keeps the value in the checkpoint, and refuses another; or it may have
+#: another. Settings "of the call" say how one call of the command goes about it, and are not in checkpoints.
+Restart = Literal["keeps", "may change", "of the call"]
+
+#: Gives the default of a field from the values of those before it.
+Follows = Callable[[dict[str, Any]], Any]
+
+#: Which values a name of a file and other names are, for messages.
+FILE, NAME = "the name of a file", "a name"
+
+
+# --- types ---
+
+
+def _check_file(path: Path) -> Path:
+    # The root, this directory and the one above are no files, and outputs may be named after inputs.
+    if path.name in ("", "..") or "\0" in str(path):
+        raise ValueError(f"expected {FILE}")
+    return path
+
+
+def _check_name(name: str) -> str:
+    if not name.strip() or not name.isprintable():
+        raise ValueError(f"expected {NAME}")
+    return name
+
+
+def one_of(names: Collection[str]) -> AfterValidator:
+    """Return what lets a field take only these names."""
+
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"expected one of {', '.join(names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+File = Annotated[Path, AfterValidator(_check_file)]
+Name = Annotated[str, AfterValidator(_check_name)]
+
+#: What is on only where somebody asks for it.
+Switch = Annotated[bool, Parameter(negative="")]
+
+
+# --- fields ---
+
+
+def setting(
+    help: str,
+    expected: str,
+    default: Any = ...,
+    *,
+    follows: Follows | None = None,
+    otherwise: str = "",
+    restart: Restart = "keeps",
+    told: bool = False,
+    positional: bool = False,
+    known: dict[str, Any] | None = None,
+    **limits: Any,
+) -> Any:
+    """Return a field of a model of settings.
+
+    Args:
+        help: what it is, in words.
+        expected: which values it takes, in words.
+        default: without one, the setting must be given.
+        follows: gives the default in place of that.
+        otherwise: the default in words, where there is no single value.
+        restart: see `Restart`.
+        told: whether the help has `expected`.
+        positional: whether a command line may have its value without a flag.
+        known: what else messages and commands need: "each", which values the items of a list are; "remark", a function
+            of a wrong value; "writes", that it names an output.
+        limits: of pydantic.
+    """
+    if not otherwise and default not in (..., None, False):
+        otherwise = f"{default:g}" if isinstance(default, float) else str(default)
+    description = (f"{help}: {expected}" if told else help) + (f" (default: {otherwise})" if otherwise else "")
+    of_default: dict[str, Any] = {"default_factory": follows} if follows else {"default": default}
+    extra = {"expected": expected, "restart": restart, **(known or {})}
+    return Field(description=description, json_schema_extra=extra, kw_only=not positional, **of_default, **limits)
+
+
+def in_range(least: float, most: float, unit: str, beyond: bool = False) -> str:
+    """Describe the numbers from `least`, or with `beyond` above it, to `most`."""
+    return f"a number {f'above {least:g} and up' if beyond else f'from {least:g}'} to {most:g} {unit}".rstrip()
+
+
+def number(
+    help: str, unit: str, least: float, most: float, default: Any = None, *, beyond: bool = False, **more: Any
+) -> Any:
+    """Return a field for a number from `least`, or with `beyond` above it, to `most`; see `setting`."""
+    limits: dict[str, Any] = {"gt" if beyond else "ge": least, "le": most}
+    return setting(help, in_range(least, most, unit, beyond), default, told=True, **limits, **more)
+
+
+def time(help: str, default: float | None = None, **more: Any) -> Any:
+    """Return a field for a length of time in ps; see `setting`."""
+    return number(help, "ps", 0, 1e9, default, beyond=True, **more)
+
+
+def step(help: str, least: float, most: float, **more: Any) -> Any:
+    """Return a field for a step in fs; see `setting`."""
+
+    def remark(value: Any) -> str:
+        try:
+            meant = 1000 * float(value)
+        except (TypeError, ValueError):
+            return ""
+        is_in_ps = least <= meant <= most and meant < 1000 * least
+        return f" fs. It is in fs, not in ps: did you mean {meant:g}?" if is_in_ps else ""
+
+    return number(help, "fs", least, most, known={"remark": remark}, **more)
+
+
+def whole(help: str, default: Any = None, *, least: int = 1, most: int = 2**31 - 1, **more: Any) -> Any:
+    """Return a field for a whole number; see `setting`."""
+    return setting(help, f"a whole number from {least} to {most}", default, told=True, ge=least, le=most, **more)
+
+
+def choice(help: str, names: Collection[str], default: Any = None, **more: Any) -> Any:
+    """Return a field for one of a few names, whose type has `one_of`; see `setting`."""
+    return setting(help, f"one of {', '.join(names)}", default, told=True, **more)
+
+
+def file(help: str, default: Any = None, *, writes: bool = False, **more: Any) -> Any:
+    """Return a field for a file that a command reads or writes; see `setting`."""
+    return setting(help, FILE, default, known={"writes": writes}, **more)
+
+
+def several(help: str, each: str, count: int = 0, **more: Any) -> Any:
+    """Return a field for a list of so many items, or of one or more; `each` says what they are. See `setting`."""
+    expected = f"a list of {count} values" if count else "a list with at least one value"
+    limits: dict[str, Any] = {"min_length": count or 1, "max_length": count or None}
+    return setting(help, expected, None, known={"each": each}, **limits, **more)
+
+
+def switch(help: str, default: bool | None = False, **more: Any) -> Any:
+    """Return a field for yes or no; see `setting`."""
+    return setting(help, "true or false", default, **more)
+
+
+def known_of(field: FieldInfo) -> dict[str, Any]:
+    """Return what is known of a field: `expected`, `restart` and what else `setting` was told."""
+    extra = field.json_schema_extra
+    return dict(extra) if isinstance(extra, dict) else {}
+
+
+# --- what is given ---
+
+
+class Options(BaseModel):
+    """Some of the fields of a model, of which none has to be given."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def given(self) -> dict[str, Any]:
+        """Return what was given, by name."""
+        return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
+
+
+def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
+    """Return the class of options with these fields of a model."""
+    fields: dict[str, Any] = {}
+    for name in names:
+        field = copy(model.model_fields[name])
+        annotation = field.rebuild_annotation() | None
+        field.default, field.default_factory = None, None
+        field.metadata = [each for each in field.metadata if isinstance(each, Parameter)]
+        fields[name] = annotation, field
+    return create_model("Options", __base__=Options, **fields)
+
+
+# --- messages ---
+
+
+def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+    """Return the name of the first field with a wrong value, and what was expected and what came."""
+    # What follows from a wrong value is an error of its own.
+    first = next(each for each in error.errors() if each["type"] != "default_factory_not_called")
+    name, *items = map(str, first["loc"])
+    if first["type"] == "extra_forbidden":
+        return name, "there is no such option"
+    known = known_of(model.model_fields[name])
+    expected = known["each"] if items else known["expected"]
+    if first["type"] == "missing":
+        return name, f"expected {expected}, got nothing"
+    remark = known["remark"](first["input"]) if "remark" in known else ""
+    return name, f"expected {expected}, got {first['input']!r}{remark}"

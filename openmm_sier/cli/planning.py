@@ -1,0 +1,180 @@
+"""Complete what a user gave to the settings of a run: of a new one, or of one that a checkpoint holds."""
+
+import json
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from openmm_sier.cli.errors import Misused, RunError
+from openmm_sier.cli.fields import refusal
+from openmm_sier.cli.methods import METHODS
+from openmm_sier.cli.settings import (
+    CONTINUED,
+    FILES,
+    LENGTHS,
+    NOTED,
+    OF_THE_SYSTEM,
+    OUTPUTS,
+    SETTINGS,
+    RunSettings,
+    flag,
+    steps_in,
+)
+from openmm_sier.inputs.inputs import IGNORED, topology_kind
+
+
+def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) -> RunSettings:
+    """Return the settings of a new run.
+
+    Args:
+        given: those that a user gave, by name.
+        origin: those of the run from whose checkpoint this one starts. They define the System.
+
+    Raises:
+        RunError: settings contradict each other, or the topology, or would do nothing.
+        ForceFieldError, OSError: the topology is none, or cannot be read.
+    """
+    _refuse_both_lengths(given)
+    values: dict[str, Any] = {}
+    if origin is not None:
+        values = {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}
+    values |= given
+    values |= dict.fromkeys(ignored_settings(values.get("topology"), given))
+    if "scheme" in values:
+        # OpenMM's own integrators are not all of constant energy.
+        values.setdefault("ensemble", METHODS[values["scheme"]].ensembles[0])
+    settings = RunSettings(**values)
+    _check(settings)
+    for name in useless_settings(settings):
+        if name in given:
+            raise RunError(f"{flag(name)} needs {_NEEDED[name]}")
+    return settings
+
+
+#: What settings need that do nothing without it.
+_NEEDED = {
+    "friction": "--ensemble nvt, npt or hmc",
+    "pressure": "--ensemble npt or hmc",
+    "steps_per_trial": "--ensemble hmc",
+    "pressure_tensor_every": "--pressure-tensor FILE.csv",
+}
+
+
+def useless_settings(settings: RunSettings) -> list[str]:
+    """Return the names of settings that do nothing beside the others."""
+    does_something = {
+        "friction": settings.ensemble != "nve",
+        "pressure": settings.ensemble in ("npt", "hmc"),
+        "steps_per_trial": settings.ensemble == "hmc",
+        "pressure_tensor_every": settings.pressure_tensor is not None,
+    }
+    return [name for name, does in does_something.items() if not does]
+
+
+def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str, ...]:
+    """Return the names of settings that would do nothing with a topology.
+
+    Args:
+        topology: its file; None without one.
+        given: names of settings that the user gave.
+
+    Raises:
+        RunError: one of them was given.
+        ForceFieldError, OSError: the topology is none, or cannot be read.
+    """
+    if topology is None:
+        return ()
+    kind = topology_kind(topology)
+    for name in IGNORED[kind]:
+        if name in given:
+            raise RunError(f"{flag(name)} does nothing with {topology}, which is {kind}: leave it out")
+    return IGNORED[kind]
+
+
+def _refuse_both_lengths(given: Mapping[str, Any]) -> None:
+    if all(name in given for name in LENGTHS):
+        raise Misused(f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them")
+
+
+def _check(settings: RunSettings) -> None:
+    """Refuse what no run can have."""
+    if settings.ensemble not in settings.method.ensembles:
+        possible = ", ".join(settings.method.ensembles)
+        raise RunError(f"{settings.method.name} has the ensembles {possible}, got {settings.ensemble}")
+    if settings.rigid and settings.method.scheme is None:
+        raise RunError(
+            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} holds no "
+            "molecules rigid but by constraints"
+        )
+
+
+# --- from a checkpoint ---
+
+
+def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings:
+    """Return the settings that a checkpoint holds, with files relative to the current directory.
+
+    Raises:
+        RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
+    """
+    if absent := [name for name in NOTED if name not in saved]:
+        raise RunError(f"{checkpoint}: plan: {absent[0]} is missing")
+    if foreign := set(saved) - set(NOTED):
+        raise RunError(f"{checkpoint}: plan: {min(foreign)}: there is no such option")
+    try:
+        settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
+    except ValidationError as error:
+        raise RunError(f"{checkpoint}: plan: {': '.join(refusal(error, RunSettings))}") from None
+    here = os.path.dirname(checkpoint)
+    files = {name: path for name in FILES if (path := getattr(settings, name)) is not None}
+    beside = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}
+    return settings.model_copy(update=beside)
+
+
+def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mapping[str, object]) -> RunSettings:
+    """Return the settings of a checkpoint, with another length if one is given.
+
+    Those given must not contradict the checkpoint, and outputs that do not lie beside it must be named again.
+
+    Raises:
+        RunError: they do, or the checkpoint holds no settings.
+    """
+    _refuse_both_lengths(given)
+    noted = noted_settings(checkpoint, saved)
+    if "start" in given and not given.get("resume"):
+        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
+    for name in CONTINUED:
+        value, before = given.get(name), getattr(noted, name)
+        if value is not None and not _same(value, before):
+            option = flag(name) + ("" if value is True else f" {_shown(value)}")
+            raise RunError(
+                f"{option} differs from {_shown(before)} of {checkpoint}; leave it out, or begin a new run with --start"
+            )
+    for name in OUTPUTS:
+        if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):
+            raise RunError(
+                f"{checkpoint}: plan: {name}: {path} does not lie beside the checkpoint; if the run writes there, say "
+                f"so by {flag(name)} {path}"
+            )
+    changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
+    if "time" in given:
+        changed["steps"] = steps_in(given["time"], 1000 * noted.step_time)
+    return noted.model_copy(update={**changed, "restart": checkpoint})
+
+
+def _same(given: Any, noted: Any) -> bool:
+    if isinstance(given, Path) and noted is not None:
+        return os.path.abspath(given) == os.path.abspath(noted)
+    return bool(given == noted)
+
+
+def _shown(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _is_below(path: Path, checkpoint: Path) -> bool:
+    """Return whether a file is in the directory of a checkpoint or below it, all links followed."""
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(os.path.dirname(checkpoint) or "."))

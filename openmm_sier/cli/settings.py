@@ -1,0 +1,353 @@
+"""The settings of a run: one model, from which come the command line, TOML files and what checkpoints hold."""
+
+# Fields are declared by functions.
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from openmm_sier.cli import fields
+from openmm_sier.cli.fields import FILE, NAME, File, Name, Switch, one_of
+from openmm_sier.cli.methods import ENSEMBLES, FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method, is_heavy
+from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
+from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
+from openmm_sier.system.tables import HEAVIEST_HYDROGEN
+
+#: The default scheme of each ensemble, by the name that `--scheme` takes.
+RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier4g"}
+
+#: Most steps of a run: doubles count them exactly, with room.
+MOST_STEPS = 10**15
+
+#: K; the temperature of the systems that come with the project.
+DEFAULT_TEMPERATURE = 297.0
+
+#: ps; the length of a run.
+DEFAULT_TIME = 10.0
+
+#: Steps in a trial of hybrid Monte Carlo.
+TRIAL = 10
+
+#: nm; the shortest and the longest edge of a box.
+EDGES = 0.1, 1e4
+
+
+def _usual_steps() -> str:
+    """Return the default step of each method: at constant energy, with a bath or trials, and with heavy hydrogens."""
+
+    def told(method: Method) -> str:
+        steps = method.usual_step("nve"), method.usual_step("nvt"), method.usual_step("nvt", HEAVY)
+        return " or ".join(dict.fromkeys(f"{dt:g}" for dt in steps))
+
+    each = ", ".join(f"{told(method)} for {name}" for name, method in METHODS.items())
+    return f"{each}; the first at constant energy, the last with heavy hydrogens and a bath or trials"
+
+
+def _usual_step(before: dict[str, Any]) -> float:
+    return METHODS[before["scheme"]].usual_step(before["ensemble"], before["hydrogen_mass"])
+
+
+def _usual_friction(before: dict[str, Any]) -> float:
+    if before["ensemble"] == "hmc":
+        return 0.0
+    return HEAVY_FRICTION if is_heavy(before["hydrogen_mass"]) else FRICTION
+
+
+def _steps(before: dict[str, Any]) -> int:
+    return steps_in(before["time"] or DEFAULT_TIME, before["dt"] * before["steps_per_trial"])
+
+
+def steps_in(time: float, dt: float) -> int:
+    """Return the number of steps of `dt` fs in a time in ps, at least 1."""
+    return max(1, round(time * 1000 / dt))
+
+
+class RunSettings(BaseModel):
+    """All settings of a run, checked, with those that were not given.
+
+    Times are in ps, but `dt` is in fs. Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws
+    momenta anew where `friction` is 0.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # --- the molecules ---
+
+    box: File = fields.setting(
+        "coordinates of whole molecules with hydrogens: a PDB or PDBx/mmCIF file, to which virtual sites are added, or "
+        "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
+        "OpenMM in XML",
+        FILE,
+        restart="may change",
+        positional=True,
+    )
+    topology: File | None = fields.file(
+        "what the coordinates belong to, with its force field: a prmtop file of AMBER, a top file of GROMACS, a psf "
+        "file of CHARMM, or a System of OpenMM in XML",
+        otherwise="none, for PDB and PDBx/mmCIF files with --forcefield",
+        restart="may change",
+    )
+    forcefield: list[File] | None = fields.several(
+        "force-field files, OpenMM's or your own; with a psf file all parameter, topology and stream files of CHARMM, "
+        "that end in .prm or .par, .rtf or .top, .str, or .inp",
+        FILE,
+        otherwise="the file named in a record 'REMARK  99 FORCEFIELD file.xml' of the PDB file",
+    )
+    edges: list[Annotated[float, Field(ge=EDGES[0], le=EDGES[1])]] | None = fields.several(
+        "edges of a rectangular periodic box in nm, for coordinates without one, as crd files are",
+        fields.in_range(*EDGES, "nm"),
+        3,
+        otherwise="the box of the coordinates",
+    )
+    rigid: list[Name] | None = fields.several(
+        "names of residues, besides water, to be held rigid in the geometry that they have in the coordinates, but for "
+        "bonds that constraints hold",
+        NAME,
+        otherwise="none",
+    )
+    constraints: Annotated[str, one_of(CONSTRAINTS)] | None = fields.choice(
+        "constraints besides those of water: of bonds to hydrogen, of all bonds, or of bonds and angles of hydrogens",
+        CONSTRAINTS,
+        "hbonds",
+    )
+    cutoff: float | None = fields.number(
+        *("where the direct sum of PME and Lennard-Jones end", "nm", 0.2, 10),
+        otherwise=f"{CUTOFF:g}, less in a box that is too small for it",
+    )
+    switch: float | None = fields.number(
+        *("where Lennard-Jones starts to be switched off, 0 for a jump at the cut-off", "nm", 0, 10),
+        otherwise="five sixths of the cut-off",
+    )
+    tolerance: float | None = fields.number(
+        "error tolerance of the sums of PME, which are balanced", "", 1e-10, 1e-3, EWALD_TOLERANCE
+    )
+    hydrogen_mass: float | None = fields.number(
+        "mass of hydrogens, in water too, taken from the atoms that they are bonded to; it slows motion, not averages",
+        *("dalton", LIGHTEST_HYDROGEN, HEAVIEST_HYDROGEN),
+        otherwise="that of the force field",
+    )
+
+    # --- their motion ---
+
+    ensemble: Annotated[str, one_of(ENSEMBLES)] = fields.choice(
+        "what is constant; hmc is hybrid Monte Carlo", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
+    )
+    scheme: Annotated[str, one_of(METHODS)] = fields.choice(
+        "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
+        "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
+        METHODS,
+        follows=lambda before: RECOMMENDED[before["ensemble"]],
+        otherwise="sier4g; sier2 with nvt and npt",
+    )
+    dt: float = fields.step("step", 0.05, 1e3, follows=_usual_step, otherwise=_usual_steps())
+    friction: float = fields.number(
+        *("of the heat bath, or the rate of collisions of verlet", "1/ps", 0, 1e5),
+        follows=_usual_friction,
+        otherwise="1, or 5 with heavy hydrogens; hmc draws all momenta for each trial without it",
+    )
+    pressure: float | None = fields.number(
+        *("with npt or hmc", "bar (1 bar is 100000 Pa)", -5000, 50000),
+        follows=lambda before: 1.0 if before["ensemble"] == "npt" else None,
+        otherwise="1 with npt, constant volume with hmc",
+    )
+    steps_per_trial: int = fields.whole(
+        "of the scheme in a trial of hmc, which is then a step of the run",
+        most=10**6,
+        follows=lambda before: TRIAL if before["ensemble"] == "hmc" else 1,
+        otherwise=str(TRIAL),
+    )
+    time: float | None = fields.time(
+        "length of the whole trajectory, of which a restart does what is left",
+        otherwise=f"{DEFAULT_TIME:g}; that of the checkpoint with --restart",
+        restart="of the call",
+    )
+    steps: int = fields.whole(
+        "the same in steps", most=MOST_STEPS, follows=_steps, otherwise="as --time says", restart="may change"
+    )
+    temperature: float = fields.number(
+        *("of start and heat bath", "K", 0, 3000, DEFAULT_TEMPERATURE),
+        otherwise=f"{DEFAULT_TEMPERATURE:g}, or that of the run of --start",
+    )
+    equilibrate: float | None = fields.number(
+        *("how long", "ps", 0, 1e9),
+        otherwise="until temperatures and potential energy have settled, 3 to 20; not at all with --start",
+        restart="of the call",
+    )
+    minimize: bool | None = fields.switch(
+        "minimize the energy first",
+        None,
+        otherwise="if the start has forces that a liquid has not",
+        restart="of the call",
+    )
+    seed: int = fields.whole("of velocities, equilibration and heat bath", 1)
+    platform: Name | None = fields.setting(
+        "of OpenMM",
+        NAME,
+        None,
+        otherwise="the fastest; that of the checkpoint with --restart",
+        restart="of the call",
+    )
+
+    # --- what is written ---
+
+    out: File = fields.file(
+        "trajectory, .dcd or .xtc",
+        writes=True,
+        follows=lambda before: trajectory_of(before["box"]),
+        otherwise="BOX.dcd, in the current directory",
+    )
+    unwrapped: Switch = fields.switch("frames have molecules where they went, not in the box", otherwise="in the box")
+    report: File = fields.file(
+        "log, a table in CSV",
+        writes=True,
+        follows=lambda before: before["out"].with_suffix(".csv"),
+        otherwise="as the trajectory, with .csv",
+    )
+    every: float = fields.time("between frames", 0.1)
+    report_every: float = fields.time("between rows of the log", 0.04)
+    checkpoint_every: float = fields.time("between checkpoints", 1.0)
+    pressure_tensor: File | None = fields.file(
+        "write the molecular pressure tensor there in CSV, for viscosity", writes=True, otherwise="it is not written"
+    )
+    # Sums over tensors mistake oscillations of the period of their interval, or a fraction of it, for slow ones; in
+    # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
+    pressure_tensor_every: float = fields.time("between rows of it, each of which costs 12 energies", 0.02)
+    plot: File | None = fields.file(
+        "draw the log at the end, as `plot` does, in PNG, SVG or HTML",
+        writes=True,
+        otherwise="no picture",
+        restart="of the call",
+    )
+    save_config: File | None = fields.file(
+        "write all settings there in TOML when the run begins, for --config",
+        writes=True,
+        otherwise="they are not written",
+        restart="of the call",
+    )
+
+    # --- how it begins and goes on ---
+
+    start: File | None = fields.file(
+        "checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, the "
+        "options that make the System, and --temperature, are those of that run",
+        otherwise="none",
+        restart="of the call",
+    )
+    restart: File | None = fields.file("checkpoint (.chk) to go on from", otherwise="none", restart="of the call")
+    resume: Switch = fields.switch(
+        "go on from the checkpoint beside --out where there is one, begin where there is none, and end well where the "
+        "run is complete: one command line for a job that may be killed",
+        otherwise="begin",
+        restart="of the call",
+    )
+    overwrite: Switch = fields.switch(
+        "replace files of an earlier run, or with --restart cut back a longer one",
+        otherwise="refuse to",
+        restart="of the call",
+    )
+
+    # --- what follows from them ---
+
+    @property
+    def equilibrates(self) -> bool:
+        """Whether a new run begins with an equilibration. From a checkpoint it does so only if asked to."""
+        return self.start is None or bool(self.equilibrate or self.minimize)
+
+    @property
+    def moves_volume(self) -> bool:
+        """Whether the pressure is constant."""
+        return self.ensemble in ("npt", "hmc") and self.pressure is not None
+
+    @property
+    def method(self) -> Method:
+        """What moves the molecules."""
+        return METHODS[self.scheme]
+
+    @property
+    def interactions(self) -> Interactions:
+        """How the interactions are cut off."""
+        return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
+
+    @property
+    def title(self) -> str:
+        """Method, ensemble, the mass of hydrogens if it was chosen, and step."""
+        bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
+        piston = f", {self.pressure:g} bar" if self.moves_volume else ""
+        hydrogens = f", hydrogens of {self.hydrogen_mass:g}" if self.hydrogen_mass else ""
+        return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}{hydrogens}, {self.dt:g} fs"
+
+    @property
+    def step_time(self) -> float:
+        """Time of a step, ps; a step of hybrid Monte Carlo is a trial."""
+        return self.dt / 1000 * self.steps_per_trial
+
+    def interval(self, time: float) -> int:
+        """Return the number of steps nearest to a time, at least 1."""
+        return max(1, round(time / self.step_time))
+
+    def length(self, steps: int) -> str:
+        """Describe a number of steps and their time."""
+        return f"{steps} ({steps * self.step_time:g} ps)"
+
+    def noted(self, checkpoint: Path) -> dict[str, Any]:
+        """Return what a checkpoint holds as JSON, with files relative to the checkpoint."""
+        here = os.path.dirname(checkpoint) or "."
+        values = self.model_dump(mode="json", include=set(NOTED))
+        return values | {name: os.path.relpath(values[name], here) for name in FILES if values[name]}
+
+
+def trajectory_of(box: Path) -> Path:
+    """Return the trajectory of a run that was not told of any, after which its other files are named."""
+    return Path(f"{box.stem}.dcd")
+
+
+def checkpoint_of(trajectory: Path) -> Path:
+    """Return the checkpoint of a run with this trajectory."""
+    return trajectory.with_suffix(".chk")
+
+
+#: All settings by name, in the order of `--help`, and what is known of them.
+SETTINGS = {name: fields.known_of(field) for name, field in RunSettings.model_fields.items()}
+
+#: Settings that a restart keeps, and all those that stand in a checkpoint.
+CONTINUED = tuple(name for name, known in SETTINGS.items() if known["restart"] == "keeps")
+NOTED = tuple(name for name, known in SETTINGS.items() if known["restart"] != "of the call")
+
+#: Those that name one file each. A checkpoint notes them relative to itself.
+FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
+
+#: Those of them that a run writes.
+OUTPUTS = tuple(name for name in FILES if SETTINGS[name].get("writes"))
+
+#: Settings that make the System. A run with `--start` takes them from the other run unless they are given.
+OF_THE_SYSTEM = (
+    *("topology", "forcefield", "edges", "rigid", "constraints"),
+    *("cutoff", "switch", "tolerance", "hydrogen_mass"),
+)
+
+#: Those of `openmm-sier tune`, which make the System and its start, and with which the search begins; and of `info`.
+OF_TUNING = (
+    *("box", *OF_THE_SYSTEM, "scheme", "dt", "steps_per_trial", "friction", "pressure"),
+    *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),
+)
+OF_INFO = ("box", "topology", "forcefield", "edges", "rigid", "constraints")
+
+#: Two of which only one may be given.
+LENGTHS = "steps", "time"
+
+
+# --- on a command line ---
+
+
+def flag(name: str) -> str:
+    """Return the option of a setting on a command line."""
+    return f"--{name.replace('_', '-')}"
+
+
+def words(name: str, value: Any) -> list[str]:
+    """Return the words of a command line that give a setting this value."""
+    if isinstance(value, bool):
+        return [flag(name) if value else f"--no-{flag(name)[2:]}"]
+    return [flag(name), *map(str, value if isinstance(value, list) else [value])]

@@ -1,0 +1,101 @@
+"""The stiffest bond or angle that does work, by which coarse models are told from atoms, and steps for them."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, working_terms
+from openmm_sier.system.mobilities import COARSE, mobilities
+
+#: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
+ARM = 0.2
+
+#: Share of the period of the stiffest bond that is a usual step: at constant energy with SIER4G, and with SIER2 in a
+#: heat bath. Of a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the
+#: period (26 fs), 0.06 % at 1/16, 0.8 % at 1/13 and 1.8 % at 1/10; with bonds ten times as strong 0.001 % at 1/20 and
+#: 0.9 % at 1/13. In a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly any more at 60 fs.
+USUAL = {SIER4G: 1 / 20, SIER2: 1 / 13}
+
+#: Forces whose stiffness is known here. Torsions are softer than angles.
+KNOWN = (openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
+
+
+class Stiffest(NamedTuple):
+    """The fastest motion that bonded Forces cause.
+
+    Attributes:
+        period: ps.
+        atoms: particle indices of the bond or angle.
+    """
+
+    period: float
+    atoms: tuple[int, ...]
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether it is so slow that kicks can follow it."""
+        return self.period >= COARSE
+
+
+def stiffest(system: openmm.System, bodies: RigidBodies | None, owner: np.ndarray) -> Stiffest | None:
+    """Return the stiffest bond or angle that does work; None without one, or if the stiffness of some is not known.
+
+    Args:
+        system: openmm.System.
+        bodies: its rigid bodies, whose atoms move less easily than alone; None where they are not known yet.
+        owner: for each particle the number of its body, (N,).
+    """
+    masses = tables.masses(system)
+    # No atom of a body moves more easily than it would alone.
+    alone = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
+    mobility = alone if bodies is None else mobilities(bodies)
+    fastest = Stiffest(math.inf, ())
+    for force in system.getForces():
+        if not len(working_terms(force, owner)):
+            continue
+        if not isinstance(force, KNOWN):
+            return None
+        atoms, squares = _squares(system, force, mobility)
+        found = owner[atoms]
+        squares[(found == found[:, :1]).all(axis=1) & (found[:, 0] >= 0)] = 0
+        if len(squares) and squares.max() > 0:
+            period = 2 * math.pi / math.sqrt(squares.max())
+            fastest = min(fastest, Stiffest(period, tuple(atoms[squares.argmax()].tolist())))
+    return fastest if fastest.atoms else None
+
+
+def usual_steps(motion: Stiffest) -> dict[Scheme, float]:
+    """Return steps in ps that are usual where this is the stiffest motion: at constant energy, and in a heat bath.
+
+    Bonds of a chain couple, so that some are up to 1.4 times as fast as one alone.
+    """
+    return {scheme: share * motion.period for scheme, share in USUAL.items()}
+
+
+def describe_coarse(motion: Stiffest) -> str:
+    """Say what limits the step of a coarse model, and which steps are usual."""
+    kind = "bond between atoms" if len(motion.atoms) == 2 else "angle of atoms"
+    energy, bath = (f"{1000 * step:.2g} fs with {scheme.name}" for scheme, step in usual_steps(motion).items())
+    return (
+        f"No force is fast, since all bonds and angles are slow. The stiffest that does work, the {kind} "
+        f"{', '.join(map(str, motion.atoms))}, has a period of {1000 * motion.period:.3g} fs: usual steps are {energy} "
+        f"at constant energy and {bath} in a heat bath."
+    )
+
+
+def _squares(system: openmm.System, force: openmm.Force, mobility: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the atoms of a Force's terms, (t, k), and squares of their angular frequencies, (t,), 1/ps^2."""
+    if isinstance(force, openmm.HarmonicBondForce):
+        ends, _, strengths = harmonic_bonds(force)
+        free = ~tables.constraints(system).hold(ends)
+        return ends, free * strengths * mobility[ends].sum(axis=1)
+    if isinstance(force, openmm.HarmonicAngleForce):
+        atoms, strengths = harmonic_angles(force)
+        # The middle atom moves against both others, by twice their way.
+        return atoms, strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
+    return np.empty((0, 1), dtype=np.int64), np.empty(0)

@@ -1,0 +1,24 @@
+"""How easily forces on atoms move them, with their bodies."""
+
+import numpy as np
+
+from openmm_sier.dynamics.bodies import RigidBodies
+
+#: ps. Slower bonds and angles are those of beads, and need no inner steps: those of atoms have periods of 0.01 to
+#: 0.1 ps, those of one bead a residue 0.3 to 0.5 ps. Of two chains of 40 beads SIER4G's energy at 30 fs was off by
+#: 0.005 kJ/mol with bonds in the kicks and in inner steps alike, which took longer.
+COARSE = 0.2
+
+
+def mobilities(bodies: RigidBodies) -> np.ndarray:
+    """For each particle its largest inverse effective mass in any direction, 1/dalton; 0 for particles of no body.
+
+    A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.
+    """
+    mobility = np.zeros(bodies.n_particles)
+    for species in bodies.species:
+        cross = np.cross(np.eye(3), species.sites.T[:, None])
+        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
+        turning = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
+        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(turning)[:, -1]
+    return mobility

@@ -1,0 +1,148 @@
+"""Ranges of residues in words, such as A:1-36, and back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from openmm import app
+
+from openmm_sier.dynamics.names import as_ranges, ranges
+
+_NUMBER = r"-?\d+[A-Za-z]?"
+_RANGE = re.compile(rf"({_NUMBER})(?:-({_NUMBER}))?")
+_OF_CHAIN = re.compile(rf"([^:\s]*):((?:{_NUMBER}(?:-{_NUMBER})?)(?:,{_NUMBER}(?:-{_NUMBER})?)*)?")
+
+
+class _Chain:
+    """The residues of a chain, by their numbers with insertion codes.
+
+    Attributes:
+        name: of the chain; empty if it has none.
+        numbers: of its residues, in order.
+        atoms: of each residue.
+    """
+
+    def __init__(self, chain: app.topology.Chain):
+        residues = list(chain.residues())
+        self.name = chain.id.strip()
+        self.numbers = [f"{each.id.strip()}{each.insertionCode.strip()}" for each in residues]
+        self.atoms = [[atom.index for atom in each.atoms()] for each in residues]
+        self._places: dict[str, list[int]] = {}
+        for place, number in enumerate(self.numbers):
+            self._places.setdefault(number, []).append(place)
+
+    def has_one(self, number: str) -> bool:
+        """Tell whether just one residue has a number."""
+        return len(self._places[number]) == 1
+
+    def within(self, span: str | None) -> list[int]:
+        """Return the atoms of ranges such as 1-36,50; all without.
+
+        Raises:
+            ValueError: the chain has no residue of such a number, or several.
+        """
+        if span is None:
+            return [atom for atoms in self.atoms for atom in atoms]
+        found: list[int] = []
+        for match in _RANGE.finditer(span):
+            first, last = self._place(match[1]), self._place(match[2] or match[1])
+            if last < first:
+                raise ValueError(f"{self} has residue {match[2]} before {match[1]}: give the lower one first")
+            found += [atom for atoms in self.atoms[first : last + 1] for atom in atoms]
+        return found
+
+    def _place(self, number: str) -> int:
+        there = self._places.get(number, [])
+        if len(there) != 1:
+            many = f"{len(there)} residues" if there else "no residue"
+            known = f"{self.numbers[0]} to {self.numbers[-1]}" if self.numbers else "none"
+            raise ValueError(f"{self} has {many} {number}, it has those of {known}: give 'atoms 0-35'")
+        return there[0]
+
+    def __str__(self) -> str:
+        return f"the chain {self.name or 'without a name'}"
+
+
+class ResidueRanges:
+    """Ranges of the residues of a topology."""
+
+    def __init__(self, topology: app.Topology):
+        self._chains = [_Chain(chain) for chain in topology.chains()]
+        self._named: dict[str, list[_Chain]] = {}
+        self._places: dict[int, tuple[int, int]] = {}
+        for number, chain in enumerate(self._chains):
+            self._named.setdefault(chain.name, []).append(chain)
+            self._places |= {atom: (number, place) for place, atoms in enumerate(chain.atoms) for atom in atoms}
+
+    @staticmethod
+    def are_ranges(words: str) -> bool:
+        """Tell whether words are ranges, such as A:1-36 B:4-9."""
+        return bool(words) and all(_OF_CHAIN.fullmatch(word) for word in words.split())
+
+    def atoms(self, words: str) -> list[list[int]]:
+        """Return the atoms of each body that ranges describe.
+
+        Raises:
+            ValueError: a chain or a residue is not there, or ranges that are to be one body name several chains.
+        """
+        parts = [match.groups() for word in words.split() if (match := _OF_CHAIN.fullmatch(word))]
+        if len({chain for chain, _ in parts}) == 1:
+            return self._in_each(parts[0][0], [span for _, span in parts])
+        body: list[int] = []
+        for chain, span in parts:
+            found = self._in_each(chain, [span])
+            if len(found) > 1:
+                raise ValueError(
+                    f"{words!r} is to be one body, and {len(found)} chains are {chain or 'meant'}: give a line to each "
+                    "chain, or atoms, as in 'atoms 0-35'"
+                )
+            body += found[0]
+        return [body]
+
+    def by_chain(self, atoms: set[int]) -> list[list[int]]:
+        """Return those of some atoms that each chain has."""
+        found: dict[int, list[int]] = {}
+        for atom in sorted(atoms):
+            found.setdefault(self._places[atom][0], []).append(atom)
+        return [found[number] for number in sorted(found)]
+
+    def describe(self, atoms: Sequence[int]) -> str:
+        """Return words for atoms: ranges of residues where these are whole and can be told, otherwise of atoms."""
+        inside: dict[int, set[int]] = {}
+        for atom in atoms:
+            number, place = self._places[atom]
+            inside.setdefault(number, set()).add(place)
+        words = []
+        for number, places in sorted(inside.items()):
+            chain = self._chains[number]
+            ends = [(chain.numbers[first], chain.numbers[last]) for first, last in ranges(places)]
+            spans = ",".join(first if first == last else f"{first}-{last}" for first, last in ends)
+            words.append(f"{chain.name}:{spans}")
+            if not self._is_told(chain, ends) or not _OF_CHAIN.fullmatch(words[-1]):
+                return f"atoms {as_ranges(atoms)}"
+        whole = sum(len(self._chains[number].atoms[place]) for number, places in inside.items() for place in places)
+        return " ".join(words) if whole == len(atoms) else f"atoms {as_ranges(atoms)}"
+
+    def _is_told(self, chain: _Chain, ends: Sequence[tuple[str, str]]) -> bool:
+        """Tell whether a chain is the only one of its name, and each end of its ranges of its number."""
+        is_alone = len(self._named[chain.name]) == 1 if chain.name else len(self._chains) == 1
+        return is_alone and all(chain.has_one(number) for pair in ends for number in pair)
+
+    def _in_each(self, name: str, spans: Sequence[str | None]) -> list[list[int]]:
+        """Return the residues of some ranges in each chain of a name, or in any that has them if that is empty."""
+        chains = self._named.get(name, []) if name else self._chains
+        if not chains:
+            known = ", ".join(each or "(no name)" for each in self._named)
+            raise ValueError(f"the topology has no chain {name}, it has {known}")
+        found, missing = [], None
+        for chain in chains:
+            try:
+                found.append([atom for span in spans for atom in chain.within(span)])
+            except ValueError as error:
+                if name:
+                    raise
+                missing = error
+        if not found and missing is not None:
+            raise missing
+        return found

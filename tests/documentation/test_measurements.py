@@ -1,0 +1,66 @@
+"""Pages that show records: their cells and numbers can be made, and no table of theirs is typed."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from studies import STUDIES, pages, sources
+
+ROOT = Path(__file__).parents[2]
+MEASUREMENTS = sorted((ROOT / "docs" / "measurements").glob("*.md"))
+EXECUTED = [page for page in sorted(ROOT.glob("docs/**/*.md")) if "file_format: mystnb" in page.read_text()]
+
+#: Cells, and numbers in sentences.
+CODE = re.compile(r"^```\{code-cell\}\n(.*?)^```$|\{eval\}`([^`]*)`", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.name)
+def test_cells_of_a_page_can_be_executed(page, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "DOCS", tmp_path)
+    names = {}
+    for found in CODE.finditer(page.read_text()):
+        if found[1]:
+            exec(compile(found[1], page.name, "exec"), names)
+        else:
+            assert re.search(r"\d", eval(found[2], names)), found[2]
+
+
+@pytest.mark.parametrize("page", MEASUREMENTS, ids=lambda page: page.name)
+def test_no_table_of_a_page_is_typed(page):
+    """Tables of Markdown have a line of dashes between strokes."""
+    assert not re.search(r"^\s*\|?\s*:?-{2,}:?\s*\|", page.read_text(), re.MULTILINE)
+
+
+def test_every_record_has_its_command():
+    assert set(sources.COMMANDS) == {path.name for path in sources.DATA.iterdir()}
+    named = {name for each in sources.COMMANDS.values() for name in re.findall(r"-m (studies[\w.]*)", " ".join(each))}
+    assert named <= set(STUDIES)
+
+
+def test_every_record_is_shown_or_claimed():
+    """By a page, a figure or a claim."""
+    readers = *EXECUTED, ROOT / "studies" / "figures.py", ROOT / "studies" / "claims.py"
+    read = "".join(path.read_text() for path in readers)
+    assert [name for name in sources.COMMANDS if name not in read] == []
+
+
+def test_a_table_has_the_command_under_it():
+    shown = pages.show("frames.json", pages.table(pages.read("frames.json", "moments"), {"body": "{body}"}))
+    assert "| body |\n| --- |\n" in shown
+    assert shown.endswith("`studies/data/frames.json`: `OPENMM_CPU_THREADS=1 python -m studies.frames`\n")
+    with pytest.raises(ValueError, match=r"frames\.json has no rows for this table"):
+        pages.show("frames.json", pd.DataFrame())
+
+
+def test_numbers_in_sentences():
+    rows = pd.DataFrame({"percent": [0.83, 0.19, 0.5], "percent_error": [0.02, None, 0.01]})
+    assert pages.value(rows[:1], "{percent:.2f} ± {percent_error:.2f}") == "0.83 ± 0.02"
+    assert pages.value(rows[1:2], "{percent:.2f} ± {percent_error:.2f}") == "0.19"
+    assert pages.value(rows, "{percent:.1f} %") == "0.2 % to 0.8 %"
+    with pytest.raises(ValueError, match="no column 'per_cent'; there are percent, percent_error"):
+        pages.value(rows, "{per_cent}")
+    with pytest.raises(ValueError, match="no row has a percent"):
+        pages.value(rows[:0], "{percent}")
