@@ -23,8 +23,9 @@ call OpenMM's own (`engines.own_methods`). Each stands beside what goes wrong wi
   call of `step`, which takes 5 to 10 us for each Force.
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
   warns of overlaps that it leaves. *Without*: it tears them apart.
-- `XmlSerializer.deserialize`, `XmlSerializer.clone`: give back the SIER integrator that was stored. *Without*: they
-  give a CustomIntegrator whose steps are not those of the scheme.
+- `XmlSerializer.serialize`, `deserialize` and `clone` of an integrator: write one that OpenMM can execute without this
+  package, and give back the SIER integrator that was stored. *Without*: they write one without a program, and give a
+  CustomIntegrator whose steps are not those of the scheme.
 """
 
 import functools
@@ -35,9 +36,10 @@ from typing import Any
 import openmm
 
 from openmm_sier.engines.own_methods import mark_as_replaced, own_method
-from openmm_sier.integrators.binding import Binding, revived
+from openmm_sier.integrators.binding import Binding
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
+from openmm_sier.integrators.storage import revived, written
 from openmm_sier.system import tables
 from openmm_sier.system.unchanged import UnchangedSystem
 
@@ -65,6 +67,7 @@ def install() -> None:
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         _replace(cls, "updateParametersInContext", _tell_of_new_forces)
         _replace(cls, "setPMEParameters", _count_change)
+    _replace(openmm.XmlSerializer, "_serializeIntegrator", _write_integrator)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
         _replace(openmm.XmlSerializer, name, _revive)
 
@@ -120,7 +123,11 @@ def _refuse_parts(integrator: openmm.Integrator) -> None:
 def _bind_again(method: Callable, context: openmm.Context, preserveState: bool = False) -> None:
     method(context, preserveState)
     if binding := _binding_of(context):
-        binding.bind(context, keeps_record=preserveState)
+        binding.bind(context, keeps_ledger=preserveState)
+
+
+def _write_integrator(method: Callable, integrator: openmm.Integrator) -> str:
+    return method(written(integrator) if isinstance(integrator, SIERIntegrator) else integrator)
 
 
 def _revive(method: Callable, source: Any) -> openmm.Integrator:

@@ -45,16 +45,12 @@ class BodyState:
         p: momenta, (3, n), dalton nm/ps.
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
-        heat: energy that a heat bath, and moves of the volume, have given to the bodies, kJ/mol.
-        draws: how often noise was drawn for them, the counter of the random numbers.
     """
 
     q: np.ndarray
     p: np.ndarray
     A: np.ndarray
     L: np.ndarray
-    heat: float = 0.0
-    draws: int = 0
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
@@ -379,10 +375,17 @@ class RigidBodies:
         return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
-        """The state with a velocity, (3,), nm/ps, added to all bodies, and its energy to the heat."""
-        gained = self.mass * float((self.centre_velocity(state.p) + 0.5 * velocity) @ velocity)
-        p = state.p + self.masses * velocity[:, None]
-        return BodyState(state.q, p, state.A, state.L, state.heat + gained, state.draws)
+        """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
+        return BodyState(state.q, state.p + self.masses * velocity[:, None], state.A, state.L)
+
+    def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
+        """Return the energy that all bodies gain where a velocity is added to them, kJ/mol.
+
+        Args:
+            centre: velocity of their centre of mass before, (3,), nm/ps.
+            velocity: that is added, (3,), nm/ps.
+        """
+        return self.mass * float((centre + 0.5 * velocity) @ velocity)
 
     def total_momenta(self, state: BodyState) -> backend.Pair:
         """Total momentum and total angular momentum about the origin, each (3,)."""

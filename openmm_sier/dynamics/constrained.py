@@ -40,10 +40,12 @@ from openmm_sier.dynamics import backend, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
+from openmm_sier.dynamics.thermostat import Thermostat
 
 
 def constrained_operators(
@@ -75,7 +77,7 @@ def projection(constraints: Constraints) -> Operator:
 
     def apply(state: BodyState) -> BodyState:
         p = constraints.project(state.q, state.p)
-        return BodyState(state.q, p, state.A, state.L, state.heat, state.draws)
+        return BodyState(state.q, p, state.A, state.L)
 
     return apply
 
@@ -83,12 +85,12 @@ def projection(constraints: Constraints) -> Operator:
 # --- kicks ---
 
 
-def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
+def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -> Operator:
     """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
 
     Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
     k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are projected too,
-    for the heat is the kinetic energy that the tangent momenta gain.
+    for the heat is the kinetic energy that the tangent momenta gain; `ledger` has what the bath has counted.
     """
     tangent = projection(constraints)
 
@@ -97,9 +99,22 @@ def constrained_bath(bath: Operator, constraints: Constraints) -> Operator:
         p = constraints.project(state.q, warmed.p)
         part = constraints.members
         taken = 0.5 * float(((warmed.p[:, part] ** 2 - p[:, part] ** 2) / constraints.masses[part]).sum())
-        return replace(warmed, p=p, heat=warmed.heat - taken)
+        ledger.heat -= taken
+        return replace(warmed, p=p)
 
     return apply
+
+
+def bath_operator(bath: Thermostat, bodies: RigidBodies, ledger: Ledger) -> Operator:
+    """Return a bath as an operator on bodies, some of which may be constrained to each other.
+
+    Args:
+        bath: the heat bath.
+        bodies: on which it acts.
+        ledger: gives it random numbers, and counts its heat and its draws.
+    """
+    operator, constraints = bath.operator(bodies, ledger), bodies.constraints
+    return constrained_bath(operator, constraints, ledger) if len(constraints.pairs) else operator
 
 
 def constrained_gradient_kick(
@@ -120,7 +135,7 @@ def constrained_gradient_kick(
         F, tau = forces.at(q, A)
         p, L = backend.active().kick(state.p, state.L, displaced(state.q, q, F), tau, h, state.q, q)
         L[:, grouped] = state.L[:, grouped]
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+        return BodyState(state.q, p, state.A, L)
 
     return apply
 
@@ -173,7 +188,7 @@ def constrained_drift(drift: Operator, constraints: Constraints) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         q, p = constraints.drift(state.q, state.p, h, SUZUKI)
         free = drift(state, h)
-        return BodyState(q, p, free.A, free.L, free.heat, free.draws)
+        return BodyState(q, p, free.A, free.L)
 
     return apply
 
@@ -198,17 +213,17 @@ def point_operators(
 
     def drift(state: BodyState, h: float) -> BodyState:
         q, p = constraints.drift(state.q, state.p, h, composition)
-        return BodyState(q, p, state.A, state.L, state.heat, state.draws)
+        return BodyState(q, p, state.A, state.L)
 
     def kick(state: BodyState, h: float) -> BodyState:
         (F,) = forces(state)
-        return BodyState(state.q, state.p + h * F, state.A, state.L, state.heat, state.draws)
+        return BodyState(state.q, state.p + h * F, state.A, state.L)
 
     def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
         (F,) = forces(state)
         q = constraints.displaced(state.q, F, shift)
         (F,) = forces.at(q, state.A)
-        return BodyState(state.q, state.p + h * displaced(state.q, q, F), state.A, state.L, state.heat, state.draws)
+        return BodyState(state.q, state.p + h * displaced(state.q, q, F), state.A, state.L)
 
     return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift, AFTER_STEP: projection(constraints)}
 
@@ -247,7 +262,7 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
         q, p = moved.q, state.p.copy()
         q[:, members], p[:, members] = points.q, points.p
         kept[:] = q, points.q
-        return BodyState(q, p, moved.A, moved.L, moved.heat, moved.draws)
+        return BodyState(q, p, moved.A, moved.L)
 
     return apply
 

@@ -92,7 +92,7 @@ def kick(forces: CachedForces) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
         p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, state.q)
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+        return BodyState(state.q, p, state.A, L)
 
     return apply
 
@@ -115,7 +115,7 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
         q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         F, tau = forces.at(q, A)
         p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, q)
-        return BodyState(state.q, p, state.A, L, state.heat, state.draws)
+        return BodyState(state.q, p, state.A, L)
 
     return apply
 
@@ -132,7 +132,7 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
         if state.q.shape != (3, bodies.n):
             raise ValueError(f"the state of {bodies.n} bodies has q of shape {(3, bodies.n)}, got {state.q.shape}")
         q, A, L = free_motion(state, h)
-        return BodyState(q, state.p, A, L, state.heat, state.draws)
+        return BodyState(q, state.p, A, L)
 
     return apply
 

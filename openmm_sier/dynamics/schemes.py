@@ -85,7 +85,7 @@ class Scheme:
         ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]
         return DRIFT not in (*ends[:1], *ends[-1:])
 
-    @property
+    @cached_property
     def force_evaluations(self) -> int:
         """Force evaluations per step, not counting the first step of a run.
 
@@ -134,7 +134,7 @@ class Scheme:
                 stages.append(stage)
         return replace(self, stages=tuple(stages))
 
-    @property
+    @cached_property
     def bath_divides_drift(self) -> bool:
         """Whether `with_bath` put the bath into the middle of a drift."""
         return DRIFT_TO_BATH in self.operators
@@ -151,7 +151,7 @@ class Scheme:
         """
         return 1 / (2 * substeps - 1) if self.bath_divides_drift else self.longest_drift / substeps
 
-    @property
+    @cached_property
     def momentum_lag(self) -> float:
         """The fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
 
@@ -160,7 +160,7 @@ class Scheme:
         """
         return 0.5 if [stage.flow for stage in self.stages] == [KICK, DRIFT, BATH, DRIFT] else 0.0
 
-    @property
+    @cached_property
     def longest_drift(self) -> float:
         """The largest magnitude of a drift's fraction of the step; 0 without drifts."""
         return max((abs(stage.fraction) for stage in self.stages if stage.flow == DRIFT), default=0.0)

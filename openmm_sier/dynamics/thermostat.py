@@ -2,14 +2,14 @@
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from openmm_sier.dynamics.backend.formulas import body_frame, combine
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.noise import generator
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import Operator
 
 
@@ -21,17 +21,20 @@ class Thermostat(ABC):
         temperature: K.
         friction: rate at which it acts on translation, 1/ps.
         rotational_friction: rate at which it acts on rotation, 1/ps.
-        seed: together with the number of earlier draws it fixes the noise.
     """
 
     temperature: float
     friction: float
     rotational_friction: float
-    seed: int = 0
 
     @abstractmethod
-    def operator(self, bodies: RigidBodies) -> Operator:
-        """The thermostat as an operator of a splitting scheme. It counts its heat and its draws in the state."""
+    def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
+        """Return the thermostat as an operator of a splitting scheme.
+
+        Args:
+            bodies: on which it acts.
+            ledger: gives it random numbers, and counts its heat and its draws.
+        """
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         """The new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
@@ -58,11 +61,11 @@ class OrnsteinUhlenbeck(Thermostat):
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
-    def operator(self, bodies: RigidBodies) -> Operator:
+    def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
         masses, moments = bodies.masses, bodies.moments
 
         def apply(state: BodyState, h: float) -> BodyState:
-            noise = generator(self.seed, state.draws).standard_normal((6, bodies.n))
+            noise = ledger.noise().standard_normal((6, bodies.n))
             thermal = GAS_CONSTANT * self.temperature
             kept, spread = _decay(self.friction, h)
             p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
@@ -73,7 +76,9 @@ class OrnsteinUhlenbeck(Thermostat):
             L = kept * state.L + combine(kicks, A[0], A[1], A[2])
             new_along = kept * along + kicks
             heat += 0.5 * float(((new_along * new_along - along * along) * bodies.inverse_moments).sum())
-            return replace(state, p=p, L=L, draws=state.draws + 1, heat=state.heat + heat)
+            ledger.draws += 1
+            ledger.heat += heat
+            return BodyState(state.q, p, A, L)
 
         return apply
 

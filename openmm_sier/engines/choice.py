@@ -10,7 +10,7 @@ from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
 from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.protocol import Engine
-from openmm_sier.engines.variables import STATE_VARIABLES
+from openmm_sier.engines.variables import STATE_VARIABLES, StoredLedger
 from openmm_sier.system.arguments import Bodies
 
 #: Engines by the names by which users ask for them.
@@ -32,10 +32,21 @@ def fastest_platform() -> openmm.Platform:
     return max(map(openmm.Platform.getPlatform, range(openmm.Platform.getNumPlatforms())), key=lambda it: it.getSpeed())
 
 
-def engine_for(wanted: str, context: openmm.Context, flow: Flow, bodies: Bodies, program: Program) -> Engine:
-    """The engine of a Context, "exact", "native" or "auto" as wanted; the program is that of the flow."""
+def engine_for(
+    wanted: str, context: openmm.Context, flow: Flow, stored: StoredLedger, bodies: Bodies, program: Program
+) -> Engine:
+    """Return the engine of a Context.
+
+    Args:
+        wanted: "exact", "native" or "auto".
+        context: openmm.Context.
+        flow: what will be followed.
+        stored: the ledger of the integrator.
+        bodies: as users give them.
+        program: what OpenMM executes for the native engine.
+    """
     # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
     has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
     if wanted == "exact" or (wanted == "auto" and is_on_host(context.getPlatform()) and has_variables):
-        return ExactEngine(context, flow, bodies)
-    return NativeEngine(context, flow, bodies, program)
+        return ExactEngine(context, flow, stored, bodies)
+    return NativeEngine(context, flow, stored, bodies, program)

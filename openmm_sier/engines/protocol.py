@@ -2,7 +2,7 @@
 
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -14,15 +14,18 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import own_methods
-from openmm_sier.engines.beginnings import refuse_hopeless_start
-from openmm_sier.engines.snapshot import Snapshot, box_of
+from openmm_sier.engines.actions import Actions
+from openmm_sier.engines.snapshot import box_of
+from openmm_sier.engines.variables import StoredLedger
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
-from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
-from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom
+from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
 
 
 class TrajectoryError(openmm.OpenMMException):
@@ -36,56 +39,53 @@ class Clock(NamedTuple):
     steps: int
 
 
-class Movers:
-    """What an engine moves.
+class Memory(NamedTuple):
+    """What an engine goes back to: phase point, clock, box and mark of the ledger; `more` is the engine's own."""
 
-    Attributes:
-        bodies: by whose numbers the engine knows what moves: rigid and point bodies, or the massive atoms alone.
-    """
-
-    def __init__(self, bodies: RigidBodies, molecules: Callable[[], Sequence[Sequence[int]]]):
-        """
-        Args:
-            bodies: see above.
-            molecules: gives the particle indices of each molecule when they are needed.
-        """
-        self.bodies, self._molecules = bodies, molecules
-
-    @cached_property
-    def centres(self) -> MoleculeCentres:
-        """Centres of mass of the molecules, each of which moves as a whole with the volume."""
-        return MoleculeCentres(self.bodies, self._molecules())
+    point: Any
+    clock: Clock
+    box: Any
+    mark: Mark
+    more: Any = None
 
 
 class Engine(ABC):
-    """Binding of an integrator to a Context.
+    """Moves the bodies of one Context.
 
-    An engine gives its phase point as a `BodyState` and takes one. Within `following` it may keep it to itself; after
-    that the Context has it.
+    A new engine takes over a Context, follows a flow, publishes what came of it, and gives and takes a phase point:
+    those are its abstract methods. What else is here follows from them, and an engine that can do it better has its
+    own.
 
     Attributes:
         name: "exact" or "native", as users ask for it.
         repeats_noise: whether the noise of baths goes on from a State as it does from a checkpoint.
-        movers: what the phase point is of.
+        flow: what is followed.
+        ledger: heat, random numbers and counts.
+        stored: the ledger's place between calls of `step`.
+        moving: the bodies whose phase point the engine has: rigid and point bodies, or the massive atoms alone.
+        check_step: refuses steps that are too long for them.
         evaluations: number of force evaluations so far.
         clock: time and step count; ensembles set it where a step of the integrator is not one of the scheme.
     """
 
     name: ClassVar[str]
-    repeats_noise: ClassVar[bool]
-    movers: Movers
+    repeats_noise: ClassVar[bool] = False
+    moving: RigidBodies
+    check_step: StepCheck
     evaluations: int
     clock: Clock
 
-    def __init__(self, context: openmm.Context, flow: Flow):
+    def __init__(self, context: openmm.Context, flow: Flow, stored: StoredLedger):
         """
         Args:
             context: openmm.Context, which has the integrator.
             flow: what will be followed.
+            stored: the ledger of the integrator.
         """
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
         self._context_ref = weakref.ref(context)
-        self._flow = flow
+        self.flow = flow
+        self.stored, self.ledger = stored, stored.ledger
 
     @property
     def _context(self) -> openmm.Context:
@@ -98,41 +98,24 @@ class Engine(ABC):
         return self._context.getIntegrator()
 
     @property
+    def _groups(self) -> int:
+        """The integration force groups, a bit mask."""
+        return self._integrator.getIntegrationForceGroups()
+
+    @property
     def bodies(self) -> RigidBodies:
         """The rigid and point bodies of the System."""
-        return self.movers.bodies
+        return self.moving
 
-    # --- one call of the integrator's step ---
-
-    @contextmanager
-    def following(self, flow: Flow) -> Iterator[None]:
-        """Take over what was changed in the Context from outside, and follow a flow within the block.
-
-        However the block ends, the Context is left at the last completed step.
-
-        Raises:
-            openmm.OpenMMException: the flow cannot be followed. Nothing has been changed then.
-        """
-        self._begin(flow)
-        with self._recovering():
-            yield
-            self._publish()
-
-    @contextmanager
-    def _recovering(self) -> Iterator[None]:
-        try:
-            yield
-        except BaseException:
-            self._recover()
-            raise
+    # --- what an engine must do ---
 
     @abstractmethod
-    def _begin(self, flow: Flow) -> None:
-        """Take over what was changed in the Context from outside, and check that the flow can be followed."""
+    def take_over(self) -> None:
+        """Take over what was changed in the Context from outside. Nothing has been changed if this raises an error."""
 
     @abstractmethod
     def follow(self, steps: int, wants_energy: bool = False) -> None:
-        """Advance by steps of the scheme, and the clock with them.
+        """Advance by steps of the flow's scheme, and the clock with them.
 
         Args:
             steps: number of steps.
@@ -144,95 +127,104 @@ class Engine(ABC):
         """
 
     @abstractmethod
-    def _publish(self) -> None:
+    def publish(self) -> None:
         """Write the last completed step to the Context."""
-
-    def _recover(self) -> None:
-        """After an error: write the last completed step to the Context as far as the engine still has it."""
-        self._publish()
-
-    @abstractmethod
-    def check_step(self, flow: Flow) -> None:
-        """Refuse a flow whose step is too long, by what is known before there are positions.
-
-        Every step is checked when it is made; this tells it earlier.
-
-        Raises:
-            openmm.OpenMMException: the step is too long.
-        """
-
-    # --- the phase point ---
 
     @property
     @abstractmethod
     def point(self) -> BodyState:
-        """The phase point of `movers` at the last completed step, with the heat and the draws counted so far."""
+        """The phase point of `moving` at the last completed step."""
 
     @abstractmethod
     def change(self, operation: Callable[[BodyState], BodyState]) -> None:
         """Replace the phase point by what an operation makes of it; arrays that both share stay as they are."""
 
-    @property
-    def draws(self) -> int:
-        """Number of draws of random numbers so far."""
-        return self.point.draws
+    @abstractmethod
+    def potential_energy(self) -> float:
+        """Return the potential energy of the forces that move the bodies, kJ/mol."""
 
-    @draws.setter
-    def draws(self, number: int) -> None:
-        self.change(lambda point: replace(point, draws=number))
+    @abstractmethod
+    def state(self) -> BodyState:
+        """Return the phase point of `bodies`, brought up to date with the Context."""
+
+    # --- one call of the integrator's step ---
+
+    @contextmanager
+    def following(self, flow: Flow) -> Iterator[None]:
+        """Take over what was changed in the Context from outside, and follow a flow within the block.
+
+        However the block ends, the Context is left at the last completed step, and the ledger is stored.
+
+        Raises:
+            openmm.OpenMMException: the flow cannot be followed. Nothing has been changed then.
+        """
+        self.stored.read()
+        self.flow = flow
+        self.take_over()
+        self.check_step(flow, self._groups, self._context)
+        try:
+            with self.recovering():
+                yield
+                self.publish()
+        finally:
+            self.stored.write()
+
+    @contextmanager
+    def recovering(self) -> Iterator[None]:
+        """Leave the Context at the last completed step if the block raises an error."""
+        try:
+            yield
+        except BaseException:
+            self.recover()
+            raise
+
+    def recover(self) -> None:
+        """After an error: write the last completed step to the Context as far as the engine still has it."""
+        self.publish()
+
+    # --- what ensembles do between flows ---
 
     def kinetic_energy(self) -> float:
-        """Kinetic energy, kJ/mol."""
-        return sum(self.movers.bodies.kinetic_energies(self.point))
+        """Return the kinetic energy, kJ/mol."""
+        return sum(self.moving.kinetic_energies(self.point))
 
     def centre_velocity(self) -> np.ndarray:
-        """Velocity of the centre of mass, (3,), nm/ps."""
-        return self.movers.bodies.centre_velocity(self.point.p)
+        """Return the velocity of the centre of mass, (3,), nm/ps."""
+        return self.moving.centre_velocity(self.point.p)
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         """Add a velocity, (3,), nm/ps, to all that moves, and its energy to the heat."""
-        self.change(lambda point: self.movers.bodies.shifted(point, velocity))
+        self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
+        self.change(lambda point: self.moving.shifted(point, velocity))
 
     def scale_velocities(self, factor: float) -> None:
         """Multiply all velocities by a factor, and add the energy that they gain to the heat."""
-        gained = (factor**2 - 1) * self.kinetic_energy()
-        self.change(lambda point: replace(point, p=factor * point.p, L=factor * point.L, heat=point.heat + gained))
+        self.ledger.heat += (factor**2 - 1) * self.kinetic_energy()
+        self.change(lambda point: replace(point, p=factor * point.p, L=factor * point.L))
+
+    def draw_momenta(self, bath: Thermostat, time: float) -> None:
+        """Let a bath act for a time in ps; it takes a draw, and its heat is counted."""
+        operator = bath_operator(bath, self.moving, self.ledger)
+        self.change(lambda point: operator(point, time))
+
+    def positions(self) -> np.ndarray:
+        """Return the positions of all atoms of bodies, (N, 3), nm; zero for other particles."""
+        point = self.point
+        return self.moving.place(point.q, point.A, np.zeros((self.moving.n_particles, 3)))
+
+    @cached_property
+    def molecule_centres(self) -> MoleculeCentres:
+        """Centres of mass of the molecules, each of which moves as a whole with the volume."""
+        return MoleculeCentres(self.moving, self._context.getMolecules())
 
     def scale(self, factor: float) -> None:
         """Multiply the edges of the box and the centres of mass of all molecules; the clock stays."""
         self._set_box([factor * edge for edge in self._box()])
-        self.change(lambda point: replace(point, q=point.q + (factor - 1) * self.movers.centres(point.q)))
+        self.change(lambda point: replace(point, q=point.q + (factor - 1) * self.molecule_centres(point.q)))
 
-    def add_heat(self, energy: float) -> None:
-        """Count energy as heat, kJ/mol."""
-        self.change(lambda point: replace(point, heat=point.heat + energy))
-
-    # --- what else ensembles need between flows ---
-
-    @abstractmethod
-    def potential_energy(self) -> float:
-        """Potential energy of the forces that move the bodies, kJ/mol."""
-
-    @abstractmethod
-    def positions(self) -> np.ndarray:
-        """Return the positions of all particles, (N, 3), nm."""
-
-    @abstractmethod
-    def draw_momenta(self, bath: Thermostat, time: float) -> None:
-        """Let a bath act for a time in ps; it takes a draw and its heat is counted."""
-
-    @abstractmethod
-    def remember(self) -> Any:
-        """Everything that `go_back` restores: positions, momenta, box, clock, heat and draws."""
-
-    @abstractmethod
-    def go_back(self, memory: Any, reverse: bool = False) -> None:
-        """Restore what was remembered; `reverse` reverses all momenta."""
-
-    def undo(self, memory: Any) -> None:
-        """After an error: restore what was remembered. What follows depends on nothing that was tried since."""
-        self.start_anew()
-        self.go_back(memory)
+    def volume(self) -> float:
+        """Return the volume of the box, nm^3."""
+        return own_methods.get_state(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
 
     def prepare_for_volume_moves(self) -> None:
         """Check that the volume can be changed.
@@ -240,58 +232,71 @@ class Engine(ABC):
         Raises:
             openmm.OpenMMException: it cannot.
         """
-        checks.refuse_constant_pressure(self._context.getSystem(), self.movers.bodies)
-
-    def volume(self) -> float:
-        """Volume of the box, nm^3."""
-        return own_methods.get_state(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
+        checks.refuse_constant_pressure(self._context.getSystem(), self.moving)
 
     def _box(self) -> Any:
-        """Periodic box vectors, nm."""
+        """Return the periodic box vectors, nm."""
         return box_of(own_methods.get_state(self._context))
 
     def _set_box(self, box: Any) -> None:
         own_methods.set_box(self._context, *box)
 
+    # --- there and back ---
+
+    def remember(self) -> Memory:
+        """Return everything that `go_back` restores."""
+        return Memory(self.point, self.clock, self._box(), self.ledger.mark())
+
+    def go_back(self, memory: Memory, reverse: bool = False) -> None:
+        """Restore what was remembered; `reverse` reverses all momenta."""
+        if memory.box != self._box():
+            self._set_box(memory.box)
+        point = memory.point
+        self.change(lambda _: replace(point, p=-point.p, L=-point.L) if reverse else point)
+        self.clock = memory.clock
+        self.ledger.go_back(memory.mark)
+
+    def undo(self, memory: Memory) -> None:
+        """After an error: restore what was remembered. What follows depends on nothing that was tried since."""
+        self.start_anew()
+        self.go_back(memory)
+
     # --- what users ask ---
 
     def heat(self) -> float:
-        """Energy that was given to the bodies by baths and moves, and not by forces, kJ/mol."""
-        return self.state().heat
-
-    @abstractmethod
-    def state(self) -> BodyState:
-        """The bodies' phase point, brought up to date with the Context."""
+        """Return the energy that was given to the bodies by baths and moves, and not by forces, kJ/mol."""
+        self.stored.read()
+        return self.ledger.heat
 
     @property
     def momentum_lag(self) -> float:
         """See `Scheme.momentum_lag`."""
-        return self._flow.scheme.momentum_lag
-
-    @abstractmethod
-    def inner_step(self, flow: Flow) -> float:
-        """The longest step of a flow within drifts, ps."""
+        return self.flow.scheme.momentum_lag
 
     def at_whole_step(self, state: BodyState) -> BodyState:
         """The phase point of a whole step, with momenta that do not lag; it costs a force evaluation if they do."""
         if not self.momentum_lag:
             return state
-        bodies, groups, fast = self.bodies, self._integrator.getIntegrationForceGroups(), self._flow.fast_groups
+        bodies, groups, fast = self.bodies, self._groups, self.flow.fast_groups
         p, L = state.p, state.L
-        for step, acting in ((self._flow.step, groups & ~fast), (self.inner_step(self._flow), groups & fast)):
+        for step, acting in ((self.flow.step, groups & ~fast), (self.inner_step(self.flow), groups & fast)):
             if acting:
                 forces = own_methods.get_state(self._context, forces=True, groups=acting).getForces(asNumpy=True)
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
-    @abstractmethod
+    def inner_step(self, flow: Flow) -> float:
+        """Return the longest step of a flow within drifts, ps."""
+        return self.check_step.inner_step(flow, self._groups)
+
     def temperatures(self, conserved: bool) -> Temperatures:
         """Return temperatures in K, see `system.temperature`; `conserved` is what `conserves_momentum` tells."""
+        return temperatures(self.bodies, self.state(), conserved)
 
     @cached_property
     def _momentum(self) -> MomentumConservation:
-        return MomentumConservation(self._context.getSystem(), self.movers.bodies)
+        return MomentumConservation(self._context.getSystem(), self.moving)
 
     @property
     def removes_momentum(self) -> bool:
@@ -304,7 +309,7 @@ class Engine(ABC):
         Args:
             has_friction: of the ensemble, see `Ensemble.has_friction`.
         """
-        return self._momentum.holds(self._integrator.getIntegrationForceGroups(), has_friction)
+        return self._momentum.holds(self._groups, has_friction)
 
     def degrees_of_freedom(self, conserved: bool) -> float:
         """Return the number of degrees of freedom that share the heat, see `system.temperature`.
@@ -314,62 +319,40 @@ class Engine(ABC):
         """
         return sum(degrees_of_freedom(self.bodies, conserved))
 
-    # --- what OpenMM does in the Context, and cannot do for all constraints ---
+    def refuse_long_step(self, flow: Flow) -> None:
+        """Refuse a flow whose step is too long, by what is known before there are positions.
 
-    @cached_property
-    def _trial(self) -> SolverTrial:
-        return SolverTrial(self._context.getSystem())
-
-    def _let_openmm_solve(self, by_openmm: Callable[[], None]) -> None:
-        """Let OpenMM do something for which it solves constraints."""
-        by_openmm()
-
-    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
-        """Draw velocities of all atoms; see `Context.setVelocitiesToTemperature`, which `by_openmm` calls."""
-        self._let_openmm_solve(by_openmm)
-
-    def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
-        """Move atoms onto the constraints; see `Context.applyConstraints`, which `by_openmm` calls."""
-        self._let_openmm_solve(by_openmm)
-
-    def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
-        """Take away velocities along constraints; see `Context.applyVelocityConstraints`, which `by_openmm` calls."""
-        self._let_openmm_solve(by_openmm)
-
-    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        """Minimize the energy and keep bodies rigid; see `openmm.LocalEnergyMinimizer` for the arguments.
-
-        Args:
-            by_openmm: does it with OpenMM's minimizer, which keeps nothing but constraints.
+        Every step is checked when it is made; this tells it earlier.
 
         Raises:
-            RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
-            openmm.OpenMMException: it cannot begin where the atoms are.
+            openmm.OpenMMException: the step is too long.
         """
-        self._refuse_cut_molecules()
-        refuse_hopeless_start(self._context)
-        self._let_openmm_solve(by_openmm)
+        self.check_step(flow, self._groups)
 
-    def _refuse_cut_molecules(self) -> None:
-        now = Snapshot(self._context)
-        refuse_cut_molecules(self._context.getSystem(), now.positions, now.box)
+    @cached_property
+    def trial(self) -> SolverTrial:
+        """Finds out which constraints of the System OpenMM's solvers cannot satisfy."""
+        return SolverTrial(self._context.getSystem())
 
-    # --- news from outside ---
+    @cached_property
+    def actions(self) -> Actions:
+        """What users let OpenMM do in the Context."""
+        return Actions(self._context)
 
-    def atoms_moved(self) -> None:  # noqa: B027 - nothing to do where it is found out
-        """Somebody set positions or velocities; an engine may find it out by itself."""
+    # --- news from outside; an engine may find some of it out by itself ---
 
-    def box_changed(self) -> None:  # noqa: B027 - nothing to do where it is found out
-        """Somebody set the box; an engine may find it out by itself."""
+    def atoms_moved(self) -> None:  # noqa: B027
+        """Somebody set positions or velocities."""
 
-    @abstractmethod
-    def forces_changed(self) -> None:
+    def box_changed(self) -> None:  # noqa: B027
+        """Somebody set the box."""
+
+    def forces_changed(self) -> None:  # noqa: B027
         """Somebody changed the potential."""
 
     def groups_changed(self) -> None:
         """Somebody changed the integration force groups."""
         self.forces_changed()
 
-    @abstractmethod
-    def start_anew(self) -> None:
+    def start_anew(self) -> None:  # noqa: B027
         """Make the next step depend on nothing but what the Context holds, so that a restart repeats it bit for bit."""

@@ -1,13 +1,15 @@
-"""Names of the variables of the CustomIntegrator that carry what checkpoints and States must hold."""
+"""Variables of the CustomIntegrator, which carry what checkpoints and States must hold."""
 
 import weakref
 
 import openmm
 
+from openmm_sier.dynamics.ledger import Ledger
+
 #: What the names begin with, so that no parameter of a Force has the same name.
 PREFIX = "sier_"
 
-#: Global variables: heat, kJ/mol; number of draws of random numbers so far; seed, 0 if none was chosen.
+#: Global variables of a ledger: heat, kJ/mol; number of draws so far; seed, 0 if none was chosen.
 HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 
 #: Global variable: the next native step of the program. If it is negative, OpenMM updates the Context's state and does
@@ -19,47 +21,57 @@ STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 SITES = PREFIX + "sites"
 
 
-class Record:
-    """Global variables by name that travel in checkpoints, beside the values that they had after the last step."""
+class StoredLedger:
+    """A ledger, and the global variables of an integrator that hold it between calls of `step`.
 
-    def __init__(self, integrator: openmm.CustomIntegrator, names: tuple[str, ...] = ()):
-        """
-        Args:
-            integrator: has the variables.
-            names: of the variables besides heat, draws and seed.
-        """
+    Checkpoints and States carry the variables, and users may set them. So the ledger is read at the start of a call,
+    and written at its end.
+
+    Attributes:
+        ledger: the ledger.
+    """
+
+    def __init__(self, integrator: openmm.CustomIntegrator, ledger: Ledger):
         # The integrator holds this.
-        self._integrator, self._names = weakref.ref(integrator), (HEAT, DRAWS, *names)
+        self._integrator = weakref.ref(integrator)
+        self.ledger = ledger
         self._known: dict[str, float] = {}
 
-    def __getitem__(self, name: str) -> float:
-        return self._integrator().getGlobalVariableByName(name)  # type: ignore[union-attr]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all variables."""
+        return HEAT, DRAWS, SEED, *self.ledger.counts
 
-    def __setitem__(self, name: str, value: float) -> None:
-        self._integrator().setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+    def read(self) -> None:
+        """Take what the variables have, unless somebody wrote those of another integrator over them.
 
-    def clear(self) -> None:
-        """Set all to zero but the seed."""
-        for name in self._names:
-            self[name] = 0.0
-
-    def values(self) -> dict[str, float]:
-        """Return the values of all by name, the seed among them."""
-        return {name: self[name] for name in (SEED, *self._names)}
-
-    def set(self, values: dict[str, float]) -> None:
-        """Set values by name."""
-        for name, value in values.items():
-            self[name] = value
-
-    def keep(self) -> None:
-        """Note the values that they have."""
-        self._known = self.values()
-
-    def restore(self) -> None:
-        """Restore the noted values if somebody wrote the variables of another integrator over ours.
-
-        openmmtools' ContextCache does so. Noise must not be used twice.
+        openmmtools' ContextCache does so, and noise must not be used twice. What was known before is then written back.
         """
-        if self._known.get(SEED) and self[SEED] == 0:
-            self.set(self._known)
+        there = self._values()
+        if self.ledger.seed and there[SEED] == 0:
+            self._known = there
+            self.write()
+        else:
+            self._take(there)
+
+    def load(self) -> None:
+        """Take what the variables have."""
+        self._take(self._values())
+
+    def _take(self, there: dict[str, float]) -> None:
+        self._known, ledger = there, self.ledger
+        ledger.heat, ledger.draws, ledger.seed = there[HEAT], int(there[DRAWS]), int(there[SEED])
+        ledger.counts = {name: there[name] for name in ledger.counts}
+
+    def write(self) -> None:
+        """Set the variables that differ from the ledger since it was read."""
+        ledger, integrator = self.ledger, self._integrator()
+        values = {HEAT: ledger.heat, DRAWS: float(ledger.draws), SEED: float(ledger.seed), **ledger.counts}
+        for name, value in values.items():
+            if self._known.get(name) != value:
+                integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]
+        self._known = values
+
+    def _values(self) -> dict[str, float]:
+        get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
+        return {name: get(name) for name in self.names}

@@ -1,7 +1,7 @@
 """What happens between the flows that an engine follows: nothing, thermostats, volume moves, the decision on a trial.
 
-An ensemble is frozen data with one operation, `advance`. It knows engines only by `engines.protocol.Engine`, so that it
-is written once for all of them.
+An ensemble is frozen data: moves that act between steps, and a way to advance by steps. It knows engines only by
+`engines.protocol.Engine`, so that it is written once for all of them.
 """
 
 from openmm_sier.ensembles.ensemble import ConstantEnergy

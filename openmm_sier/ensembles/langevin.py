@@ -41,11 +41,11 @@ class Langevin(ConstantTemperature):
         """That of rotation alone leaves the total momentum as it is."""
         return self.friction > 0
 
-    def suited(self, scheme: Scheme) -> Scheme:
+    def scheme_for(self, scheme: Scheme) -> Scheme:
         return scheme.with_bath()
 
-    def flow(self, flow: Flow, seed: int) -> Flow:
-        """Without a bath if there is no friction, so that the trajectory is that of the scheme alone."""
+    def flow(self, flow: Flow) -> Flow:
+        """Return a flow with the bath, or without it if there is no friction: then the scheme is followed alone."""
         scheme = flow.scheme.without_bath() if self.friction == self.turning == 0 else flow.scheme
-        bath = OrnsteinUhlenbeck(self.temperature, self.friction, self.turning, seed)
+        bath = OrnsteinUhlenbeck(self.temperature, self.friction, self.turning)
         return replace(flow, scheme=scheme, bath=bath, counts_heat=self.counts_heat)

@@ -10,11 +10,10 @@ import openmm
 from openmm_sier.dynamics.acceptance import is_accepted
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
-from openmm_sier.engines.variables import PREFIX, SEED, Record
+from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 
@@ -46,8 +45,8 @@ class Metropolis(ConstantTemperature):
     friction: float | None
     steps_per_trial: int
 
-    record: ClassVar[tuple[str, ...]] = (
-        *ConstantTemperature.record,
+    counts: ClassVar[tuple[str, ...]] = (
+        *ConstantTemperature.counts,
         TRIALS,
         ACCEPTED,
         ERROR,
@@ -79,14 +78,14 @@ class Metropolis(ConstantTemperature):
         """Momenta are drawn anew, in part or all of them."""
         return True
 
-    def suited(self, scheme: Scheme) -> Scheme:
+    def scheme_for(self, scheme: Scheme) -> Scheme:
         if BATH in scheme.operators:
             raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
         if not scheme.is_palindrome:
             raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
         return scheme
 
-    def flow(self, flow: Flow, seed: int) -> Flow:
+    def flow(self, flow: Flow) -> Flow:
         return replace(flow, updates_context=False)
 
     def check(self, system: openmm.System, engine: Engine) -> None:
@@ -98,58 +97,62 @@ class Metropolis(ConstantTemperature):
                 )
         super().check(system, engine)
 
-    def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
+    def advance(self, engine: Engine, steps: int) -> None:
         for _ in range(steps):
             sample = engine.remember()
             try:
-                self._trial(engine, flow, record)
+                self._trial(engine)
             except BaseException:
                 engine.undo(sample)
                 raise
 
-    def _trial(self, engine: Engine, flow: Flow, record: Record) -> None:
+    def _trial(self, engine: Engine) -> None:
+        ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step
         time, steps = engine.clock
-        self._draw_momenta(engine, self.steps_per_trial * flow.step, int(record[SEED]))
-        decision = engine.draws
-        engine.draws += 1
+        self._draw_momenta(engine, length)
+        decision = ledger.draws
+        ledger.draws += 1
         start, energy = engine.remember(), _energy(engine)
         if not math.isfinite(energy):
             raise openmm.OpenMMException(
                 f"In step {steps + 1} no trajectory can begin where the energy is {energy}. Do atoms overlap?"
             )
-        self._check_reversal(engine, flow, record)
+        self._check_reversal(engine)
         try:
             engine.follow(self.steps_per_trial, wants_energy=True)
             error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
         except TrajectoryError:
             error = math.inf
         error = math.inf if math.isnan(error) else error
-        accepted = is_accepted(error, int(record[SEED]), decision)
+        accepted = is_accepted(error, ledger.seed, decision)
         if not accepted:
             engine.go_back(start, reverse=True)
         if engine.removes_momentum:
             engine.shift_velocities(-engine.centre_velocity())
-        engine.clock = Clock(time + self.steps_per_trial * flow.step, steps + 1)
-        record[TRIALS], record[ACCEPTED], record[ERROR] = record[TRIALS] + 1, record[ACCEPTED] + accepted, error
+        engine.clock = Clock(time + length, steps + 1)
+        ledger.counts[TRIALS] += 1
+        ledger.counts[ACCEPTED] += accepted
+        ledger.counts[ERROR] = error
 
-    def _draw_momenta(self, engine: Engine, time: float, seed: int) -> None:
+    def _draw_momenta(self, engine: Engine, time: float) -> None:
         # Infinite friction has no meaning for steps of zero length, in which nothing moves.
         if not time:
             return
         if engine.removes_momentum and self.friction is not None:
             # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
-            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.movers.bodies.mass)
-            engine.shift_velocities(spread * generator(seed, engine.draws, stream=3).standard_normal(3))
+            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.moving.mass)
+            engine.shift_velocities(spread * engine.ledger.noise(stream=3).standard_normal(3))
         friction = math.inf if self.friction is None else self.friction
-        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction, seed), time)
+        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction), time)
 
-    def _check_reversal(self, engine: Engine, flow: Flow, record: Record) -> None:
+    def _check_reversal(self, engine: Engine) -> None:
         """Follow a trajectory there and back, once for each step size.
 
         Raises:
             openmm.OpenMMException: it does not come back.
         """
-        if record[CHECKED_STEP] == flow.step:
+        counts, step = engine.ledger.counts, engine.flow.step
+        if counts[CHECKED_STEP] == step:
             return
         error = reversal_error(engine, self.steps_per_trial)
         if not error <= REVERSIBLE:
@@ -158,7 +161,8 @@ class Metropolis(ConstantTemperature):
                 f"nm, more than {REVERSIBLE:.0e} nm, so that samples would not be exact: take shorter trajectories or "
                 "steps"
             )
-        record[REVERSAL], record[CHECKED_STEP] = error, flow.step
+        counts[REVERSAL] = error
+        counts[CHECKED_STEP] = step
 
 
 def reversal_error(engine: Engine, steps: int) -> float:

@@ -5,17 +5,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.noise import generator
 from openmm_sier.engines.protocol import Engine
-from openmm_sier.engines.variables import SEED, Record
-from openmm_sier.ensembles.ensemble import ConstantTemperature, advance_between, make_number
+from openmm_sier.ensembles.ensemble import ConstantTemperature, Move, make_number
 
 
 @dataclass(frozen=True)
@@ -47,23 +43,22 @@ class VelocityRescaling(ConstantTemperature):
     def needs_package(self) -> bool:
         return True
 
-    def advance_at_volume(self, engine: Engine, flow: Flow, record: Record, steps: int) -> None:
-        if not self.rate:
-            return engine.follow(steps)
-        scale = partial(self._scale, engine, math.exp(-self.rate * self.every * flow.step), int(record[SEED]))
-        return advance_between(engine, record, steps, self.every, scale, engine.follow)
+    @property
+    def moves(self) -> tuple[Move, ...]:
+        return (*super().moves, Move(self.every, self._scale)) if self.rate else super().moves
 
-    def _scale(self, engine: Engine, kept: float, seed: int) -> None:
+    def _scale(self, engine: Engine) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
+        kept = math.exp(-self.rate * self.every * engine.flow.step)
         conserved = engine.conserves_momentum(self.has_friction)
         centre = engine.centre_velocity() if conserved else np.zeros(3)
-        kinetic = engine.kinetic_energy() - 0.5 * engine.movers.bodies.mass * float(centre @ centre)
+        kinetic = engine.kinetic_energy() - 0.5 * engine.moving.mass * float(centre @ centre)
         freedoms = engine.degrees_of_freedom(conserved)
         if freedoms > 0:
-            factor = self._factor(kinetic, freedoms, kept, generator(seed, engine.draws))
+            factor = self._factor(kinetic, freedoms, kept, engine.ledger.noise())
             engine.scale_velocities(factor)
             engine.shift_velocities((1 - factor) * centre)
-        engine.draws += 1
+        engine.ledger.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:
         """By which velocities are multiplied: that of the velocities of an Ornstein-Uhlenbeck process.

@@ -1,31 +1,30 @@
 """The Python part of an integrator: settings and program and, with a Context, an engine and watches."""
 
-import copy
-import inspect
-import math
 import secrets
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from threading import RLock
 from typing import Any
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import engine_for, fastest_platform, is_on_host
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
-from openmm_sier.engines.native.program import WORK
+from openmm_sier.engines.native.program import WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, program_for
 from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.engines.protocol import Engine
-from openmm_sier.engines.variables import DRAWS, HEAT, PART, SEED, Record
+from openmm_sier.engines.variables import StoredLedger
+from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups
 from openmm_sier.prepare.pme import tell_of_pme
@@ -39,15 +38,16 @@ from openmm_sier.system.unchanged import UnchangedSystem
 class Binding:
     """The Python part of a SIER integrator, through its whole life.
 
-    `install` gives a new integrator its variables and program. `prepare` is called before its Context is created and
-    `bind` after that, and again when the Context is reinitialized. `step` advances it. What happens to the Context from
-    outside is told by `moved`, `box_changed`, `forces_changed`, `groups_changed`, `take_over`, `take_over_state` and
-    `start_anew`, which do nothing without a Context. `change` replaces settings at any time.
+    A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
+    is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step` advances it.
+    What happens to the Context from outside is told by `moved`, `box_changed`, `forces_changed`, `groups_changed`,
+    `take_over`, `take_over_state` and `start_anew`, which do nothing without a Context. `change` replaces settings at
+    any time.
 
     Attributes:
         settings: all that the integrator was asked for.
         program: what OpenMM executes for the native engine.
-        record: the global variables that travel in checkpoints.
+        stored: heat, random numbers and counts, in variables that travel in checkpoints.
         watch: stops runs that have become too hot; there is none before `bind`.
     """
 
@@ -61,9 +61,13 @@ class Binding:
             given: its settings.
         """
         self._integrator_ref = weakref.ref(integrator)
-        self.settings, self.program = given, general_program(_whole_flow(given))
+        self.settings = given
+        #: The fast force groups of a prepared System, a bit mask.
+        self._found_groups = 0
+        self._flow: Flow | None = None
+        self.program = self.general_program()
         self._own_computations = integrator.getNumComputations()
-        self.record = Record(integrator, given.ensemble.record)
+        self.stored = StoredLedger(integrator, Ledger(counts=given.ensemble.counts))
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
         self._stepping, self._told_of_noise = RLock(), False
@@ -95,39 +99,50 @@ class Binding:
         """The ensemble of the settings."""
         return self.settings.ensemble
 
-    @property
-    def native_steps(self) -> int:
-        """Number of OpenMM steps in one step of the scheme."""
-        return int(self.record[installation.PARTS]) or 1
-
     # --- settings, here and in what OpenMM serializes ---
 
-    def install(self) -> None:
-        """Give a new integrator its variables, its program and its settings."""
+    def declare(self) -> None:
+        """Give a new integrator its variables and its settings."""
         integrator = self._integrator
-        for name in (HEAT, DRAWS, SEED, *self.ensemble.record):
+        for name in self.stored.names:
             integrator.addGlobalVariable(name, 0)
-        installation.install(self.program, integrator)
-        self._own_computations = integrator.getNumComputations()
+        installation.declare(integrator)
         integrator.setConstraintTolerance(TOLERANCE)
         self.change()
 
     def change(self, **changes: Any) -> None:
         """Replace settings, by the names of their fields."""
-        self.settings = replace(self.settings, **changes)
-        openmm.CustomIntegrator.setStepSize(self._integrator, self.settings.step / self.native_steps)
-        settings.store(self._integrator, self.settings)
+        self.settings, self._flow = replace(self.settings, **changes), None
+        integrator = self._integrator
+        openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
+        settings.store(integrator, self.settings)
         self._set_program_variables()
 
-    def _flow(self) -> Flow:
-        """What an engine is to follow now; a loaded checkpoint brings the seed of its run."""
-        return self.settings.flow(int(self.record[SEED]))
+    @property
+    def native_steps(self) -> int:
+        """Number of OpenMM steps in one step of the scheme."""
+        return int(self._integrator.getGlobalVariableByName(installation.PARTS)) or 1
+
+    def flow(self) -> Flow:
+        """Return what an engine is to follow now, the same object until settings change."""
+        if self._flow is None:
+            self._flow = self.settings.flow(self._found_groups)
+        return self._flow
+
+    def _whole_flow(self) -> Flow:
+        """Return the flow with the bath of its scheme, which a friction that is set later needs."""
+        return replace(self.flow(), scheme=self.settings.scheme)
+
+    def general_program(self) -> Program:
+        """Return a program that is right in any System."""
+        return general_program(self._whole_flow())
 
     def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        flow = self._flow()
-        less = self.ensemble.needs_package or self.settings.bodies is not None
-        installation.set_variables(self._integrator, flow.bath, less or why_not(flow, self.program) is not None)
+        flow = self.flow()
+        does_less = self.ensemble.needs_package or self.settings.bodies is not None
+        installation.set_bath(self._integrator, flow.bath)
+        installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
 
     # --- a Context ---
 
@@ -140,7 +155,7 @@ class Binding:
 
         Raises:
             openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
-                integrator was given more computations, or its Context is gone.
+                integrator was given computations, or its Context is gone.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
@@ -154,57 +169,66 @@ class Binding:
         checks.refuse_impossible_numbers(system)
         installation.refuse_additions(self._integrator, self._own_computations)
         given = self.settings
-        if given.finds_fast_groups:
-            given = replace(given, fast_groups=find_fast_groups(system, given.bodies, says=True))
-        self._rewrite(given, system, platform)
+        if given.fast_groups is None:
+            self._found_groups = find_fast_groups(system, given.bodies, says=True)
+            self._flow = None
+        self._write_program(system, platform)
         if given.scheme.without_bath().order >= 4:
             tell_of_pme(system, given.scheme.name)
-        self.record.clear()
-        self.record[SEED] = self.record[PART] = 0
+        self.stored.ledger.clear()
+        self.stored.ledger.seed = 0
+        self.stored.write()
 
-    def _rewrite(self, given: settings.Settings, system: openmm.System, platform: openmm.Platform | None) -> None:
-        """Give the integrator the program of settings for a System, with zeros in all its per-atom variables."""
+    def _write_program(self, system: openmm.System, platform: openmm.Platform | None) -> None:
+        """Give the integrator the program that costs least in a System on a platform."""
+        integrator, given = self._integrator, self.settings
+        # There is one already where a Context could not be created.
+        installation.uninstall(integrator)
         on_gpu = not is_on_host(platform or fastest_platform())
-        groups = self._integrator.getIntegrationForceGroups()
-        self.program = program_for(_whole_flow(given), system, groups, counts_heat=not on_gpu)
+        groups = integrator.getIntegrationForceGroups()
+        self.program = program_for(self._whole_flow(), system, groups, counts_heat=not on_gpu)
         # What the exact engine stores makes the kernels of GPUs slower.
         vectors = self.program.vectors if on_gpu and given.engine != "exact" else installation.ALL_VECTORS
-        installation.rewrite(self._integrator, self.program, vectors)
-        self._own_computations = self._integrator.getNumComputations()
-        self.change(fast_groups=given.fast_groups)
+        installation.install(self.program, integrator, vectors)
+        self._own_computations = integrator.getNumComputations()
+        self.change()
 
-    def bind(self, context: openmm.Context, keeps_record: bool = True) -> None:
+    def bind(self, context: openmm.Context, keeps_ledger: bool = True) -> None:
         """Choose and make the engine of a Context that was created or reinitialized with the integrator.
 
         Args:
             context: openmm.Context, which the integrator belongs to.
-            keeps_record: whether heat, draws and what the ensemble counts go on. OpenMM clears the per-atom variables
+            keeps_ledger: whether heat, draws and what the ensemble counts go on. OpenMM clears the per-atom variables
                 of a Context that is reinitialized without its state, but not the global ones.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says. There is no
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
-        if not keeps_record:
-            self.record.clear()
+        ledger = self.stored.ledger
+        self.stored.load()
+        if not keeps_ledger:
+            ledger.clear()
         system, given = context.getSystem(), self.settings
         checks.tell_of_frozen_atoms_that_move(system)
         tell_of_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
-        if given.finds_fast_groups and find_fast_groups(system, given.bodies) != given.fast_groups:
+        if given.fast_groups is None and find_fast_groups(system, given.bodies) != self._found_groups:
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        engine = engine_for(given.engine, context, self._flow(), given.bodies, self.program)
+        engine = engine_for(given.engine, context, self.flow(), self.stored, given.bodies, self.program)
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
-        if self.ensemble.is_random and self.record[SEED] == 0:
-            self.record[SEED] = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+        if self.ensemble.is_random and not ledger.seed:
+            ledger.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+        self.stored.write()
         self._set_program_variables()
-        self.record.keep()
+
+    # --- steps ---
 
     def step(self, steps: int) -> None:
         """Advance by steps of the integrator; see `SIERIntegrator.step`.
@@ -212,20 +236,26 @@ class Binding:
         Raises:
             openmm.OpenMMException: another thread is stepping the Context.
         """
-        engine, context = self.engine, self._context()
+        engine, context, ensemble = self.engine, self._context(), self.ensemble
         if context is None:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
         self._system.check(context.getSystem())
-        length, bath = self.settings.step * self.ensemble.steps, getattr(self.ensemble, "temperature", 0.0)
+        length, bath = self.settings.step * ensemble.steps, getattr(ensemble, "temperature", 0.0)
         self._compare_temperatures(context, bath)
+        with self._alone():
+            self.watch.begin(context)
+            with interrupts.deferred(), engine.following(self.flow()):
+                _advance(engine, ensemble, steps)
+            self.watch.look(context, steps, length, bath)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Refuse to let two threads step one Context."""
         # To wait would hang a process that was forked while another thread had the lock.
         if not self._stepping.acquire(blocking=False):
             raise openmm.OpenMMException("Another thread is stepping this Context: give each a Context of its own")
         try:
-            self.watch.begin(context)
-            with interrupts.deferred():
-                self._advance(engine, steps)
-            self.watch.look(context, steps, length, bath)
+            yield
         finally:
             self._stepping.release()
 
@@ -241,17 +271,7 @@ class Binding:
         Raises:
             openmm.OpenMMException: the step is too long.
         """
-        self.engine.check_step(self._flow())
-
-    def _advance(self, engine: Engine, steps: int) -> None:
-        """Let the engine take over what was changed, the ensemble advance, and the engine publish."""
-        self.record.restore()
-        flow = self._flow()
-        try:
-            with engine.following(flow):
-                self.ensemble.advance(engine, flow, self.record, steps)
-        finally:
-            self.record.keep()
+        self.engine.refuse_long_step(self.flow())
 
     # --- news from outside ---
 
@@ -262,27 +282,27 @@ class Binding:
             self._engine.atoms_moved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
-        """Somebody asks for velocities of a temperature; see `Engine.draw_velocities`."""
+        """Somebody asks for velocities of a temperature; see `Actions.draw_velocities`."""
         if self._engine is None:
             by_openmm()
         else:
-            self._engine.draw_velocities(by_openmm, temperature, seed)
+            self._engine.actions.draw_velocities(by_openmm, temperature, seed)
         self.moved()
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        """Somebody minimizes the energy; see `Engine.minimize`. Warn of bodies that still overlap."""
-        self.engine.minimize(by_openmm, tolerance, iterations, reporter)
+        """Somebody minimizes the energy; see `Actions.minimize`. Warn of bodies that still overlap."""
+        self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
         self.moved()
         tell_of_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
-        """Somebody asks for positions that satisfy constraints, or for velocities; see `Engine.satisfy_positions`."""
+        """Somebody asks for positions that satisfy constraints, or for velocities; see `Actions`."""
         if self._engine is None:
             by_openmm()
         elif velocities:
-            self._engine.satisfy_velocities(by_openmm)
+            self._engine.actions.satisfy_velocities(by_openmm)
         else:
-            self._engine.satisfy_positions(by_openmm)
+            self._engine.actions.satisfy_positions(by_openmm)
 
     def box_changed(self) -> None:
         """Somebody set the box."""
@@ -309,10 +329,13 @@ class Binding:
 
         The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
         """
-        if WORK in installation.vectors_of(self._integrator):
-            work = np.array(self._integrator.getPerDofVariableByName(WORK))
-            self.record[HEAT] += float(work.sum())
-            self._integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
+        self.stored.load()
+        integrator = self._integrator
+        if WORK in installation.vectors_of(integrator):
+            work = np.array(integrator.getPerDofVariableByName(WORK))
+            self.stored.ledger.heat += float(work.sum())
+            integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
+        self.stored.write()
         self._set_program_variables()
         self.moved()
 
@@ -326,13 +349,17 @@ class Binding:
             has_parameters: whether the State has those of an integrator. Then it is said, once, where noise goes on
                 differently than in the run that wrote the State.
         """
-        seed, draws = self.record[SEED], self.record[DRAWS]
+        ledger = self.stored.ledger
+        self.stored.load()
+        seed, draws = ledger.seed, ledger.draws
         set_state()
         self.box_changed()
-        self.record[SEED], self.record[DRAWS] = seed, max(draws, self.record[DRAWS])
+        self.stored.load()
+        ledger.seed, ledger.draws = seed, max(draws, ledger.draws)
+        self.stored.write()
         self.take_over()
         is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
-        if is_lost and not self._told_of_noise and BATH in self._flow().scheme.operators:
+        if is_lost and not self._told_of_noise and BATH in self.flow().scheme.operators:
             self._told_of_noise = True
             notify(
                 "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
@@ -340,43 +367,31 @@ class Binding:
             )
 
 
-def _whole_flow(given: settings.Settings) -> Flow:
-    """Return the flow of settings with the bath of its scheme, which a friction that is set later needs."""
-    return replace(given.flow(), scheme=given.scheme)
+def _advance(engine: Engine, ensemble: Ensemble, steps: int) -> None:
+    """Advance by steps of the integrator: let the ensemble make its moves where they are due, and steps."""
+    moves = ensemble.moves
+    while steps:
+        made = engine.clock.steps
+        free = min([steps, *(move.every - 1 - made % move.every for move in moves)])
+        if free:
+            ensemble.advance(engine, free)
+        else:
+            with _undone_together(engine):
+                for move in moves:
+                    if (made + 1) % move.every == 0:
+                        move.act(engine)
+                ensemble.advance(engine, 1)
+        steps -= free or 1
 
 
-# --- integrators from what OpenMM serialized ---
-
-
-def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
-    """Turn a plain CustomIntegrator read from XML back into the SIER integrator it was; return others unchanged.
-
-    Its class must be a subclass of a base, that of all SIER integrators.
-
-    Raises:
-        SettingsError: what is stored cannot be used here, as the message says.
-    """
-    if type(integrator) is openmm.CustomIntegrator and settings.is_stored(integrator):
-        found = settings.stored(integrator)
-        _give_class(integrator, settings.class_at(found.kind, base), found)
-    return integrator
-
-
-def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[str, Any]) -> Any:
-    """An integrator from its XML, with the settings, which XML does not hold in full, and attributes of a subclass."""
-    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
-    _give_class(plain, cls, given)
-    vars(plain).update(copy.deepcopy(attributes))
-    return plain
-
-
-def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
-    variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    if missing := set(found.ensemble.record) - variables:
-        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
-    plain.__class__ = cls
-    plain.binding = binding = Binding(plain, found)
-    step = openmm.CustomIntegrator.getStepSize(plain).value_in_unit(unit.picosecond) * binding.native_steps
-    if not math.isclose(step, found.step, rel_tol=1e-12):
-        # The step was set where this package was not imported.
-        binding.settings = replace(found, step=step)
+@contextmanager
+def _undone_together(engine: Engine) -> Iterator[None]:
+    """Undo all that the block did and counted if it does not complete its step."""
+    before, counts = engine.remember(), dict(engine.ledger.counts)
+    try:
+        yield
+    except BaseException:
+        if engine.clock.steps == before.clock.steps:
+            engine.undo(before)
+            engine.ledger.counts = counts
+        raise

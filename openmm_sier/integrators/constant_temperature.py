@@ -88,7 +88,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         Raises:
             openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.
         """
-        heat = self.binding.engine.heat()
+        heat = self.countedHeat
         if math.isnan(heat):
             raise openmm.OpenMMException(
                 "This integrator does not count the heat of its bath, which takes up to a fifth of a step on a GPU. "

@@ -13,8 +13,9 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.native.program import Program
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.integrators.binding import Binding, unpickled
+from openmm_sier.integrators.binding import Binding
 from openmm_sier.integrators.settings import Settings, place_of
+from openmm_sier.integrators.storage import unpickled
 from openmm_sier.system import arguments
 from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 from openmm_sier.system.temperature import Temperatures
@@ -82,15 +83,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
             step=stepSize,
             engine=engine,
             substeps=substeps,
-            fast_groups=arguments.group_mask("fastForceGroups", fastForceGroups),
-            finds_fast_groups=fastForceGroups is None,
+            fast_groups=None if fastForceGroups is None else arguments.group_mask("fastForceGroups", fastForceGroups),
             bodies=bodies,
             rotation=rotation,
             ensemble=ConstantEnergy() if ensemble is None else ensemble,
         )
         super().__init__(given.step)
         self.binding = Binding(self, given)
-        self.binding.install()
+        self.binding.declare()
 
     # --- what users ask ---
 
@@ -107,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
     @property
     def fastForceGroups(self) -> set[int]:
         """The force groups that act within drifts."""
-        return set(arguments.groups_of(self.binding.settings.fast_groups))
+        return set(arguments.groups_of(self.binding.flow().fast_groups))
 
     @property
     def program(self) -> Program:
@@ -147,6 +147,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
         See `openmm_sier.system.temperature.MomentumConservation`.
         """
         return self.binding.engine.conserves_momentum(self.binding.ensemble.has_friction)
+
+    @property
+    def countedHeat(self) -> float:
+        """Energy that baths, moves and a CMMotionRemover have given to the bodies, kJ/mol; NaN if it is not counted.
+
+        The native engine counts the heat of a bath where `SIERLangevinIntegrator` says.
+        """
+        return self.binding.engine.heat()
 
     def getStepSize(self) -> unit.Quantity:
         """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""

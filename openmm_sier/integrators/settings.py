@@ -55,8 +55,7 @@ class Settings:
         step: of the scheme, ps.
         engine: that was asked for.
         substeps: into which a drift is divided; None leaves it to the engine.
-        fast_groups: bit mask of the force groups that act within drifts.
-        finds_fast_groups: whether those of a prepared System are found in it.
+        fast_groups: bit mask of the force groups that act within drifts; None: those of a prepared System.
         bodies: as users give them.
         rotation: free-rotation map.
         ensemble: what happens between steps.
@@ -67,8 +66,7 @@ class Settings:
     step: float
     engine: str = "auto"
     substeps: int | None = None
-    fast_groups: int = 0
-    finds_fast_groups: bool = True
+    fast_groups: int | None = None
     bodies: Bodies = None
     rotation: Rotation = rotation.exact
     ensemble: Ensemble = ConstantEnergy()  # noqa: RUF009 - frozen
@@ -80,9 +78,10 @@ class Settings:
             raise ValueError(f"engine must be one of {', '.join(engines)}, got {self.engine!r}")
         if self.substeps is not None:
             self._set("substeps", whole_number("substeps", self.substeps, least=1))
-        self._set("scheme", self.ensemble.suited(self.scheme))
+        self._set("scheme", self.ensemble.scheme_for(self.scheme))
         self._set("step", step_size(self.step))
-        self._set("fast_groups", group_mask("fast_groups", self.fast_groups))
+        if self.fast_groups is not None:
+            self._set("fast_groups", group_mask("fast_groups", self.fast_groups))
         self._set("bodies", checked_bodies(self.bodies))
 
     def _check_types(self) -> None:
@@ -91,11 +90,6 @@ class Settings:
             raise TypeError(f"kind must be the module and name of a class, got {self.kind!r}")
         if not isinstance(self.scheme, Scheme):
             raise TypeError(f"scheme must be a Scheme, such as openmm_sier.SIER4, got {self.scheme!r}")
-        if self.fast_groups is None or not isinstance(self.finds_fast_groups, bool):
-            raise TypeError(
-                "fast_groups must be a bit mask, and finds_fast_groups True or False, got "
-                f"{self.fast_groups!r} and {self.finds_fast_groups!r}"
-            )
         if not callable(self.rotation):
             raise TypeError(f"rotation must be a free-rotation map, such as rotation.exact, got {self.rotation!r}")
         if not isinstance(self.ensemble, Ensemble):
@@ -104,10 +98,14 @@ class Settings:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def flow(self, seed: int = 0) -> Flow:
-        """Return what an engine is to follow, with the noise of a seed."""
-        plain = Flow(self.scheme, self.step, self.rotation, self.substeps, self.fast_groups)
-        return self.ensemble.flow(plain, seed)
+    def flow(self, found: int = 0) -> Flow:
+        """Return what an engine is to follow.
+
+        Args:
+            found: the fast force groups of the System, a bit mask, which count where none were asked for.
+        """
+        fast_groups = found if self.fast_groups is None else self.fast_groups
+        return self.ensemble.flow(Flow(self.scheme, self.step, self.rotation, self.substeps, fast_groups))
 
 
 # --- in OpenMM's integrator ---

@@ -59,7 +59,8 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     Raises:
         TypeError: the Context has another integrator.
     """
-    motion = conservation.sier_integrator(context).getBodyState()
+    integrator = conservation.sier_integrator(context)
+    motion = integrator.getBodyState()
     # SciPy, which MDTraj brings, is slow to import.
     from scipy.spatial.transform import Rotation
 
@@ -71,7 +72,7 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
         "quaternion": turns.as_quat(canonical=True, scalar_first=True),
         "p": motion.p.T,
         "L": motion.L.T,
-        "heat": motion.heat,
+        "heat": integrator.countedHeat,
     }
     if context.getSystem().usesPeriodicBoundaryConditions():
         box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)

@@ -102,7 +102,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         potential,
         kinetic,
         potential + kinetic,
-        potential + conserved - motion.heat,
+        potential + conserved - integrator.countedHeat,
         *found,
         *momentum,
         *angular_momentum,

@@ -10,7 +10,6 @@ seed derived from the run's seed and the step.
 
 import math
 import weakref
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,16 +64,20 @@ class StockIntegrator(openmm.Integrator):
         return False
 
     def getBodyState(self) -> BodyState:
-        """The bodies at the whole step; their heat is NaN if a bath of OpenMM gives any.
+        """Return the phase point of the bodies at the whole step.
 
         Raises:
             TrajectoryError: positions or velocities are not finite, or molecules are torn.
         """
         try:
-            found = body_state(self._context, self.bodies)
+            return body_state(self._context, self.bodies)
         except (NotFiniteError, RigidityError) as error:
             raise TrajectoryError(str(error)) from error
-        return replace(found, heat=math.nan) if self._bathed else found
+
+    @property
+    def countedHeat(self) -> float:
+        """See `SIERIntegrator.countedHeat`: NaN if a bath or barostat of OpenMM gives any."""
+        return math.nan if self._bathed else 0.0
 
     def computeTemperatures(self) -> Temperatures:
         """Temperatures, as `SIERIntegrator.computeTemperatures` gives them."""

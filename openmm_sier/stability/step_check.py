@@ -32,11 +32,20 @@ class StepCheck:
         self._spins = Spins(system, bodies.species if rigid is None else rigid, bodies.describe_atoms)
         self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
         self._checked: tuple = ()
+        #: The flow and the groups for which an inner step was found, and that step.
+        self._found: tuple[Flow | None, int, float] = (None, 0, 0.0)
 
     def inner_step(self, flow: Flow, groups: int) -> float:
-        """The longest step of a flow within drifts, ps; `groups` are the integration force groups, a bit mask."""
-        borne = self._vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
-        return self._inner_step(flow, borne)
+        """Return the longest step of a flow within drifts, ps; `groups` are the integration force groups, a bit mask.
+
+        It is found anew only for another flow, and after stiffer expressions were measured.
+        """
+        known, with_groups, found = self._found
+        if known is not flow or with_groups != groups:
+            borne = self._vibrations.longest_inner_step(flow.scheme.within_drifts, groups & flow.fast_groups)
+            found = self._inner_step(flow, borne)
+            self._found = flow, groups, found
+        return found
 
     def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
         """Check a flow, once, by forces of integration force groups, a bit mask.
@@ -52,7 +61,7 @@ class StepCheck:
             openmm.OpenMMException: the step is too long.
         """
         if context is not None and self._vibrations.measure(context):
-            self._checked = ()
+            self._checked, self._found = (), (None, 0, 0.0)
         temperature = ROOM_TEMPERATURE if flow.bath is None else flow.bath.temperature
         checked = flow.scheme, flow.step, flow.substeps, flow.fast_groups, groups, temperature
         if checked == self._checked:

@@ -94,6 +94,14 @@ def masses(system: openmm.System) -> np.ndarray:
 
 
 @_once
+def constraint_rows(system: openmm.System) -> np.ndarray:
+    """Return all constraints as the System has them, (c, 3): two particles, and the length in nm."""
+    # An iterator, since a list of all quantities would be the largest thing in memory.
+    found = map(system.getConstraintParameters, range(system.getNumConstraints()))
+    return np.fromiter(((a, b, length.value_in_unit(unit.nanometer)) for a, b, length in found), np.dtype((float, 3)))
+
+
+@_once
 def constraints(system: openmm.System) -> Constraints:
     """The constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
 
@@ -101,9 +109,7 @@ def constraints(system: openmm.System) -> Constraints:
         RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
             has two lengths.
     """
-    # An iterator, since a list of all quantities would be the largest thing in memory.
-    found = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    rows = np.fromiter(((a, b, length.value_in_unit(unit.nanometer)) for a, b, length in found), np.dtype((float, 3)))
+    rows = constraint_rows(system)
     pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
     frozen = masses(system)[pairs] == 0
     if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:

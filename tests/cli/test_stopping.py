@@ -23,7 +23,7 @@ import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
     number = getattr(signal, name)
     signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
-from openmm_sier.cli import beginning, main, stopping
+from openmm_sier.cli import starting, main, stopping
 from openmm_sier.cli.files import outputs
 {patch}
 sys.exit(main.main(sys.argv[1:]))
@@ -114,7 +114,7 @@ def test_ignored_signals_stay_ignored(box, monkeypatch):
 @pytest.mark.slow
 def test_signal_before_the_first_step_ends_at_once(box):
     """Also in a minimization that takes long, from which OpenMM returns to Python only when it is done."""
-    process = started(box, patch=f"{BUSY}\nbeginning.prepare = busy")
+    process = started(box, patch=f"{BUSY}\nstarting.prepare = busy")
     wait_for(Path("busy").exists, process)
     process.send_signal(signal.SIGINT)
     code, _ = ended(process)
@@ -148,7 +148,7 @@ def test_closed_terminal(box):
 
 
 def test_ctrl_c_within_openmm_ends_every_command(box, monkeypatch, capsys):
-    def interrupted(**_):
+    def interrupted(*_):
         raise SystemError("<method> returned a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr(info, "execute", interrupted)

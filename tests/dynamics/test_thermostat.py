@@ -6,6 +6,7 @@ from scipy import stats
 
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support import molecules
 
@@ -19,7 +20,7 @@ KINDS = (molecules.WATER, molecules.CARBON_DIOXIDE, molecules.METHANE, molecules
 def test_canonical_distribution_is_reached_from_any_start(kind):
     n = 20000
     bodies, state = molecules.ensemble(kind, n)
-    thermostat = OrnsteinUhlenbeck(TEMPERATURE, 5.0, 5.0, seed=1).operator(bodies)
+    thermostat = OrnsteinUhlenbeck(TEMPERATURE, 5.0, 5.0).operator(bodies, Ledger(1))
     for _ in range(10):
         state = thermostat(state, 1.0)  # the start is forgotten by exp(-50)
     moments = bodies.species[0].moments
@@ -37,7 +38,7 @@ def test_canonical_distribution_is_reached_from_any_start(kind):
 def test_it_forgets_at_the_friction():
     n = 20000
     bodies, state = molecules.ensemble(molecules.WATER, n)
-    after = OrnsteinUhlenbeck(TEMPERATURE, 2.0, 7.0, seed=2).operator(bodies)(state, 0.1)
+    after = OrnsteinUhlenbeck(TEMPERATURE, 2.0, 7.0).operator(bodies, Ledger(2))(state, 0.1)
     error = np.sqrt(THERMAL * bodies.species[0].mass / n)
     assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 4.5 * error
     tilde = body_frame(after.A, after.L)
@@ -47,10 +48,21 @@ def test_it_forgets_at_the_friction():
 
 def test_noise_depends_on_seed_and_draw_alone():
     bodies, state = molecules.ensemble(molecules.WATER, 10)
-    one, two = (OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0, seed).operator(bodies) for seed in (1, 2))
-    assert np.array_equal(one(state, 0.1).p, one(state, 0.1).p)
-    assert not np.allclose(one(state, 0.1).p, two(state, 0.1).p)
-    first = one(state, 0.1)
-    later = one(first, 0.1)
-    assert later.draws == 2
-    assert not np.allclose(first.p - state.p, later.p - first.p)
+    made = {}
+    for name, seed in (("one", 1), ("again", 1), ("other", 2)):
+        ledger = Ledger(seed)
+        bath = OrnsteinUhlenbeck(TEMPERATURE, 1.0, 1.0).operator(bodies, ledger)
+        made[name] = bath(state, 0.1).p, bath(state, 0.1).p
+        assert ledger.draws == 2
+    assert np.array_equal(made["one"], made["again"])
+    assert not np.allclose(made["one"][0], made["other"][0])
+    assert not np.allclose(*made["one"])
+
+
+def test_heat_is_the_kinetic_energy_that_bodies_gain():
+    bodies, state = molecules.ensemble(molecules.WATER, 10)
+    ledger = Ledger(3)
+    after = OrnsteinUhlenbeck(TEMPERATURE, 1.0, 2.0).operator(bodies, ledger)(state, 0.5)
+    gained = sum(bodies.kinetic_energies(after)) - sum(bodies.kinetic_energies(state))
+    # Sums of 60 energies of up to 1e4 kJ/mol, each rounded to 1e-16 of it.
+    assert ledger.heat == pytest.approx(gained, abs=1e-9)

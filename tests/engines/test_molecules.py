@@ -279,7 +279,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     members = np.flatnonzero(integrator.bodies.flexible)
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
-    (found,) = integrator.binding.engine._moving.motion.fast.at(q[:, members], None)
+    (found,) = integrator.binding.engine.motion.fast.at(q[:, members], None)
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
 
@@ -289,7 +289,7 @@ def test_an_engine_with_fast_forces_needs_no_garbage_collector():
     system, positions = system_of(chains())
     integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
     context = started(system, integrator, positions, steps=1)
-    motion = weakref.ref(integrator.binding.engine._moving.motion)
+    motion = weakref.ref(integrator.binding.engine.motion)
     gc.disable()
     try:
         del context, integrator

@@ -128,7 +128,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
         _bound = context_at(system, given, point, steps=2)
-    found, time, _ = run_as_stranger(tmp_path, system, given, state, len(given.program.parts))
+    found, time, _ = run_as_stranger(tmp_path, system, given, state)
     expected = []
     for _ in range(4):
         integrator.step(1)

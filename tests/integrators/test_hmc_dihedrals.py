@@ -49,7 +49,7 @@ def test_the_energy_with_the_last_force_has_that_of_the_fast_forces(dipeptide):
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
     integrator.step(5)
     assert integrator.accepted > 0
-    assert integrator.binding.settings.fast_groups
+    assert integrator.fastForceGroups
     kept = integrator.binding.engine.potential_energy()
     # Sums of a few hundred terms in another order.
     assert kept == pytest.approx(context.getState(energy=True).getPotentialEnergy()._value, rel=1e-12)

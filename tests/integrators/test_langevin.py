@@ -75,10 +75,8 @@ class OnlyForBodies(OrnsteinUhlenbeck):
 
 
 class WithoutExpression(Langevin):
-    def flow(self, flow, seed):
-        return replace(
-            super().flow(flow, seed), bath=OnlyForBodies(self.temperature, self.friction, self.turning, seed)
-        )
+    def flow(self, flow):
+        return replace(super().flow(flow), bath=OnlyForBodies(self.temperature, self.friction, self.turning))
 
 
 def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(cluster):

@@ -293,8 +293,7 @@ WRONG = {
     "step": [None, "1", -1.0, math.nan, math.inf, True, 10**400],
     "engine": [None, "cuda", 1, ["auto"]],
     "substeps": [0, -1, 1.5, "3", True],
-    "fast_groups": [None, -1, 2**32, 1.0],
-    "finds_fast_groups": [None, 1],
+    "fast_groups": [-1, 2**32, 1.0],
     "bodies": [
         3,
         "x",

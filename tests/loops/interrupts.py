@@ -133,7 +133,7 @@ def look(context: openmm.Context) -> dict[str, float]:
     state, integrator = context.getState(energy=True), context.getIntegrator()
     motion, bodies = integrator.getBodyState(), integrator.bodies
     found = {"steps": state.getStepCount(), "time": md(state.getTime()), "potential": md(state.getPotentialEnergy())}
-    found |= {"kinetic": sum(bodies.kinetic_energies(motion)), "heat": motion.heat}
+    found |= {"kinetic": sum(bodies.kinetic_energies(motion)), "heat": integrator.countedHeat}
     return found | dict(zip("xyz", bodies.total_momenta(motion)[0], strict=True))
 
 

@@ -295,7 +295,7 @@ def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, in
     contexts = [context_at(system, first, (positions, 0 * positions), steps=1)]
     contexts.append(context_at(system, again := copy.copy(first), (positions, 0 * positions), steps=1))
     for each in (first, again):
-        assert each.binding.engine.inner_step(each.binding.settings.flow()) == pytest.approx(inner / 1000)
+        assert each.binding.engine.inner_step(each.binding.flow()) == pytest.approx(inner / 1000)
         assert each.substeps is None
     shorter = make(0.001)
     contexts.append(context_at(system, shorter, (positions, 0 * positions)))

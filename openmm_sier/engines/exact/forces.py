@@ -25,12 +25,12 @@ class BodyForces:
         step: number of the step that is being made, for messages.
     """
 
-    bodies: RigidBodies
     _placed: tuple[np.ndarray | None, np.ndarray | None]
 
-    def __init__(self, context: openmm.Context):
+    def __init__(self, context: openmm.Context, bodies: RigidBodies):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
+        self.bodies = bodies
         system = context.getSystem()
         n = system.getNumParticles()
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))

@@ -8,10 +8,10 @@ import openmm
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
-from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.exact.solute import SoluteForces, solute_system
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
@@ -36,7 +36,13 @@ class Motion:
     """
 
     def __init__(
-        self, context: openmm.Context, bodies: RigidBodies, forces: CachedForces, rotation: Rotation, fast_groups: int
+        self,
+        context: openmm.Context,
+        bodies: RigidBodies,
+        forces: CachedForces,
+        rotation: Rotation,
+        fast_groups: int,
+        ledger: Ledger,
     ):
         """
         Args:
@@ -45,12 +51,13 @@ class Motion:
             forces: forces on them in the kicks.
             rotation: free-rotation map.
             fast_groups: bit mask of the force groups that act within drifts.
+            ledger: counts what a bath does.
 
         Raises:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
                 point.
         """
-        self._bodies = bodies
+        self._bodies, self._ledger = bodies, ledger
         self._groups = _flexible_points(bodies)
         self._members = np.flatnonzero(self._groups >= 0)
         self.solute = _solute(context, bodies, self._members, fast_groups)
@@ -60,24 +67,26 @@ class Motion:
             self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
-        self._made: tuple[tuple[Flow, float] | None, dict[str, Operator]] = (None, {})
+        #: The flow and the longest inner step for which a stepper was made, and the stepper.
+        self._made: tuple[Flow, float, operators.Stepper] | None = None
         self.after_bath: BodyState | None = None
 
-    def bath(self, bath: Thermostat) -> Operator:
-        """A bath as an operator."""
-        operator = bath.operator(self._bodies)
-        return constrained.constrained_bath(operator, self._bodies.constraints) if len(self._members) else operator
+    def stepper(self, flow: Flow, longest: float) -> operators.Stepper:
+        """Return what makes a step of a flow, with inner steps of up to `longest`, ps."""
+        if self._made is None or self._made[0] is not flow or self._made[1] != longest:
+            made = operators.stepper(flow.scheme, self._operators(flow, longest), flow.step)
+            self._made = flow, longest, made
+        return self._made[2]
 
-    def operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
-        """The operators that execute a flow, by name, with inner steps of up to `longest`, ps."""
-        if self._made[0] != (flow, longest):
-            found = dict(self._outer)
-            if flow.bath is not None:
-                found[BATH] = partial(self._remembered, self.bath(flow.bath))
-            if self.fast is not None and longest:
-                found |= self._nested_drifts(self.fast, flow.scheme, longest)
-            self._made = (flow, longest), found
-        return self._made[1]
+    def _operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
+        """Return the operators that execute a flow, by name."""
+        found = dict(self._outer)
+        if flow.bath is not None:
+            bath = constrained.bath_operator(flow.bath, self._bodies, self._ledger)
+            found[BATH] = partial(self._remembered, bath)
+        if self.fast is not None and longest:
+            found |= self._nested_drifts(self.fast, flow.scheme, longest)
+        return found
 
     def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
         """Let a bath act, and leave what it made as `after_bath`."""

@@ -1,7 +1,6 @@
 """Body states as per-atom variables, so that OpenMM's checkpoints and States carry them bit for bit.
 
-The numbers of the bodies follow one another, kind by kind, without regard to whose atoms the variables are. So each is
-copied once.
+The numbers of the bodies follow one another without regard to whose atoms the variables are.
 """
 
 from collections.abc import Iterator
@@ -11,42 +10,56 @@ import numpy as np
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 
 
-def pack(bodies: RigidBodies, state: BodyState) -> np.ndarray:
-    """The numbers (q, p, L, A) of all bodies, shape (3, N, 3): three vectors for each atom; zero beyond them."""
-    values = np.zeros((3, bodies.n_particles, 3))
-    for packed, vectors in _places(bodies, values, state):
-        packed[:] = vectors
-    return values
+class Packing:
+    """Packs the phase point of bodies into three vectors for each atom, and unpacks it.
 
-
-def unpack(bodies: RigidBodies, values: np.ndarray) -> BodyState:
-    """The state that `pack` stored, with identity attitudes for point bodies.
-
-    Args:
-        bodies: the bodies it was packed for.
-        values: shape (3, N, 3).
+    Attributes:
+        bodies: the bodies.
     """
-    q, p, L = np.zeros((3, 3, bodies.n))
-    state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], bodies.n, axis=2), L)
-    for packed, vectors in _places(bodies, values, state):
-        vectors[:] = packed
-    return state
+
+    def __init__(self, bodies: RigidBodies):
+        self.bodies = bodies
+        #: Ranges of bodies that are all points, or all not.
+        self._runs: list[tuple[slice, bool]] = []
+        for species, part in zip(bodies.species, bodies.parts, strict=True):
+            is_point = species.atoms.shape[1] == 1
+            if self._runs and self._runs[-1][1] == is_point:
+                part = slice(self._runs.pop()[0].start, part.stop)
+            self._runs.append((part, is_point))
+
+    def pack(self, state: BodyState) -> np.ndarray:
+        """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
+        values = np.zeros((3, self.bodies.n_particles, 3))
+        for packed, vectors in self._places(values, state):
+            packed[:] = vectors
+        return values
+
+    def unpack(self, values: np.ndarray) -> BodyState:
+        """Return the state that `pack` stored, with identity attitudes for point bodies.
+
+        Args:
+            values: shape (3, N, 3).
+        """
+        n = self.bodies.n
+        q, p, L = np.zeros((3, 3, n))
+        state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], n, axis=2), L)
+        for packed, vectors in self._places(values, state):
+            vectors[:] = packed
+        return state
+
+    def _places(self, values: np.ndarray, state: BodyState) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Give views of equal shape: where numbers are stored, and the part of the state that they are."""
+        flat, start = values.reshape(-1), 0
+        for part, is_point in self._runs:
+            # Of a point there is room for six numbers, and it has no more.
+            for vectors in (state.q, state.p) if is_point else (state.q, state.p, state.L, state.A):
+                own = vectors[..., part]
+                yield flat[start : start + own.size].reshape(own.shape), own
+                start += own.size
 
 
-def _places(bodies: RigidBodies, values: np.ndarray, state: BodyState) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Views of equal shape: where numbers are stored, and the part of the state that they are."""
-    flat, start = values.reshape(-1), 0
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
-        is_point = species.atoms.shape[1] == 1
-        # Of a point there is room for six numbers, and it has no more.
-        for vectors in (state.q, state.p) if is_point else (state.q, state.p, state.L, state.A):
-            own = vectors[..., part]
-            yield flat[start : start + own.size].reshape(own.shape), own
-            start += own.size
-
-
-def sites(bodies: RigidBodies) -> np.ndarray:
-    """The atoms' places in the principal frames of their bodies, (N, 3), nm; zero for particles of no body."""
+def sites_of_atoms(bodies: RigidBodies) -> np.ndarray:
+    """Return the atoms' places in the principal frames of their bodies, (N, 3), nm; zero for particles of no body."""
     values = np.zeros((bodies.n_particles, 3))
     for species in bodies.species:
         values[species.atoms] = species.sites.T

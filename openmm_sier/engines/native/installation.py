@@ -1,9 +1,8 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
-import inspect
+import copy
 import re
 from collections.abc import Iterable
-from xml.etree import ElementTree
 
 import openmm
 
@@ -44,6 +43,14 @@ OWN = {
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
+def declare(integrator: openmm.CustomIntegrator) -> None:
+    """Give an openmm.CustomIntegrator the global variables of programs, unless it has them."""
+    there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
+    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL):
+        if name not in there:
+            integrator.addGlobalVariable(name, 0)
+
+
 def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iterable[str] | None = None) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
@@ -52,13 +59,12 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
 
     Args:
         program: what OpenMM executes.
-        integrator: has neither computations nor variables yet.
+        integrator: has neither computations nor per-atom variables yet.
         vectors: names of the per-atom variables; None: all.
     """
     for name in ALL_VECTORS if vectors is None else vectors:
         integrator.addPerDofVariable(name, 0)
-    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL):
-        integrator.addGlobalVariable(name, 0)
+    declare(integrator)
     n = len(program.parts)
     integrator.setGlobalVariableByName(PARTS, n)
     _add_guard(integrator)
@@ -94,23 +100,35 @@ def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> No
         integrator.endBlock()
 
 
-def rewrite(integrator: openmm.CustomIntegrator, program: Program, vectors: Iterable[str]) -> None:
-    """Give an integrator another program, and other per-atom variables. Nothing else of it changes.
+def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegrator:
+    """Return a copy of an integrator with its settings and global variables, and without anything that `install` adds.
 
-    A program is written before its System is known, and OpenMM cannot take a computation back. So the Python object
-    gets another OpenMM object, from the XML of its present one with other computations. This is possible until a
-    Context is created, which holds the OpenMM object.
+    It is a plain CustomIntegrator.
     """
-    donor = openmm.CustomIntegrator(1.0)
-    install(program, donor, vectors)
-    root, other = (ElementTree.fromstring(openmm.XmlSerializer.serialize(one)) for one in (integrator, donor))
-    for tag in ("Computations", "PerDofVariables"):
-        index, source = ([child.tag for child in tree].index(tag) for tree in (root, other))
-        root[index] = other[source]
-    # Unwrapped, it makes a plain CustomIntegrator and not one of ours.
-    plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)
-    integrator.this = plain(ElementTree.tostring(root, encoding="unicode")).this
-    integrator.setGlobalVariableByName(PARTS, len(program.parts))
+    plain = openmm.CustomIntegrator
+    bare = plain(plain.getStepSize(integrator))
+    bare.setConstraintTolerance(integrator.getConstraintTolerance())
+    bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
+    bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
+    bare.setKineticEnergyExpression(integrator.getKineticEnergyExpression())
+    for i in range(integrator.getNumGlobalVariables()):
+        bare.addGlobalVariable(integrator.getGlobalVariableName(i), integrator.getGlobalVariable(i))
+    for i in range(integrator.getNumTabulatedFunctions()):
+        bare.addTabulatedFunction(
+            integrator.getTabulatedFunctionName(i), copy.deepcopy(integrator.getTabulatedFunction(i))
+        )
+    return bare
+
+
+def uninstall(integrator: openmm.CustomIntegrator) -> None:
+    """Take a program back from an integrator that has one but no Context.
+
+    OpenMM cannot take computations back. So the Python object gets another OpenMM object, as OpenMM's own classes do
+    when they are unpickled.
+    """
+    if integrator.getNumComputations():
+        integrator.this = without_program(integrator).this
+        integrator.setGlobalVariableByName(PARTS, 0)
 
 
 def vectors_of(integrator: openmm.CustomIntegrator) -> set[str]:
@@ -131,18 +149,27 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
         )
 
 
-def set_variables(integrator: openmm.CustomIntegrator, bath: Thermostat | None, is_guarded: bool) -> None:
-    """Set the program's variables to the values that they must have, whatever was loaded.
+def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> None:
+    """Set the variables of the bath of a program, which begins with its first part.
 
     Args:
         integrator: openmm.CustomIntegrator with a program of `install`.
         bath: of the scheme.
-        is_guarded: whether the program must refuse to run, since it would do less than what was asked for.
     """
     friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
-    for name, value in ((EXACT_ONLY, float(is_guarded)), (PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
+    for name, value in ((PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
+
+
+def guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:
+    """Let a program run or not without this package.
+
+    Args:
+        integrator: openmm.CustomIntegrator with the variables of programs.
+        is_guarded: whether its program alone would do less than what was asked for.
+    """
+    integrator.setGlobalVariableByName(EXACT_ONLY, float(is_guarded))
 
 
 def _add_guard(integrator: openmm.CustomIntegrator) -> None:

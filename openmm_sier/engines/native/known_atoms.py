@@ -5,6 +5,8 @@ flows.
 """
 
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -22,8 +24,8 @@ KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 class KnownAtoms:
     """Reads positions, velocities and box of a Context, and writes positions and velocities.
 
-    Arrays are read-only, so that they can be kept. Between `keep` and `release` they are kept until `forget`, without
-    which nobody may move atoms. At other times everything is read anew, since anybody may.
+    Arrays are read-only, so that they can be kept. Within `kept` they are kept until `forget`, without which nobody may
+    move atoms. At other times everything is read anew, since anybody may.
     """
 
     def __init__(self, context: openmm.Context, is_single: bool) -> None:
@@ -45,15 +47,16 @@ class KnownAtoms:
         self._centre: np.ndarray | None = None
         self._box: Any = None
 
-    def keep(self) -> None:
-        """Keep what is read from now on."""
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Keep what is read within the block."""
         self.forget()
         self._is_keeping = True
-
-    def release(self) -> None:
-        """Keep nothing any more."""
-        self.forget()
-        self._is_keeping = False
+        try:
+            yield
+        finally:
+            self.forget()
+            self._is_keeping = False
 
     def forget(self) -> None:
         """Read everything anew: atoms were moved."""

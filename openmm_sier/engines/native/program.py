@@ -144,6 +144,7 @@ class Program(NamedTuple):
         counts_heat: whether it counts the heat of its bath.
         ends_constrained: whether velocities at the end of a step satisfy the constraints.
         slow_group: the force group that it takes all slow forces from; None: from the sum of all groups.
+        momentum_lag: see `Scheme.momentum_lag`.
     """
 
     name: str
@@ -153,6 +154,7 @@ class Program(NamedTuple):
     counts_heat: bool = True
     ends_constrained: bool = True
     slow_group: int | None = None
+    momentum_lag: float = 0.0
 
     @property
     def statements(self) -> list[Statement]:
@@ -256,7 +258,7 @@ def write(
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     fraction = scheme.inner_fraction(number) if fast else 1.0
-    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group)
+    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group, scheme.momentum_lag)
 
 
 def _update(counts_heat: bool) -> list[Line]:

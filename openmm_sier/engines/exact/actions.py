@@ -1,0 +1,93 @@
+"""What users let OpenMM do in a Context, done for bodies where OpenMM cannot do it."""
+
+from __future__ import annotations
+
+import secrets
+import weakref
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.noise import generator
+from openmm_sier.engines import interrupts, own_methods
+from openmm_sier.engines.actions import Actions
+from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import tables
+from openmm_sier.system.arguments import quantity_to_float
+
+if TYPE_CHECKING:
+    from openmm_sier.engines.exact.engine import ExactEngine
+
+
+class BodyActions(Actions):
+    """Leaves to OpenMM what it can do, and does the rest: for constraints that its solvers cannot satisfy.
+
+    Minimizations are this package's also for bodies that no constraints hold, which OpenMM's minimizer would tear
+    apart.
+    """
+
+    def __init__(self, context: openmm.Context, engine: ExactEngine):
+        super().__init__(context)
+        # The engine holds this.
+        self._engine = weakref.proxy(engine)
+
+    def _is_unsolved(self) -> bool:
+        """Return whether OpenMM's solvers cannot satisfy the constraints."""
+        return self._engine.trial.unsolved(lambda: Snapshot(self._context).positions) is not None
+
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+        if self._is_unsolved():
+            self._draw_velocities(temperature, seed)
+        else:
+            by_openmm()
+
+    def _draw_velocities(self, temperature: Any, seed: int | None) -> None:
+        """Set velocities from the canonical distribution.
+
+        Velocities of single atoms are drawn; the rigid part of their motion, without that along constraints, is
+        canonical for bodies.
+
+        Raises:
+            ValueError: the temperature is negative or not finite.
+        """
+        kelvins = quantity_to_float("temperature", temperature, unit.kelvin, "K")
+        if kelvins < 0:
+            raise ValueError(f"temperature must not be negative, got {kelvins} K")
+        state, bodies = self._engine.state(), self._engine.bodies
+        masses = tables.masses(self._context.getSystem())
+        spread = np.sqrt(GAS_CONSTANT * kelvins * np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
+        random = generator(secrets.randbelow(2**31) if seed is None else abs(int(seed)), 0, stream=4)
+        p, L = bodies.momenta(spread[:, None] * random.standard_normal((len(masses), 3)), state.A)
+        drawn = replace(state, p=bodies.constraints.project(state.q, p), L=L)
+        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot(self._context).velocities))
+
+    def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
+        if not self._is_unsolved():
+            by_openmm()
+            return
+        state, bodies = self._engine.state(), self._engine.bodies
+        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot(self._context).positions))
+        self._context.computeVirtualSites()
+
+    def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
+        if not self._is_unsolved():
+            by_openmm()
+            return
+        state, bodies = self._engine.state(), self._engine.bodies
+        own_methods.set_velocities(self._context, bodies.move(state, Snapshot(self._context).velocities))
+
+    def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
+        engine = self._engine
+        if constraints_hold(self._context.getSystem(), engine.bodies) and not self._is_unsolved():
+            super().minimize(by_openmm, tolerance, iterations, reporter)
+            return
+        with interrupts.deferred():
+            start, forces = engine.state(), engine.forces.of_all_groups
+            with engine.recovering():
+                minimize_bodies(self._context, engine.bodies, forces, start, tolerance, iterations, reporter)

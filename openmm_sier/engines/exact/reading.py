@@ -1,0 +1,115 @@
+"""The phase point of bodies from the atoms of a Context, whoever put them there."""
+
+from dataclasses import replace
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.engines.exact.packing import Packing
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.variables import STATE_VARIABLES
+from openmm_sier.system import checks
+from openmm_sier.system.cut_molecules import IF_CUT, cut_molecules
+
+#: Points further than this from their constraints, in nm, are refused, since they are not the molecule that was meant.
+FARTHEST = 0.05
+
+
+def stored_point(context: openmm.Context, packing: Packing, now: Snapshot, moved: bool) -> BodyState | None:
+    """Return the phase point that the variables of a Context carry, if it reproduces the atoms to the last bit.
+
+    It does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set after that,
+    the stored centres and attitudes are still used.
+
+    Args:
+        context: openmm.Context.
+        packing: of its bodies.
+        now: what the Context holds.
+        moved: whether its positions differ from those before.
+
+    Returns:
+        The phase point; None if the atoms are elsewhere.
+    """
+    variable = context.getIntegrator().getPerDofVariableByName
+    # One after the other: OpenMM gives lists of objects, which take much memory.
+    values = np.stack([np.array(variable(name)) for name in STATE_VARIABLES])
+    if not values.any() or not np.isfinite(values).all():
+        return None
+    bodies, state = packing.bodies, packing.unpack(values)
+    if not np.array_equal(bodies.place(state.q, state.A, now.positions.copy()), now.positions):
+        return None
+    if np.array_equal(bodies.move(state, now.velocities.copy()), now.velocities):
+        return state
+    return with_velocities(bodies, state, now) if moved else None
+
+
+def with_velocities(bodies: RigidBodies, state: BodyState, now: Snapshot) -> BodyState:
+    """Return a state with the momenta that the velocities of the atoms carry.
+
+    Raises:
+        openmm.OpenMMException: velocities of a body are not finite.
+    """
+    try:
+        p, L = bodies.momenta(now.velocities, state.A)
+    except NotFiniteError as error:
+        raise openmm.OpenMMException(
+            f"The velocities of {bodies.describe(error.body)} in the Context are not finite"
+        ) from None
+    return replace(state, p=bodies.constraints.project(state.q, p), L=L)
+
+
+class Fitting:
+    """Fits bodies to atoms, and warns once of bodies that are moved onto their constraints."""
+
+    def __init__(self, system: openmm.System):
+        self._system = system
+        self._told_of_misfit = False
+
+    def __call__(
+        self, bodies: RigidBodies, now: Snapshot, previous: BodyState | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return centres, (3, n), and attitudes, (3, 3, n), of bodies at the positions of a snapshot.
+
+        Args:
+            bodies: the bodies.
+            now: what the Context holds.
+            previous: where they were; attitudes of bodies that have only been shifted stay as they are.
+
+        Raises:
+            RigidityError: the positions do not form the bodies, or are far off the constraints between them.
+        """
+        try:
+            q, A, misfit = bodies.fit_with_misfit(now.positions, previous)
+            if len(bodies.constraints.pairs):
+                q, moved = _onto_constraints(bodies, q)
+                misfit = np.maximum(misfit, moved)
+        except RigidityError as error:
+            cut = cut_molecules(self._system, now.positions, now.box)
+            raise (RigidityError(cut) if cut else error) from None
+        if not self._told_of_misfit:
+            self._told_of_misfit = checks.tell_of_misfit(bodies, misfit)
+        return q, A
+
+
+def _onto_constraints(bodies: RigidBodies, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points on their constraints, and the distance by which each was moved.
+
+    Raises:
+        RigidityError: a point is too far from its constraints.
+    """
+    constraints = bodies.constraints
+    try:
+        satisfied = constraints.satisfied(q)
+        constraints.rank(satisfied)
+    except ConstraintError as error:
+        raise RigidityError(f"the positions do not satisfy the constraints: {error}. {IF_CUT}") from None
+    moved = np.linalg.norm(satisfied - q, axis=0)
+    if not moved.max() <= FARTHEST:
+        worst = int(np.where(np.isfinite(moved), moved, np.inf).argmax())
+        raise RigidityError(
+            f"{bodies.describe(worst)} is {moved[worst]:.4f} nm from where its constraints want it, at most "
+            f"{FARTHEST} nm can be mended. {IF_CUT}. Otherwise context.applyConstraints(1e-6) may mend it"
+        )
+    return satisfied, moved

@@ -1,0 +1,42 @@
+"""What Forces of OpenMM do between two steps: barostats, thermostats and CMMotionRemovers."""
+
+import weakref
+
+import openmm
+
+from openmm_sier.engines.variables import PART
+from openmm_sier.system import checks
+
+
+class SystemUpdates:
+    """Lets the Forces of a System act that change positions, velocities or the box between steps.
+
+    Attributes:
+        act: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.
+        are_of_barostats: whether they are barostats alone, which leave velocities as they are.
+    """
+
+    def __init__(self, context: openmm.Context):
+        # The Context owns its integrator and so all this: a strong reference back would keep both alive.
+        self._context = weakref.proxy(context)
+        forces = context.getSystem().getForces()
+        acting = [force for force in forces if not checks.is_passive(force)]
+        self.act = bool(acting)
+        self.are_of_barostats = all(isinstance(force, checks.BAROSTATS) for force in acting)
+        self._frequencies = [force.getFrequency() for force in forces if isinstance(force, openmm.CMMotionRemover)]
+
+    def stops_centre(self, steps: int) -> bool:
+        """Return whether a CMMotionRemover acts after so many steps."""
+        return any(steps % frequency == 0 for frequency in self._frequencies)
+
+    def let_act(self, step: float) -> None:
+        """Let barostats and thermostats act, as in a step of this length in ps, and do nothing else."""
+        plain, integrator = openmm.CustomIntegrator, self._context.getIntegrator()
+        native_step = plain.getStepSize(integrator)
+        try:
+            integrator.setGlobalVariableByName(PART, -1)
+            plain.setStepSize(integrator, step)
+            plain.step(integrator, 1)
+        finally:
+            plain.setStepSize(integrator, native_step)
+            integrator.setGlobalVariableByName(PART, 0)
