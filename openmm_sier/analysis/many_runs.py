@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 import uuid
+from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -115,7 +116,7 @@ def run_many(
         The members, with what has become of each. A member that failed does not end the others.
 
     Raises:
-        RunsError: a seed is given twice, the scheduler does not answer, or went away.
+        RunsError: a seed is given twice, the scheduler does not answer, or went away, or Dask failed.
         ModuleNotFoundError: Dask is not installed.
     """
     if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
@@ -123,7 +124,7 @@ def run_many(
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: _line(box, member, options) for member in members}
-    with _client(scheduler, workers) as client:
+    with _telling(), _client(scheduler, workers) as client:
         _Runs(client, members, retries, watch or (lambda _: None), stop).carry_out(lines, _threads(scheduler, workers))
     return members
 
@@ -177,18 +178,30 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         memory_limit=0,
         silence_logs=50,
     )
-    with cluster, _closing(distributed.Client(cluster, set_as_default=False)) as client:
+    with _closing(cluster), _closing(distributed.Client(cluster, set_as_default=False)) as client:
         yield client
 
 
 @contextmanager
-def _closing(client: Client) -> Iterator[Client]:
-    """Close a client, also one whose scheduler is gone."""
+def _closing(opened: Any) -> Iterator[Any]:
+    """Close a client or a cluster, also one whose other end is gone: runs are what they are."""
     try:
-        yield client
+        yield opened
     finally:
-        with suppress(Exception):
-            client.close(timeout=PATIENCE)
+        with suppress(Exception, CancelledError):
+            opened.close(timeout=PATIENCE)
+
+
+@contextmanager
+def _telling() -> Iterator[None]:
+    """Tell errors of Dask as those of runs, which lose nothing by them."""
+    try:
+        yield
+    except (RunsError, ModuleNotFoundError):
+        raise
+    except (Exception, CancelledError) as error:
+        message = " ".join(str(error).split())
+        raise RunsError(f"Dask ended the runs: {type(error).__name__} {message}".rstrip()) from error
 
 
 def _threads(scheduler: str | None, workers: int | None) -> int | None:
@@ -232,7 +245,7 @@ class _Runs:
         while self.members:
             for future in [future for future in self.members if future.status != "pending"]:
                 _take(future, self.members.pop(future), self._client)
-            _refuse_absence(self._client, self._all)
+            _refuse_absence(self._client)
             for member in self.members.values():
                 _look(member)
             self._watch(self._all)
@@ -255,7 +268,7 @@ def _take(future: Future, member: Member, client: Client) -> None:
     member.state = "complete" if ended.code == 0 else "stopped" if by_signal else "failed"
 
 
-def _refuse_absence(client: Client, members: Sequence[Member]) -> None:
+def _refuse_absence(client: Client) -> None:
     if client.status != "running":
         raise _gone(client)
 
