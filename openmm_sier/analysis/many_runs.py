@@ -173,8 +173,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         n_workers=workers or cores(),
         threads_per_worker=1,
         processes=False,
-        # There is nothing to be seen on a page, and no memory to be watched.
-        dashboard_address=None,
+        # Others may have the usual port; there is no memory to be watched.
+        dashboard_address="127.0.0.1:0",
         memory_limit=0,
         silence_logs=50,
     )
