@@ -39,7 +39,8 @@ class Simulated:
         """
         given = settings.topology, settings.forcefield, settings.constraints, settings.interactions, settings.edges
         box = read_input(settings.box, *given)
-        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
+        hint = "" if box.system.usesPeriodicBoundaryConditions() else " (--edges gives a box)"
+        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings, self.box = settings, box
         self.bodies = rigid_bodies(box, settings.rigid)
         self.fast = prepare_system(box.system, self.bodies).fastForceGroups
