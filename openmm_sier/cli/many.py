@@ -57,7 +57,8 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
-    note(f"{len(seeds)} runs of {settings.title}, to step {settings.length(settings.steps)}, {where}")
+    number = "1 run" if len(seeds) == 1 else f"{len(seeds)} runs"
+    note(f"{number} of {settings.title}, to step {settings.length(settings.steps)}, {where}")
     with _dask_in_silence(), StopRequests() as requests, watching(settings.steps) as watch:
         requests.defer()
         try:
