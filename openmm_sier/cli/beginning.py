@@ -43,7 +43,11 @@ class Simulated:
         note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings, self.box = settings, box
         self.bodies = rigid_bodies(box, settings.rigid)
-        self.fast = prepare_system(box.system, self.bodies).fastForceGroups
+        prepared = prepare_system(box.system, self.bodies)
+        self.fast = prepared.fastForceGroups
+        if settings.rigid:
+            for done in prepared.done:
+                note(done)
         if settings.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
             raise RunError("--pressure-tensor needs a periodic box, which there is none")
         self.inputs = fingerprints(box.sources)

@@ -22,7 +22,7 @@ AS_OPTIONS = {
     "unit": "",
     "heavier hydrogens": "for averages only, make all hydrogens heavy by --hydrogen-mass 4",
     "constrain hydrogens": "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
-    "constrain bonds": "hold the bond by --constraints allbonds, or its residue by --rigid NAME",
+    "constrain bonds": "hold the bond by --constraints allbonds, or its molecule by --rigid WHAT",
     "one body": "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
     "check forces": "if it drifts alike with both, look at openmm_sier.check_forces in a script",
     "this is the topology": "give coordinates, and this file by --topology {}",

@@ -18,13 +18,12 @@ from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks
+from openmm_sier.system import checks, own_methods
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.solver_trial import SolverTrial
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.inside_bodies import FEWEST_ATOMS, PAIRWISE, Excluded, exclude_inside_bodies, useless_terms
+from openmm_sier.prepare.joined_bodies import join_bodies
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
@@ -56,6 +57,8 @@ def prepare_system(
       something else, or on a virtual site, stay slow: a Force that has such terms is divided, by a new Force with those
       on points alone, which lose their strength in the old one. A Force whose energy is an expression stays slow as a
       whole then, and so does a Force within another one.
+    - In a periodic System, bodies that consist of several molecules are joined by bonds without strength, so that
+      OpenMM keeps their atoms together in trajectories and with barostats.
     - Where all bonds and angles are slow, as those of beads that stand for residues, no force is fast, unless
       `fastForceGroup` asks for it. Inner steps would cost time alone. What limits the step then is told.
     - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
@@ -74,7 +77,8 @@ def prepare_system(
     All molecules with bonded forces are rigid, so no force is fast.
 
     Args:
-        system: openmm.System; its force groups, PME parameters and exclusions are changed, and two Forces may be added.
+        system: openmm.System; its force groups, PME parameters and exclusions are changed, and Forces may be
+            added.
         bodies: the bodies that the integrator will be given, as it takes them; None: those of the System's constraints.
         fastForceGroup: force group for the fast forces, from 0 to 31. None: 1 or, if that has other forces, the first
             that has none.
@@ -112,6 +116,11 @@ def prepare_system(
         done.append("The sums of PME are balanced.")
     for i in reversed(close_pairs.own_forces(system)):
         system.removeForce(i)
+    if joined := join_bodies(system, known.owner):
+        done.append(
+            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each for one "
+            "molecule, in trajectories and with barostats."
+        )
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
     coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None

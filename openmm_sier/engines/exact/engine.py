@@ -20,7 +20,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
-from openmm_sier.engines import interrupts, neighbour_list, own_methods
+from openmm_sier.engines import interrupts, neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion
@@ -32,6 +32,7 @@ from openmm_sier.engines.protocol import Clock, Engine, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.variables import SITES, STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
+from openmm_sier.system import own_methods
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperatures
 

@@ -15,7 +15,7 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import neighbour_list, own_methods
+from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
@@ -29,7 +29,7 @@ from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, Trajectory
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import tables
+from openmm_sier.system import own_methods, tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperature, temperatures, thermal_energies
