@@ -61,6 +61,8 @@ napoleon_use_ivar = True
 nitpick_ignore_regex = [
     ("py:class", r"(openmm|numpy|collections)\..*"),
     ("py:class", r".*\.tuning\..*Found"),
+    # What engines are made of has no page of its own, and bodies have theirs under the name that users import.
+    ("py:class", r"openmm_sier\..*\.(Program|RigidBodies|StepCheck|StoredLedger)"),
     ("py:exc", r".*(Error|Exception)"),
 ]
 

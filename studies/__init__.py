@@ -17,6 +17,7 @@ STUDIES = {
     "studies.acceptance": "1 to 2 h of one core",
     "studies.step_study": "3.6 h of one core for all runs of the page of water against the step",
     "studies.frames": "half a minute of one core",
+    "studies.domains": "half an hour of one core of a busy machine",
     "studies.crowding": "15 min of one core of a busy machine",
     "studies.hmc.exactness": "11 min of one core",
     "studies.hmc.solvated": "10 min of one core for all trials of the page of sampling",

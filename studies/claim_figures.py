@@ -186,3 +186,20 @@ def cost_of_native_steps(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
     ratios = rows[rows["what"] == "native / exact"]["ratio"]
     return {"least": ratios.min(), "most": ratios.max(skipna=False)}
+
+
+#: Methods of the study of rigid domains.
+RIGID, SPRINGS = "SIER2", "LangevinMiddle, springs"
+
+
+def domains_at_constant_energy(record: Record) -> Mapping[str, float]:
+    row = one(record.tables["gains"], key="chain", step=30.0)
+    return {"verlet": row["verlet"], "gain": row["gain"]}
+
+
+def domains_in_a_bath(record: Record) -> Mapping[str, float]:
+    speeds = record.tables["speeds"]
+    own = one(speeds, key="chain", method=RIGID, step=60.0)["ns_a_day"]
+    usual, same = (one(speeds, key="chain", method=SPRINGS, step=step)["ns_a_day"] for step in (10.0, 60.0))
+    off = one(record.tables["averages"], key="chain", method=RIGID, step=60.0)["off"]
+    return {"off": off, "over": own / usual, "longest": own / same}

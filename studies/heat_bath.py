@@ -30,7 +30,6 @@ import openmm
 import pandas as pd
 from openmm import unit
 from scipy.stats import kstwobign
-from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
@@ -134,7 +133,7 @@ class BathSettings(RunsSettings):
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
     """
 
-    box: Positional[Path] = SYSTEMS / "peptide.pdb"
+    box: Path = SYSTEMS / "peptide.pdb"
     methods: tuple[str, ...] = ()
     starts: int = 1
     time: float = 250.0
@@ -145,6 +144,7 @@ class BathSettings(RunsSettings):
     tolerance: float = 1e-4
 
     SHARED = ("temperature", "tolerance", "equilibrate")
+    FIRST = "box"
 
 
 class Observer:

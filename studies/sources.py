@@ -17,6 +17,7 @@ COMMANDS = {
     "crowding.json": ("OPENMM_CPU_THREADS=1 python -m studies.crowding --platform CPU",),
     "defaults.json": ("python -m studies.defaults",),
     "dipeptide-samples.json": ("python -m studies.hmc.costs",),
+    "domains.json": ("OPENMM_CPU_THREADS=1 python -m studies.domains",),
     "equipartition.json": ("python -m studies.equipartition",),
     "equipartition-long-steps.json": (
         "python -m studies.equipartition --ensemble nvt --friction 20 --time 24 --equilibrate 3 --methods sier2p3 "

@@ -1,10 +1,25 @@
-"""What can move the molecules of a run: the schemes of this package and, to compare them with, OpenMM's integrators."""
+"""List what there is for a run: ensembles, thermostats, and methods that move the molecules.
+
+Methods are the schemes of this package and, to compare them with, OpenMM's integrators.
+"""
 
 from typing import NamedTuple
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
-ENSEMBLES = ("nve", "nvt", "npt", "hmc")
+#: What is constant.
+ENSEMBLES = {
+    "nve": "the energy",
+    "nvt": "the temperature",
+    "npt": "temperature and pressure",
+    "hmc": "the temperature, and the pressure if one is given, without an error of the step, by hybrid Monte Carlo",
+}
+
+#: What keeps the temperature with nvt and npt.
+THERMOSTATS = {
+    "langevin": "friction and noise on each molecule",
+    "rescaling": "one factor on all velocities now and then, which hardly disturbs the motion",
+}
 
 #: Dalton, from which hydrogens bear the usual steps of heavy ones.
 HEAVY = 3.0
@@ -34,7 +49,7 @@ class Method(NamedTuple):
 
     name: str
     order: int = 2
-    ensembles: tuple[str, ...] = ENSEMBLES
+    ensembles: tuple[str, ...] = tuple(ENSEMBLES)
     scheme: Scheme | None = None
     leapfrog: bool = False
 

@@ -28,6 +28,7 @@ from studies import (
     whole_run,
 )
 from studies.bench import accuracy, peers, usual_inputs
+from studies.domains import __main__ as domains_command
 from studies.hmc import exactness, mixture, solvated
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -50,7 +51,7 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"acceptance", "bench", "equipartition", "water", "whole-run"}
+DRAWN = {"acceptance", "bench", "domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
 MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed", "water"}
@@ -178,6 +179,27 @@ def framed(found):
     assert list(moments["script"].isna()) == [True, True, False, False]
     verlet, sier4g = energies["percent"]
     assert 0 < sier4g < 0.2 * verlet
+
+
+@miniature(
+    "domains",
+    domains_command,
+    "--models patchy --shorter 200 --rounds 1",
+    "--models chain --kinds bath --methods hmc sier2 inner --steps 40 --shorter 200",
+)
+def domains(found):
+    rows = found["averages"].set_index(["key", "name", "step"])
+    names = ("hmc", "springs-hmc", "sier2", "frames", "langevinmiddle")
+    assert set(rows.loc["patchy"].index.get_level_values("name")) == set(names)
+    # Springs start at rest, and take up to half of the heat in 0.75 ps; 384 degrees of freedom scatter by 7 %.
+    assert rows.loc["patchy", "temperature"].between(100, 450).all()
+    assert rows.loc["chain", "gyration"].between(1, 10).all()
+    assert found["broken"].empty
+    assert (found["speeds"]["ns_a_day"] > 0).all()
+    # Springs have periods of 70 fs, of which 5 fs are a fourteenth; without them 20 fs are short.
+    energies = found["energies"].set_index(["method", "step"])["rms"]
+    assert energies["SIER4G", 20.0] < energies["Verlet, springs", 5.0]
+    assert list(found["gains"]["step"]) == [20, 40, 60]
 
 
 @miniature(
