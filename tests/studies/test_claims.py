@@ -6,7 +6,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from studies import claims, text, trust
+from studies import claims, trust
 
 ROOT = claims.ROOT
 NAMED = pytest.mark.parametrize("claim", claims.CLAIMS, ids=lambda claim: claim.text[:40])
@@ -61,9 +61,8 @@ def test_the_page_lists_every_claim():
 
 
 def test_readme_is_up_to_date():
-    """Word for word, and cell for cell; `python -m studies.claims` writes the figures."""
+    """Word for word; `python -m studies.claims` writes the figures."""
     assert claims.readme(claims.README.read_text()) == claims.README.read_text()
-    assert text.markdown(claims.table_of_speeds()) in claims.README.read_text()
 
 
 def test_the_draft_of_the_paper_is_up_to_date():
