@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 
-import pandas as pd
 import pytest
 
 from studies import claims, trust
@@ -88,5 +87,3 @@ def test_figures_are_written_into_a_sentence_and_nothing_else():
     assert claim.written(text) == f"At 4 fs.\n{claim.sentence()} In TIP4P it is 1 times smaller.\n"
     with pytest.raises(ValueError, match="there should be this sentence, with any figures: In TIP5P"):
         claim.written("In TIP5P it is a few times smaller.")
-    with pytest.raises(ValueError, match="there should be a table"):
-        trust.with_table("| a | b |\n|---|---|\n| 1 | 2 |\n", pd.DataFrame({"": ["1"], "b": ["3"]}))
