@@ -38,7 +38,7 @@ class NotFiniteError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """A phase point of n rigid bodies. States are never changed in place: operators return new ones.
+    """Hold a phase point of n rigid bodies, as `integrator.getBodyState()` returns it. It never changes in place.
 
     Attributes:
         q: centres of mass, (3, n), nm.

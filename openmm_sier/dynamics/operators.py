@@ -6,6 +6,7 @@ the start of the next without any bookkeeping.
 """
 
 from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,8 +26,21 @@ AFTER_STEP = "after step"
 #: A function that makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
 
-#: A free-rotation map (A, L, moments, h) -> (A, L), such as `rotation.exact`.
-Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+class Rotation(Protocol):
+    """Rotate bodies freely, as `openmm_sier.dynamics.rotation.exact` does. Any function of these arguments will do."""
+
+    def __call__(self, A: np.ndarray, L: np.ndarray, moments: Any, time: float, /) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes and angular momenta after a time.
+
+        Args:
+            A: attitude matrices, (3, 3, n).
+            L: angular momenta in the lab frame, (3, n), dalton nm^2/ps.
+            moments: principal moments, three numbers or arrays (n,), dalton nm^2.
+            time: ps; may be negative.
+        """
+        ...
+
 
 #: (state, time) -> (q, A, L).
 FreeMotion = Callable[[BodyState, float], tuple[np.ndarray, ...]]

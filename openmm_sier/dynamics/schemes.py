@@ -18,7 +18,11 @@ from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_B
 
 @dataclass(frozen=True)
 class Scheme:
-    """One step of a symplectic integrator, the first stage first.
+    """Describe one step of a splitting integrator as a list of stages, the first one first.
+
+    >>> leapfrog = Scheme("leapfrog", (("kick", 0.5), ("drift", 1.0), ("kick", 0.5)))
+    >>> leapfrog.order, leapfrog.force_evaluations, leapfrog.is_palindrome
+    (2, 1, True)
 
     Attributes:
         name: for messages and output.

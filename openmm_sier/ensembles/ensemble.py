@@ -33,7 +33,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """What an integrator holds besides its scheme. Without changes of a subclass it adds nothing to the flow.
+    """Say what happens between the steps of a scheme: this base class adds nothing.
 
     A subclass has moves, which act between steps, or another way to advance by a step, or both.
 
@@ -93,7 +93,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
-    """Nothing but the flow."""
+    """Add nothing to the flow, so that the energy is constant."""
 
     def flow(self, flow: Flow) -> Flow:
         return replace(flow, constant_energy=True)
@@ -101,9 +101,9 @@ class ConstantEnergy(Ensemble):
 
 @dataclass(frozen=True)
 class ConstantTemperature(Ensemble):
-    """What has a temperature and, if a pressure is given, Monte Carlo moves of the volume between its steps.
+    """Keep a temperature and, if a pressure is given, change the volume by Monte Carlo moves between steps.
 
-    Fields may be given as quantities, and are numbers in the units that are named.
+    You may give fields as quantities; they become numbers in the units below.
 
     Attributes:
         temperature: K, not negative.

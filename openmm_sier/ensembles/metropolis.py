@@ -31,10 +31,10 @@ REVERSIBLE = 1e-4
 
 @dataclass(frozen=True)
 class Metropolis(ConstantTemperature):
-    """The canonical ensemble without time-step error.
+    """Sample the canonical ensemble without an error of the step, as `SIERHMCIntegrator` does.
 
-    The ends of trials are samples, see `dynamics.acceptance`. Everything that a step does is undone where it cannot be
-    completed, so that the Context is at a sample at any time.
+    The ends of trials are samples. A step that cannot be completed is undone, so that the Context is always at a
+    sample.
 
     Attributes:
         temperature: K.

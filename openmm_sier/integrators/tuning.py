@@ -73,7 +73,7 @@ class LengthFound(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """What `tune` found; print it.
+    """Hold what `tune` found; print it as tables.
 
     Attributes:
         stepSize: ps.
@@ -112,35 +112,39 @@ def tune(
 ) -> Tuning:
     """Find the step and trial length for a Context's hybrid Monte Carlo, and set them in its integrator.
 
-    First comes the step: energy errors are measured in trials, and the step is changed until their standard deviation
-    is that of the wanted acceptance. This uses the law that the deviation grows as the step to the power of the
-    scheme's order. Trajectories keep their length in time.
+    Equilibrate roughly before. Trials of the tuning are no samples, so leave them out of averages. Afterwards `trials`
+    and `accepted` count from zero.
 
-    Then it compares trial lengths at this step, each with the same number of steps in all: how many forces does an
-    independent potential energy cost? It takes the length whose cost plus its error is smallest. If costs differ by
-    less than their errors, take more samples.
+    >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, stepsPerTrial=4)
+    >>> simulation = Simulation(topology, system, integrator)
+    >>> simulation.context.setPositions(positions)
+    >>> tuning = tune(simulation.context, acceptance=0.8, trials=10, samples=10)
+    >>> length = tuning.stepsPerTrial
 
-    No step is tried that resonates with fast forces.
+    First it changes the step, at the same length in time, until the energy errors of trials have the standard deviation
+    of the wanted acceptance. It never tries a step that resonates with fast forces.
 
-    All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
-    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, and
-    `trials` and `accepted` count from zero. An interrupt or error restores the step and length that the integrator had.
+    Then it compares trial lengths at this step, each with the same number of steps in all, and takes the one at which
+    an independent potential energy costs the fewest forces, with the error of that cost added. If costs differ by less
+    than their errors, take more samples.
+
+    An interrupt or error restores the step and length that the integrator had.
 
     The same seed gives the same result if the platform's forces are deterministic.
 
     Args:
-        context: openmm.Context of a `SIERHMCIntegrator`, with positions. The search begins at its step and number of
-            steps.
-        acceptance: wanted value, between 0 and 1; the largest useful steps have 0.6 to 0.95.
-        trials: number of trials at each step size tried, at least 10.
-        samples: number of trials of the length in time that the integrator has, at least 10; longer trials are
-            proportionally fewer. The relative error of a cost is about 3 over the square root of the number of
-            independent samples among them.
-        lengths: numbers of steps to compare; None: a half, one, two and four times the length in time that the
-            integrator has.
+        context: the Context of a `SIERHMCIntegrator`, with positions. The search begins at the integrator's step and
+            number of steps.
+        acceptance: the wanted fraction, between 0 and 1; the largest useful steps have 0.6 to 0.95.
+        trials: number of trials at each step size, at least 10.
+        samples: number of trials of the integrator's length in time, at least 10; longer trials are fewer in
+            proportion. The relative error of a cost is about 3 over the square root of the number of independent
+            samples.
+        lengths: numbers of steps in a trial to compare. None compares half the integrator's length in time, that
+            length, twice and four times that.
 
     Returns:
-        What was found; `print` shows it as tables.
+        A `Tuning`; print it as tables.
 
     Raises:
         TypeError: the Context has another integrator.

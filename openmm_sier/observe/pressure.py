@@ -29,17 +29,20 @@ COLUMNS = ("Step", "Time (ps)", *(f"Pressure {'xyz'[i]}{'xyz'[j]} (bar)" for i, 
 
 
 class MolecularPressure:
-    """Instantaneous molecular pressure tensors of the simulation in one Context.
+    """Compute the molecular pressure tensor of the simulation in one Context.
 
-    Energies are computed in a second Context of the same System on the same Platform, so that the first is left
-    untouched. A tensor costs 12 energy evaluations. Changes of global parameters and of the integrator's force groups
-    are followed; changes by `updateParametersInContext` after this object was made are not.
+    >>> pressure = MolecularPressure(simulation.context)
+    >>> components = pressure.components(simulation.context.getState(positions=True, velocities=True))
+
+    It computes energies in a second Context of the same System on the same Platform, so that the first stays as it is.
+    A tensor costs 12 energy evaluations. It follows changes of global parameters and of the integrator's force groups,
+    but not those by `updateParametersInContext` after it was made.
     """
 
     def __init__(self, context: openmm.Context) -> None:
         """
         Args:
-            context: of a periodic System.
+            context: a Context of a periodic System.
 
         Raises:
             ValueError: the System is not periodic, has molecules without mass, or a force that holds particles to
@@ -57,11 +60,11 @@ class MolecularPressure:
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]
 
     def components(self, state: openmm.State) -> np.ndarray:
-        """The pressure in bar as its components xx, yy, zz, xy, xz and yz, the last three symmetrized, (6,).
+        """Return the components xx, yy, zz, xy, xz and yz of the pressure in bar, the last three symmetrized, (6,).
 
         Args:
-            state: of the Context, with positions and velocities. Velocities are taken to be simultaneous with the
-                positions; those of OpenMM's leapfrog integrators are half a step earlier.
+            state: a State of the Context with positions and velocities at the same time. Velocities of OpenMM's
+                leapfrog integrators are half a step earlier.
         """
         box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
@@ -72,7 +75,7 @@ class MolecularPressure:
         return np.array([kinetic[axes] for axes in COMPONENTS] - slopes) / volume / BAR
 
     def row(self, state: openmm.State) -> tuple[float, ...]:
-        """Values of `COLUMNS`; the arguments are those of `components`."""
+        """Return values of `COLUMNS`; the arguments are those of `components`."""
         time = state.getTime().value_in_unit(unit.picosecond)
         volume = state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
         return (state.getStepCount(), time, *self.components(state).tolist(), volume)

@@ -22,6 +22,9 @@ ForceGroups = Iterable[int] | int
 #: A quantity of OpenMM, or a number in the unit that the argument names.
 Quantity = unit.Quantity | float
 
+#: Positions (N, 3) in nm, such as OpenMM's lists of Vec3, or a quantity of these.
+Positions = unit.Quantity | np.ndarray | Sequence[Sequence[float]]
+
 #: OpenMM has this many force groups.
 GROUPS = 32
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import openmm
@@ -15,7 +15,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
+from openmm_sier.system.arguments import Bodies, Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.inner_forces import parts
@@ -37,7 +37,14 @@ Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 
 class RigidBodies(dynamics.RigidBodies):
-    """The rigid and point bodies of an OpenMM System."""
+    """Hold the rigid and point bodies of an OpenMM System; `from_system` finds them.
+
+    >>> bodies = RigidBodies.from_system(system, topology)
+    >>> print(bodies)
+    <RigidBodies: 59 rigid of 3 atoms>
+    >>> bodies.dof
+    354
+    """
 
     @classmethod
     def from_system(
@@ -45,26 +52,29 @@ class RigidBodies(dynamics.RigidBodies):
         system: openmm.System,
         topology: openmm.app.Topology | None = None,
         rigid: Rigid = None,
-        positions: Any = None,
+        positions: Positions | None = None,
     ) -> RigidBodies:
         """Find the bodies of a System.
 
-        (1) What you name is rigid, in the shape of the given positions. (2) Molecules with all distances constrained,
-        such as water, are rigid too, in the shape of the constraints. (3) All other atoms are points with their
+        Bodies that you name are rigid, in the shape of the given positions. Molecules with all distances constrained,
+        such as water, are rigid too, in the shape of the constraints. All other atoms are points with their
         constraints. Virtual sites follow their atoms. Massless particles that are not virtual sites are frozen: they
         stay where they are, and constraints between them are ignored.
+
+        >>> named = RigidBodies.from_system(system, topology, [[0, 1, 2, 3, 4, 5]], positions)
+        >>> integrator = SIER4GIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry. A warning says so where they differ by more than a PDB file rounds.
 
         Args:
-            system: openmm.System.
-            topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
-            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices, such as
-                `select_bodies` gives them; or a mapping
-                {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each heavy atom and the hydrogens
-                bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles, and leaves all torsions free.
-            positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.
+            system: the System.
+            topology: the topology, for the names of residues in messages, and for some choices of `rigid`.
+            rigid: rigid bodies in addition to those that constraints define: lists of particle indices, as
+                `select_bodies` returns them; or a mapping {residue name: "rigid"}; or "heavy atoms with hydrogens",
+                which makes each heavy atom and the hydrogens bonded to it one body. The last fixes bonds to hydrogen
+                and H-X-H angles, and leaves all torsions free.
+            positions: (N, 3), nm or a Quantity, with the shapes of the bodies in `rigid`.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a

@@ -11,7 +11,7 @@ from openmm import app, unit
 
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import checked_positions, checked_system
+from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
 from openmm_sier.system.inner_forces import parts
@@ -94,18 +94,21 @@ class Bonds(NamedTuple):
         return np.linalg.norm(arms, axis=1)
 
 
-def make_whole(system: openmm.System, positions: Any, topology: app.Topology | None = None) -> np.ndarray:
-    """Positions at which the molecules of a System are whole.
+def make_whole(system: openmm.System, positions: Positions, topology: app.Topology | None = None) -> np.ndarray:
+    """Return positions at which the periodic boundary cuts no molecule.
 
-    Where a bond or a constraint is far longer than the force field has it, its atoms are moved by box vectors next to
-    each other, and with them what is bonded to them. Molecules that are whole already keep their positions to the last
-    bit. OpenMM's constraints, and most bonds, know nothing of the box.
+    Call it where a file has molecules that the box has cut: OpenMM's constraints, and most bonds, ignore the box.
+
+    >>> whole = make_whole(system, positions, topology)
+
+    Where a bond or a constraint is far too long, its atoms move next to each other by box vectors, together with the
+    atoms bonded to them. Molecules that are whole already keep their positions to the last bit.
 
     Args:
-        system: openmm.System, with the periodic box, if any, as its default.
+        system: the System, with the periodic box, if any, as its default.
         positions: (N, 3), nm or a Quantity.
-        topology: openmm.app.Topology of all its particles, for the names of residues in messages, and for bonds of
-            which the System knows nothing or only an expression (CustomBondForce).
+        topology: the topology of all particles, for the names of residues in messages, and for bonds that the System
+            does not have or has only as an expression (CustomBondForce).
 
     Returns:
         (N, 3), nm.
