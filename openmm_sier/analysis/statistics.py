@@ -49,7 +49,7 @@ class Estimate(NamedTuple):
     samples: float = math.inf
 
     def __str__(self) -> str:
-        """Two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
+        """Show two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
         if math.isnan(self.value):
             return "-"
         if not math.isfinite(self.error):

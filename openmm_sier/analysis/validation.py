@@ -61,7 +61,7 @@ def kinetic_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float) -
 
 
 def _kinetic_groups(log: Mapping[str, np.ndarray]) -> dict[str, tuple[float, np.ndarray]]:
-    """Degrees of freedom and independent kinetic energies (n,), kJ/mol, of the groups that a log has."""
+    """Return degrees of freedom and independent kinetic energies (n,), kJ/mol, of the groups that a log has."""
     names = [name for name, column in GROUPS.items() if column in log and not np.isnan(log[column]).all()]
     temperatures = np.array([log[GROUPS[name]] for name in names])
     kinetic = np.asarray(log["Kinetic Energy (kJ/mole)"])

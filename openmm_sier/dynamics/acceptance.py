@@ -26,7 +26,7 @@ from openmm_sier.dynamics.noise import generator
 
 
 def is_accepted(error: float, seed: int, draw: int) -> bool:
-    """The Metropolis rule: whether the end of a trajectory is accepted; never if the error is NaN.
+    """Tell whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
 
     Args:
         error: energy at its end minus that at its start, in kT.
@@ -36,7 +36,7 @@ def is_accepted(error: float, seed: int, draw: int) -> bool:
 
 
 def spread_at(acceptance: float) -> float:
-    """The standard deviation of energy errors in kT at which a fraction of trials is accepted.
+    """Return the standard deviation of energy errors in kT at which a fraction of trials is accepted.
 
     >>> round(spread_at(0.5), 3)
     1.349

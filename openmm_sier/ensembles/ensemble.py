@@ -25,7 +25,7 @@ UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
 class Move(NamedTuple):
-    """What an ensemble does before each step whose number is a multiple of `every`, by a function of the engine."""
+    """Act on the engine before each step whose number is a multiple of `every`."""
 
     every: int
     act: Callable[[Engine], None]
@@ -83,7 +83,7 @@ class Ensemble:
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """What it does between steps, in this order. Where a step cannot be completed, its moves are undone."""
+        """Return the moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
     def advance(self, engine: Engine, steps: int) -> None:

@@ -33,12 +33,12 @@ class Langevin(ConstantTemperature):
 
     @property
     def turning(self) -> float:
-        """Friction of rotation, 1/ps."""
+        """Return the friction of rotation, 1/ps."""
         return self.friction if self.rotational_friction is None else self.rotational_friction
 
     @property
     def has_friction(self) -> bool:
-        """That of rotation alone leaves the total momentum as it is."""
+        """Tell whether translation has friction; that of rotation alone leaves the total momentum as it is."""
         return self.friction > 0
 
     def scheme_for(self, scheme: Scheme) -> Scheme:

@@ -63,7 +63,7 @@ class VelocityRescaling(ConstantTemperature):
         engine.ledger.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:
-        """By which velocities are multiplied: that of the velocities of an Ornstein-Uhlenbeck process.
+        """Draw the factor on velocities, as an Ornstein-Uhlenbeck process of each would have it.
 
         It is the ratio of two norms, after the process and before. Along the old velocities, the new ones have a part
         that is kept and one normal deviate, and across them as many deviates as there are other degrees of freedom.

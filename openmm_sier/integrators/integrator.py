@@ -1,7 +1,5 @@
 """The integrators that OpenMM users call."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import openmm
@@ -232,12 +230,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     # --- copies ---
 
-    def __copy__(self) -> SIERIntegrator:
+    def __copy__(self) -> "SIERIntegrator":
         """Return an integrator with the same settings and variables, bound to no Context."""
         make, arguments = self.__reduce__()
         return make(*arguments)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SIERIntegrator:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "SIERIntegrator":
         return self.__copy__()
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -59,12 +59,12 @@ class LengthFound(NamedTuple):
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Force evaluations per independent sample of the potential energy, with the standard error."""
+        """Return force evaluations per independent sample of the potential energy, with the standard error."""
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
     def __str__(self) -> str:
-        """Trials, and force evaluations, for an independent potential energy; ? marks an unknown error."""
+        """Show trials, and force evaluations, for an independent potential energy; ? marks an unknown error."""
         (trials, error), (forces, uncertain) = self.inefficiency, self.cost
         if self.refused:
             return f"{self.steps:10}  {self.refused}"
@@ -190,12 +190,12 @@ def _trial(integrator: SIERHMCIntegrator) -> float:
 
 
 def _chances(errors: Sequence[float]) -> float:
-    """Mean probability of acceptance for energy errors in kT, which may be infinite."""
+    """Return the mean probability of acceptance for energy errors in kT, which may be infinite."""
     return float(np.exp(-np.maximum(errors, 0)).mean())
 
 
 def _longest_step(context: openmm.Context) -> float:
-    """The longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
+    """Return the longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
     integrator = context.getIntegrator()
     vibrations = Vibrations(context.getSystem(), integrator.bodies)
     vibrations.measure(context)
@@ -203,7 +203,7 @@ def _longest_step(context: openmm.Context) -> float:
 
 
 def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int, most: float) -> tuple[list[StepFound], float]:
-    """The steps that were tried, and the one with the wanted acceptance, or `most` if that is less."""
+    """Return the steps that were tried, and the one with the wanted acceptance, or `most` if that is less."""
     step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
     time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
     tried: list[StepFound] = []
@@ -238,7 +238,7 @@ def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: in
 def _find_length(
     integrator: SIERHMCIntegrator, step: float, samples: int, counts: list[int] | None, time: float
 ) -> tuple[list[LengthFound], int]:
-    """The lengths that were compared, and the cheapest; of those without an error, or refused, only if no other is."""
+    """Compare lengths and find the cheapest; one without an error, or refused, only if there is no other."""
     if counts is None:
         counts = [max(1, round(factor * time / step)) for factor in LENGTHS]
     found = []

@@ -128,7 +128,7 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
 
 
 class _Place(NamedTuple):
-    """Some bodies, by their numbers, and how they move; and what is wrong with a Force there, see `_errors`."""
+    """Hold the numbers of some bodies, how they move, and the error of a Force there; see `_errors`."""
 
     bodies: np.ndarray
     turns: bool

@@ -81,11 +81,11 @@ class MolecularPressure:
         return (state.getStepCount(), time, *self.components(state).tolist(), volume)
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
-        """Sums (M, 3) over the atoms of each molecule of values (N, 3)."""
+        """Return sums (M, 3) over the atoms of each molecule of values (N, 3)."""
         return np.stack([np.bincount(self._owners, column) for column in values.T], axis=1)
 
     def _slopes(self, positions: np.ndarray, box: np.ndarray) -> np.ndarray:
-        """Derivatives of the potential energy by the strains, (6,), kJ/mol."""
+        """Return derivatives of the potential energy by the strains, (6,), kJ/mol."""
         centres = self._sums(self._masses[:, None] * positions) / self._molecule_masses[:, None]
         arms = positions - centres[self._owners]
         centres = wrapped(centres, box)
@@ -127,7 +127,7 @@ def _check(system: openmm.System) -> None:
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The molecule (N,) of each particle, and the masses (M,) of molecules.
+    """Return the molecule (N,) of each particle, and the masses (M,) of molecules.
 
     Atoms of one rigid body are in one molecule, even if nothing in the System joins them.
     """
@@ -144,7 +144,7 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
 
 
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:
-    """The stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
+    """Return the stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
 
     OpenMM's boxes have upper triangular deformations only, so that the strained box is turned into that form. Turning
     everything, molecules included, does not change the energy.
@@ -158,7 +158,7 @@ def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def _reduced(box: np.ndarray) -> np.ndarray:
-    """The same lattice in OpenMM's reduced form; box vectors are rows, lower triangular, nm."""
+    """Return the same lattice in OpenMM's reduced form; box vectors are rows, lower triangular, nm."""
     a, b, c = box
     c = c - b * np.round(c[1] / b[1])
     c = c - a * np.round(c[0] / a[0])

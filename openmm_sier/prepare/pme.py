@@ -94,7 +94,7 @@ def _has_mesh(force: openmm.Force) -> bool:
 
 
 def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[int]]:
-    """Ewald parameter in 1/nm and mesh."""
+    """Return the Ewald parameter in 1/nm and mesh."""
     tolerance = force.getEwaldErrorTolerance()
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
     least, largest = TOLERANCES

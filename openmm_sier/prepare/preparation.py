@@ -101,8 +101,8 @@ def prepare_system(
         group = known.free_group()
     for force in known.others_in(group):
         raise ValueError(
-            f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
-            "fastForceGroup or none, to have a free one, or, if it was prepared for other bodies, prepare a new System"
+            f"{force.getName()} is in force group {group}, which the fast forces need: give another fastForceGroup, or "
+            "none to take an empty one; if the System was prepared for other bodies, prepare a new System"
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
@@ -129,8 +129,8 @@ def prepare_system(
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Where that does "
-            "not change them, add them to the System itself: then they are fast."
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. If that does "
+            "not change what they do, add them to the System itself: then they are fast."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
     done += _inside_bodies(system, found, excluded, known.owner)
@@ -172,7 +172,7 @@ def _inside_bodies(
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
                 f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
-                "particles do not tell which are near. Give prepare_system the bodies of RigidBodies.from_system("
+                "particles have no shape. Give prepare_system the bodies of RigidBodies.from_system("
                 "system, topology, lists, positions): then they are excluded."
             )
     elif excluded.refusal:

@@ -31,10 +31,10 @@ LIGHT = 2.0
 
 
 class Remedies:
-    """Finds what helps a System's motions, by their atoms."""
+    """Find remedies for a System's fast motions, by their atoms."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """From a System and what moves in it."""
+        """Take a System and its bodies."""
         self._owner, self._points = bodies.owners.copy(), bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
@@ -59,7 +59,7 @@ class Remedies:
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
     def hold(self, atoms: tuple[int, ...]) -> str:
-        """How to hold a bond."""
+        """Tell how to hold a bond."""
         if self.has_hydrogen(atoms):
             return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN + KEEP_HEAVY
         return ONE_BODY if self._beside_bodies[list(atoms)].any() else CONSTRAIN_HEAVY

@@ -36,7 +36,7 @@ _STOPPED = re.compile(r"\(at char (\d+)\)")
 
 @dataclass(frozen=True)
 class SelectedBodies(Sequence[tuple[int, ...]]):
-    """Bodies as sequences of particle indices, with a name for each. Print it to see what each of them is.
+    """Hold bodies as sequences of particle indices, with a name for each; print it to see them.
 
     It is taken wherever lists of particle indices are: as `bodies` of integrators and of `prepare_system`, and as
     `rigid` of `RigidBodies.from_system`.
@@ -222,7 +222,7 @@ def _refuse_shared(found: Sequence[_Body]) -> None:
 
 
 class _Reader:
-    """Finds the atoms that words describe."""
+    """Find the atoms that words describe."""
 
     def __init__(self, topology: app.Topology):
         self._topology = topology

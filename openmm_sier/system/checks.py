@@ -26,14 +26,14 @@ PASSIVE_FORCES = (
 
 
 def is_passive(force: openmm.Force) -> bool:
-    """Whether a Force only gives forces and does not depend on the time."""
+    """Tell whether a Force only gives forces and does not depend on the time."""
     if isinstance(force, openmm.CustomCVForce):
         return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     return isinstance(force, PASSIVE_FORCES)
 
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
-    """The barostats of OpenMM that a System has."""
+    """Return the barostats of OpenMM that a System has."""
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
 
 

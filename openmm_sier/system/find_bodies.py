@@ -89,7 +89,7 @@ class RigidBodies(dynamics.RigidBodies):
 
 
 class BodyPlan:
-    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for arguments, rules and errors.
+    """Plan the rigid bodies of a System; see `RigidBodies.from_system` for arguments, rules and errors.
 
     Attributes:
         kinds: the kinds of body.
@@ -108,16 +108,16 @@ class BodyPlan:
 
     @property
     def species(self) -> tuple[Species, ...]:
-        """The kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
+        """Return the kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
         return tuple(kind.model for kind in self.kinds if kind.model is not None)
 
     @property
     def needs_positions(self) -> bool:
-        """Whether the geometry of some body is known from positions only."""
+        """Tell whether the geometry of some body is known from positions only."""
         return any(kind.needs_positions for kind in self.kinds)
 
     def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> RigidBodies:
-        """The bodies.
+        """Return all bodies.
 
         Args:
             positions: (N, 3), nm.
@@ -164,7 +164,7 @@ class BodyPlan:
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
-        """Named bodies without their virtual sites; those that are frozen entirely are none."""
+        """Return named bodies without their virtual sites, and without those that are frozen entirely."""
         clusters: list[Cluster] = []
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
@@ -188,7 +188,7 @@ class BodyPlan:
         return clusters
 
     def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
-        """All bodies, with the constraints inside them.
+        """Return all bodies, with the constraints inside them.
 
         Raises:
             RigidityError: a constraint joins a body to another particle.
@@ -223,7 +223,7 @@ class BodyPlan:
 
 
 def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodies | BodyPlan:
-    """A System's bodies from what a user gave; their plan if only positions can tell the geometry.
+    """Return a System's bodies from what a user gave; their plan if only positions can tell the geometry.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
@@ -261,7 +261,7 @@ def _named(
 
 
 def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
-    """Each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
+    """Return each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
     molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
@@ -291,7 +291,7 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 
 
 def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
-    """Clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
+    """Return clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
 
     A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
     """
@@ -306,7 +306,7 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
 
 
 def linked(system: openmm.System, bodies: Linked) -> Linked:
-    """Bodies that a user gave, with a System's constraints between them and its molecules.
+    """Return bodies that a user gave, with a System's constraints between them and its molecules.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
@@ -353,7 +353,7 @@ class Links:
         self.custom = _pairs(system, openmm.CustomBondForce)
 
     def covalent(self) -> np.ndarray:
-        """Constraints and bonds, (b, 2), without restraints within molecules.
+        """Return constraints and bonds, (b, 2), without restraints within molecules.
 
         A harmonic bond longer than `LONGEST_COVALENT`, as of an elastic network, and a term of a CustomBondForce are
         restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
@@ -366,7 +366,7 @@ class Links:
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
-        """For each cluster of particles whether a bond joins it to a particle outside."""
+        """Return for each cluster of particles whether a bond joins it to a particle outside."""
         owner = np.full(self.n_particles, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
@@ -376,7 +376,7 @@ class Links:
         return leaving[:-1]
 
     def link(self, bodies: Linked) -> Linked:
-        """The bodies with the constraints between them, and with their molecules.
+        """Return the bodies with the constraints between them, and with their molecules.
 
         Raises:
             RigidityError: a constraint joins a body to a particle of no body, or a body of several atoms to another
@@ -396,7 +396,7 @@ class Links:
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:
-    """The error for a constraint between two particles, one of which is in a rigid body without the other."""
+    """Return the error for a constraint that joins a rigid body to a particle outside."""
     return RigidityError(
         f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
         "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "
@@ -405,7 +405,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
 
 
 def _pairs(system: openmm.System, kinds: type | tuple[type, ...]) -> np.ndarray:
-    """Distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
+    """Return distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
     terms = [bonded_terms(part.force) for part in parts(system) if isinstance(part.force, kinds)]
     pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
     return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)

@@ -94,8 +94,8 @@ class ResidueRanges:
             found = self._in_each(chain, [span])
             if len(found) > 1:
                 raise ValueError(
-                    f"{words!r} is to be one body, and {len(found)} chains are {chain or 'meant'}: give a line to each "
-                    "chain, or atoms, as in 'atoms 0-35'"
+                    f"{words!r} must be one body, but there are {len(found)} chains {chain}".rstrip()
+                    + ": give each chain a line, or name atoms, as in 'atoms 0-35'"
                 )
             body += found[0]
         return [body]
