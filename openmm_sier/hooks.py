@@ -2,7 +2,7 @@
 
 OpenMM tells a Python integrator nothing about its Context. The methods below therefore do more than OpenMM's if the
 Context has a SIER integrator, and exactly what OpenMM's do if it has another. They are for what users call; engines
-call OpenMM's own (`engines.own_methods`). Each stands beside what goes wrong without it:
+call OpenMM's own (`system.own_methods`). Each stands beside what goes wrong without it:
 
 - `Context.__init__`, `Context.reinitialize`: bind the integrator to the Context, and write its program for the System.
   *Without*: it has no engine, and a System that it cannot move is refused by nobody.
@@ -35,12 +35,12 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.engines.own_methods import mark_as_replaced, own_method
 from openmm_sier.integrators.binding import Binding
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
 from openmm_sier.integrators.storage import revived, written
 from openmm_sier.system import tables
+from openmm_sier.system.own_methods import mark_as_replaced, own_method
 from openmm_sier.system.unchanged import UnchangedSystem
 
 

@@ -39,10 +39,15 @@ class Simulated:
         """
         given = settings.topology, settings.forcefield, settings.constraints, settings.interactions, settings.edges
         box = read_input(settings.box, *given)
-        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}")
+        hint = "" if box.system.usesPeriodicBoundaryConditions() else " (--edges gives a box)"
+        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings, self.box = settings, box
         self.bodies = rigid_bodies(box, settings.rigid)
-        self.fast = prepare_system(box.system, self.bodies).fastForceGroups
+        prepared = prepare_system(box.system, self.bodies)
+        self.fast = prepared.fastForceGroups
+        if settings.rigid:
+            for done in prepared.done:
+                note(done)
         if settings.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
             raise RunError("--pressure-tensor needs a periodic box, which there is none")
         self.inputs = fingerprints(box.sources)

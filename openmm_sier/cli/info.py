@@ -11,6 +11,7 @@ from openmm import app
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.planning import new_settings
+from openmm_sier.dynamics.names import FEW
 from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
@@ -24,11 +25,14 @@ EQUAL = 1e-6
 #: Tops by whether their two lower moments are equal, and their two upper ones.
 TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
 
+#: So many bodies that words describe are shown.
+MOST_SHOWN = 6
+
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
 def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
-    """The rigid bodies of a box.
+    """Find the rigid bodies of a box, and print those that words describe.
 
     Args:
         box: as `inputs.read_input` gives it.
@@ -39,6 +43,10 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
         ValueError: nothing is described by one of the words.
     """
     named = select_bodies(box.topology, rigid) if rigid else None
+    if named is not None:
+        shown = str(named).splitlines()
+        more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
     return RigidBodies.from_system(box.system, box.topology, named, box.positions)
 
 
@@ -77,7 +85,7 @@ def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int,
     return [
         " ".join(names),
         str(len(species.atoms)),
-        " ".join(atoms[i].name for i in first),
+        " ".join(atoms[i].name for i in first) if len(first) <= FEW else f"{len(first)} atoms",
         " ".join(atoms[i].name for i in riders.get(int(first[0]), [])) or "-",
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",

@@ -24,6 +24,7 @@ from openmm_sier.cli.settings import (
     steps_in,
 )
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
+from openmm_sier.system.body_selection import file_words
 
 
 def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) -> RunSettings:
@@ -35,9 +36,11 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
 
     Raises:
         RunError: settings contradict each other, or the topology, or would do nothing.
-        ForceFieldError, OSError: the topology is none, or cannot be read.
+        ForceFieldError, OSError: the topology is none, or cannot be read; a file of bodies cannot be read.
+        ValueError: a file of bodies describes none.
     """
     _refuse_both_lengths(given)
+    given = _with_words_of_files(given)
     values: dict[str, Any] = {}
     if origin is not None:
         values = {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}
@@ -94,6 +97,13 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
     return IGNORED[kind]
 
 
+def _with_words_of_files(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what was given with the words of files of bodies in place of these, which may change after the run."""
+    if not given.get("rigid"):
+        return given
+    return {**given, "rigid": [line for words in given["rigid"] for line in file_words(words)]}
+
+
 def _refuse_both_lengths(given: Mapping[str, Any]) -> None:
     if all(name in given for name in LENGTHS):
         raise Misused(f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them")
@@ -141,8 +151,10 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
 
     Raises:
         RunError: they do, or the checkpoint holds no settings.
+        OSError, ValueError: a file of bodies cannot be read, or describes none.
     """
     _refuse_both_lengths(given)
+    given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
         raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")

@@ -102,8 +102,9 @@ class RunSettings(BaseModel):
         otherwise="the box of the coordinates",
     )
     rigid: list[Name] | None = fields.several(
-        "names of residues, besides water, to be held rigid in the geometry that they have in the coordinates, but for "
-        "bonds that constraints hold",
+        "what, besides water, is to be held rigid in the geometry that it has in the coordinates, but for bonds that "
+        "constraints hold: names of residues; ranges of them, as A:1-36, one body each; chains, as 'chain A'; atoms, "
+        "as 'atoms 0-35'; selections of MDTraj; or a file with one of these in each line",
         NAME,
         otherwise="none",
     )

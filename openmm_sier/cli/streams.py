@@ -6,23 +6,32 @@ import os
 import sys
 from typing import TextIO
 
-from openmm_sier.stability import advice
+from openmm_sier.system.notices import Advised
 
 PROGRAM = "openmm-sier"
 
 #: What the extra `cli` brings.
 LIBRARIES = ("cyclopts", "filelock", "mdtraj", "pydantic", "rich", "tomli")
 
-#: What the library advises its callers, as options of the command, which prepares every System.
+#: What helps by options of the command, which prepares every System, in place of what does in a script.
 AS_OPTIONS = {
-    advice.PREPARE: "Take a shorter step (--dt)",
-    advice.SHORTER_STEP: "Take a shorter step (--dt)",
-    advice.MORE_SUBSTEPS: "Take a shorter step (--dt)",
-    advice.CONSTRAIN: "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
-    advice.CONSTRAIN_HEAVY: "hold the bond by --constraints allbonds, or its residue by --rigid NAME",
-    advice.ONE_BODY: "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
-    advice.KEEP_HEAVY: "",
-    advice.HEAVY: "--hydrogen-mass 4",
+    "prepare": "take a shorter step (--dt)",
+    "shorter step": "take a shorter step (--dt)",
+    "more substeps": "take a shorter step (--dt)",
+    "step up to": "take up to {} (--dt)",
+    "unit": "",
+    "heavier hydrogens": "for averages only, make all hydrogens heavy by --hydrogen-mass 4",
+    "constrain hydrogens": "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+    "constrain bonds": "hold the bond by --constraints allbonds, or its molecule by --rigid WHAT",
+    "one body": "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
+    "check forces": "if it drifts alike with both, look at openmm_sier.check_forces in a script",
+    "this is the topology": "give coordinates, and this file by --topology {}",
+    "name the topology": "name its topology by --topology, as {}",
+    "name the force field": "give its files with --forcefield, such as {}",
+    "name the parameters": "name all their files with --forcefield, such as --forcefield {}",
+    "give a box": "give coordinates with their box, or its edges in nm by --edges",
+    "one box": "leave out --edges",
+    "leave the ensemble to the run": "leave it out, and use --ensemble, --temperature and --pressure",
 }
 
 
@@ -49,24 +58,22 @@ def complain(message: str) -> None:
         discard(sys.stderr)
 
 
-def for_the_command(message: Warning | BaseException | str) -> str:
-    """A message of the library in one line, with options of the command in place of arguments."""
-    text = " ".join(str(message).split())
-    for words, option in AS_OPTIONS.items():
-        text = text.replace(words, option)
-    return text
+def in_one_line(message: Warning | BaseException | str) -> str:
+    """Return a message in one line, with options of the command for what helps."""
+    text = message.told(AS_OPTIONS) if isinstance(message, Advised) else str(message)
+    return " ".join(text.split())
 
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
-    print(f"warning: {for_the_command(message)}", flush=True)
+    print(f"warning: {in_one_line(message)}", flush=True)
 
 
 def described(error: Exception) -> str:
     """An error in one line."""
     if isinstance(error, ModuleNotFoundError) and (library := str(error.name).split(".")[0]) in LIBRARIES:
         return f"the command needs {library}; install it with: pip install 'openmm-sier[cli]'"
-    message = for_the_command(error) or type(error).__name__
+    message = in_one_line(error) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     of_ours = type(error).__module__.startswith("openmm") or hasattr(error, "exit_code")

@@ -371,7 +371,7 @@ class RigidBodies:
         return float(self.masses.sum())
 
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Return the velocity of the centre of mass of all bodies, (3,), nm/ps, at momenta (3, n); zero without bodies."""
+        """Return the velocity of the common centre of mass at momenta (3, n), (3,), nm/ps; zero without bodies."""
         return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:

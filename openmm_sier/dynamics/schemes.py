@@ -185,7 +185,7 @@ class Scheme:
 
     @cached_property
     def order(self) -> int:
-        """Return the largest n for which the step is exact up to and including h^n, see `openmm_sier.dynamics.order`."""
+        """Return the largest n for which the step is exact up to and including h^n; see `dynamics.order`."""
         return order_of(self.stages)
 
 

@@ -34,6 +34,10 @@ MIRROR_MARGIN = 2.0
 ONE_PLACE = 1e-9
 
 
+#: Moments that differ by more than this part of the largest are not those of the masses; lines are made exact by less.
+OTHER_MOMENT = 1e-6
+
+
 class RigidityError(ValueError):
     """Atoms do not form the rigid body that they are meant to form."""
 
@@ -49,7 +53,8 @@ class Species:
         moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
 
     Raises:
-        ValueError: the arrays have other shapes, numbers are not finite, or particle indices are not whole.
+        ValueError: the arrays have other shapes, numbers are not finite, particle indices are not whole, or the moments
+            are not those of the masses at the sites: velocities of atoms would then carry another angular momentum.
     """
 
     atoms: np.ndarray
@@ -70,6 +75,13 @@ class Species:
             raise ValueError(f"species need particle indices, got atoms of type {self.atoms.dtype}")
         if not all(each.dtype.kind == "f" and np.isfinite(each).all() for each in numbers):
             raise ValueError("species need masses, sites and moments that are finite numbers")
+        squares = (self.masses * self.sites**2).sum(axis=1)
+        own = squares.sum() - squares
+        if not (np.abs(self.moments - own) <= OTHER_MOMENT * own.max()).all():
+            raise ValueError(
+                f"species have the moments of their masses, {own} dalton nm^2, got {self.moments}: to give a body "
+                "other moments, give it other masses, as openmm_sier.set_inertia does"
+            )
 
     @classmethod
     def from_coordinates(

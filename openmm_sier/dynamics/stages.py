@@ -30,7 +30,7 @@ class Stage(NamedTuple):
     shift: float = 0.0
 
     def times(self, h: float) -> tuple[float, ...]:
-        """Return arguments of the operator in a step of length h: its time, and for a gradient kick its displacement."""
+        """Return arguments of the operator in a step of length h: its time, and a gradient kick's displacement."""
         own = (self.fraction * h,)
         return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
 

@@ -3,10 +3,11 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame, combine
+from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.ledger import Ledger
@@ -62,23 +63,24 @@ class OrnsteinUhlenbeck(Thermostat):
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
     def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
-        masses, moments = bodies.masses, bodies.moments
+        thermal = GAS_CONSTANT * self.temperature
+        spreads = np.sqrt(thermal * bodies.masses), np.sqrt(thermal * bodies.moments)
+        inverses = bodies.inverse_masses, bodies.inverse_moments
+
+        @lru_cache(maxsize=4)
+        def decay(h: float) -> tuple[tuple[float, float], tuple[np.ndarray, np.ndarray]]:
+            """Return what momenta and angular momenta keep in a time h, and the widths of what they gain."""
+            (kept, gained), (kept_turning, turning) = map(_decay, (self.friction, self.rotational_friction), (h, h))
+            return (kept, kept_turning), (gained * spreads[0], turning * spreads[1])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
-            thermal = GAS_CONSTANT * self.temperature
-            kept, spread = _decay(self.friction, h)
-            p = kept * state.p + (spread * np.sqrt(thermal * masses)) * noise[:3]
-            heat = 0.5 * float(((p * p - state.p * state.p).sum(axis=0) / masses).sum())
-            kept, spread = _decay(self.rotational_friction, h)
-            kicks = (spread * np.sqrt(thermal * moments)) * noise[3:]
-            A, along = state.A, body_frame(state.A, state.L)
-            L = kept * state.L + combine(kicks, A[0], A[1], A[2])
-            new_along = kept * along + kicks
-            heat += 0.5 * float(((new_along * new_along - along * along) * bodies.inverse_moments).sum())
+            kept, (width, turning_width) = decay(h)
+            kicks = width * noise[:3], turning_width * noise[3:]
+            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, kicks, inverses)
             ledger.draws += 1
-            ledger.heat += heat
-            return BodyState(state.q, p, A, L)
+            ledger.heat += float(gained.sum())
+            return BodyState(state.q, p, state.A, L)
 
         return apply
 

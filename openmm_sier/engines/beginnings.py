@@ -4,8 +4,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import own_methods
 
 #: Relative tolerance of the constraints of a trial.
 TOLERANCE = 1e-5

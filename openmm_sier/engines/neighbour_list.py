@@ -9,7 +9,7 @@ two evaluations agree. `docs/measurements/platforms.md` has the measurements.
 import openmm
 from openmm import unit
 
-from openmm_sier.engines import own_methods
+from openmm_sier.system import own_methods
 from openmm_sier.system.inner_forces import parts
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.

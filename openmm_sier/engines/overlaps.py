@@ -5,7 +5,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.engines import interrupts, own_methods
+from openmm_sier.engines import interrupts
+from openmm_sier.system import own_methods
 from openmm_sier.system.notices import notify
 
 #: nm, by which bodies are moved to find how stiffly others hold them. Forces in single precision, rounded to 1e-6 of

@@ -18,12 +18,13 @@ from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.actions import Actions
+from openmm_sier.engines.native.program import Program
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks
+from openmm_sier.system import checks, own_methods
+from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.solver_trial import SolverTrial
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
 
@@ -49,6 +50,24 @@ class Memory(NamedTuple):
     more: Any = None
 
 
+class Task(NamedTuple):
+    """Hold what an engine is made for.
+
+    Attributes:
+        context: openmm.Context, which has the integrator.
+        flow: what will be followed.
+        stored: the ledger of the integrator.
+        bodies: the rigid bodies as users give them, see `find_bodies.known_or_planned`.
+        program: what OpenMM executes, which is written for the flow.
+    """
+
+    context: openmm.Context
+    flow: Flow
+    stored: StoredLedger
+    bodies: Bodies
+    program: Program
+
+
 class Engine(ABC):
     """Move the bodies of one Context.
 
@@ -57,13 +76,13 @@ class Engine(ABC):
     own.
 
     Attributes:
-        name: "exact" or "native", as users ask for it.
+        name: by which users ask for it.
         repeats_noise: whether the noise of baths goes on from a State as it does from a checkpoint.
         flow: what is followed.
         ledger: heat, random numbers and counts.
         stored: the ledger's place between calls of `step`.
-        moving: the bodies whose phase point the engine has: rigid and point bodies, or the massive atoms alone.
-        check_step: refuses steps that are too long for them.
+        moving: the bodies whose phase point the engine has: rigid and point bodies, or the massive atoms alone. Each
+            engine sets it.
         evaluations: number of force evaluations so far.
         clock: time and step count; ensembles set it where a step of the integrator is not one of the scheme.
     """
@@ -71,21 +90,15 @@ class Engine(ABC):
     name: ClassVar[str]
     repeats_noise: ClassVar[bool] = False
     moving: RigidBodies
-    check_step: StepCheck
-    evaluations: int
-    clock: Clock
+    evaluations: int = 0
+    clock: Clock = Clock(0.0, 0)
 
-    def __init__(self, context: openmm.Context, flow: Flow, stored: StoredLedger):
-        """
-        Args:
-            context: openmm.Context, which has the integrator.
-            flow: what will be followed.
-            stored: the ledger of the integrator.
-        """
+    def __init__(self, task: Task):
+        """Engines add to this what they need of their task, and refuse what they cannot do, with the remedy."""
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
-        self._context_ref = weakref.ref(context)
-        self.flow = flow
-        self.stored, self.ledger = stored, stored.ledger
+        self._context_ref = weakref.ref(task.context)
+        self.flow = task.flow
+        self.stored, self.ledger = task.stored, task.stored.ledger
 
     @property
     def _context(self) -> openmm.Context:
@@ -285,6 +298,11 @@ class Engine(ABC):
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
+
+    @cached_property
+    def check_step(self) -> StepCheck:
+        """Refuses steps that are too long for what moves."""
+        return StepCheck(self._context.getSystem(), self.moving)
 
     def inner_step(self, flow: Flow) -> float:
         """Return the longest step of a flow within drifts, ps."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import openmm
 
-from openmm_sier.engines import own_methods
+from openmm_sier.system import own_methods
 
 
 def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:

@@ -25,7 +25,13 @@ UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
 class Move(NamedTuple):
-    """Act on the engine before each step whose number is a multiple of `every`."""
+    """Describe what an ensemble does between steps.
+
+    Attributes:
+        every: interval. The move comes before each step whose number, from 1, is a multiple of this, so that
+            step(every) ends one step after the move.
+        act: a function of the engine.
+    """
 
     every: int
     act: Callable[[Engine], None]
@@ -43,7 +49,7 @@ class Ensemble:
         is_random: whether it draws random numbers.
         counts: names of what it counts in the ledger.
         steps: number of steps of the scheme in one step of the integrator.
-        needs_package: whether the program of the scheme alone would do less.
+        needs_package: whether the program of the scheme alone would do less, as it does where there are moves.
         has_friction: whether it kicks each momentum by itself, so that the total momentum is not conserved.
     """
 
@@ -56,7 +62,7 @@ class Ensemble:
 
     @property
     def needs_package(self) -> bool:
-        return False
+        return bool(self.moves)
 
     @property
     def has_friction(self) -> bool:
@@ -127,10 +133,6 @@ class ConstantTemperature(Ensemble):
         if self.pressure is not None:
             make_number(self, "pressure", "pressure", "bar")
         make_number(self, "interval", "barostatInterval", least=1)
-
-    @property
-    def needs_package(self) -> bool:
-        return self.pressure is not None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         if self.pressure is not None:

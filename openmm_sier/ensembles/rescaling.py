@@ -42,10 +42,6 @@ class VelocityRescaling(ConstantTemperature):
         make_number(self, "every", "every", least=1)
 
     @property
-    def needs_package(self) -> bool:
-        return True
-
-    @property
     def moves(self) -> tuple[Move, ...]:
         return (*super().moves, Move(self.every, self._scale)) if self.rate else super().moves
 

@@ -21,7 +21,7 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
-from openmm_sier.system.notices import notify
+from openmm_sier.system.notices import Remedy, notify
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -80,10 +80,9 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
     """
     lines = Path(path).read_text(errors="replace").splitlines()
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
-        raise ForceFieldError(
-            "no force field is named: give its files with --forcefield (`files` in a script), such as "
-            f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
-        )
+        such = f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
+        remedy = Remedy("name the force field", f"give its `files`, such as {such}", such)
+        raise ForceFieldError("no force field is named", remedy)
     return named, "named in the PDB file"
 
 
@@ -276,6 +275,8 @@ def read_box(
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
         whole = make_whole(system, positions, topology)
+    except ForceFieldError as error:
+        raise error.within(path) from None
     except ValueError as error:
         raise ForceFieldError(f"{path}: {error}") from None
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
@@ -289,7 +290,7 @@ def describe(box: Box) -> str:
     vectors = box_vectors(box.topology)
     residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:
-        return f"{residues} without a periodic box, {nonbonded} (--edges gives a box)"
+        return f"{residues} without a periodic box, {nonbonded}"
     return f"{residues} in {extent(vectors)} at {density_of(box):.3g} g/ml, {nonbonded}"
 
 

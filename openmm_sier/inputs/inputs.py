@@ -21,6 +21,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
+from openmm_sier.system.notices import Remedy
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
 IGNORED = {
@@ -106,12 +107,12 @@ def _refuse_half(path: str | Path) -> None:
     """Refuse files that need another one."""
     kind = kind_of(path)
     if kind in TOPOLOGIES:
-        raise ForceFieldError(f"{path} is {kind}: give coordinates, and this file by --topology {path}")
+        remedy = Remedy("this is the topology", "give coordinates, and this file as `topology`", str(path))
+        raise ForceFieldError(f"{path} is {kind}", remedy)
     if kind in POSITIONS:
-        raise ForceFieldError(
-            f"{path} is {kind}, without a force field: name its topology by --topology, as a prmtop, top or psf file, "
-            "or a System of OpenMM in XML"
-        )
+        kinds = "a prmtop, top or psf file, or a System of OpenMM in XML"
+        remedy = Remedy("name the topology", f"name its `topology`, {kinds}", kinds)
+        raise ForceFieldError(f"{path} is {kind}, without a force field", remedy)
 
 
 def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
@@ -139,10 +140,9 @@ def _box_of_topology(
     if kind_of(path) == STATE:
         raise ForceFieldError(f"{path} is {STATE}, which goes with a System of OpenMM; {topology} is {kind}")
     if kind == PSF and not files:
-        raise ForceFieldError(
-            f"{topology} is {kind}, which needs its parameters: name all their files with --forcefield, such as "
-            "--forcefield par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
-        )
+        such = "par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
+        remedy = Remedy("name the parameters", f"name all their files as `files`, such as {such}", such)
+        raise ForceFieldError(f"{topology} is {kind}, which needs its parameters", remedy)
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
         file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
@@ -151,15 +151,13 @@ def _box_of_topology(
             # OpenMM's other readers add no bonds that constraints hold by themselves.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
-        raise ForceFieldError(
-            f"{path} has no periodic box, and {topology} was made for one: give coordinates with their box, or its "
-            "edges in nm by --edges"
-        )
+        remedy = Remedy("give a box", "give coordinates with their box, or its `edges`")
+        raise ForceFieldError(f"{path} has no periodic box, and {topology} was made for one", remedy)
     refuse_other_atoms(path, found, file.topology, topology)
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)
     except ForceFieldError as error:
-        raise ForceFieldError(f"{topology}: {error}") from error
+        raise error.within(topology) from error
     return _box(source, system, file.topology, files)
 
 
@@ -173,10 +171,8 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):
-            raise ForceFieldError(
-                f"{topology} has a {force.getName()}, in whose place the run has its ensemble: leave it out, and use "
-                "--ensemble, --temperature and --pressure"
-            )
+            remedy = Remedy("leave the ensemble to the run", "leave it out")
+            raise ForceFieldError(f"{topology} has a {force.getName()}, in whose place the run has an ensemble", remedy)
     named = found.topology or _topology_of(system)
     refuse_other_atoms(path, found._replace(names=()), named, topology)
     _refuse_other_masses(path, system, named, topology)

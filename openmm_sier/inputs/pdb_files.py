@@ -12,7 +12,7 @@ from openmm.unit import Quantity
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.alternates import find_alternates
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
-from openmm_sier.system.notices import notify
+from openmm_sier.system.notices import Advised, Remedy, notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
@@ -26,8 +26,10 @@ COORDINATES_END = 54
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
 
-class ForceFieldError(ValueError):
+class ForceFieldError(Advised, ValueError):
     """No force field is named, found or applied, or there are no coordinates that one could be for."""
+
+    separator = ": "
 
 
 def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
@@ -69,7 +71,7 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     if edges is None:
         return box
     if box is not None:
-        raise ForceFieldError(f"{path} has a periodic box of its own: leave out --edges")
+        raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
     return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 

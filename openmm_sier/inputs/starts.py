@@ -158,7 +158,7 @@ def prepare(
 
 
 def _strongest_force(context: openmm.Context) -> float:
-    """Return the largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
+    """Return the largest net force on a molecule over the root of its size, kJ/mol/nm; infinite if not finite."""
     bodies = context.getIntegrator().bodies
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
@@ -241,7 +241,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
 
 
 def _step_of(context: openmm.Context, temperature: float) -> float:
-    """Return the step of an equilibration, ps: the usual one, or one short enough for the bonds and spins of a System."""
+    """Return the step of an equilibration, ps: the usual one, or one short enough for bonds and spins."""
     integrator = context.getIntegrator()
     system, bodies = context.getSystem(), integrator.bodies
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
@@ -279,7 +279,7 @@ def _are_within_bounds(means: Means, temperature: float, dof: DegreesOfFreedom) 
 
 
 def bound(temperature: float, dof: float) -> float:
-    """Return the largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
+    """Return the largest deviation of a mean temperature, K: a canonical standard deviation, at least 1 K."""
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
 

@@ -22,7 +22,7 @@ from openmm_sier.engines.native.program import WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, program_for
 from openmm_sier.engines.overlaps import tell_of_overlaps
-from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
@@ -219,7 +219,7 @@ class Binding:
             raise openmm.OpenMMException(
                 "The System was prepared after the integrator was given to its Context: create a new Context"
             )
-        engine = engine_for(given.engine, context, self.flow(), self.stored, given.bodies, self.program)
+        engine = engine_for(given.engine, Task(context, self.flow(), self.stored, given.bodies, self.program))
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import openmm
 
+from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
 from openmm_sier.system.inner_forces import parts
 
@@ -37,7 +38,7 @@ ENERGY = "coulomb*u + (repulsion*u6 - attraction)*u6; u6 = u^6; u = 1/r"
 
 def own_forces(system: openmm.System) -> list[int]:
     """Return numbers of the Forces that preparation added to a System."""
-    return [i for i, force in enumerate(system.getForces()) if force.getName() in (NAME, OPPOSITE)]
+    return [i for i, force in enumerate(system.getForces()) if force.getName() in (NAME, OPPOSITE, BODIES)]
 
 
 def fast_force_groups(system: openmm.System) -> int:

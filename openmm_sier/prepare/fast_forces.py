@@ -5,6 +5,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, own_forces
+from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, working_terms
@@ -101,7 +102,7 @@ def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:
         if isinstance(force, WITHOUT_FORCES) or force.getName() == NAME:
             continue
         is_marked = any(marked >> group & 1 for group in _groups(force))
-        is_bonded = bonded_kind(force) is not None and force.getName() != OPPOSITE
+        is_bonded = bonded_kind(force) is not None and force.getName() not in (OPPOSITE, BODIES)
         if is_marked != (is_bonded and i < end):
             return True
     return False

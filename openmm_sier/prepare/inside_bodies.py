@@ -22,6 +22,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.species import Species
+from openmm_sier.prepare.joined_bodies import NAME as OWN
 from openmm_sier.system.bonded_terms import bonded_kind, bonded_terms
 from openmm_sier.system.boxes import widths
 
@@ -121,7 +122,7 @@ def useless_terms(system: openmm.System, owner: np.ndarray) -> dict[str, tuple[i
     """
     found = {}
     for force in system.getForces():
-        if bonded_kind(force) is None:
+        if bonded_kind(force) is None or force.getName() == OWN:
             continue
         owners = owner[bonded_terms(force)]
         inside = (owners == owners[:, :1]).all(axis=1) & (owners[:, 0] >= 0) if len(owners) else owners

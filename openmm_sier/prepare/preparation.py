@@ -10,6 +10,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.inside_bodies import FEWEST_ATOMS, PAIRWISE, Excluded, exclude_inside_bodies, useless_terms
+from openmm_sier.prepare.joined_bodies import join_bodies
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
@@ -66,6 +67,8 @@ def prepare_system(
       SIER integrator finds them. Terms that act on a rigid body or a virtual site stay slow. A Force that has such
       terms is divided into two, unless its energy is an expression or it is inside another Force; then it stays slow as
       a whole.
+    - In a periodic System it joins bodies that consist of several molecules by bonds without strength, so that OpenMM
+      keeps their atoms together in trajectories and with barostats.
     - Where all bonds and angles are slow, as between beads that stand for residues, no force becomes fast unless you
       give a `fastForceGroup`, since inner steps would only cost time.
     - It counts nonbonded interactions between atoms up to four bonds apart as fast too. One CustomBondForce adds them
@@ -113,6 +116,11 @@ def prepare_system(
         done.append("The sums of PME are balanced.")
     for i in reversed(close_pairs.own_forces(system)):
         system.removeForce(i)
+    if joined := join_bodies(system, known.owner):
+        done.append(
+            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each for one "
+            "molecule, in trajectories and with barostats."
+        )
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
     coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None

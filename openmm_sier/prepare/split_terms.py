@@ -64,7 +64,7 @@ def points_divided(force: openmm.Force, points: np.ndarray) -> openmm.Force | No
     numbers = np.flatnonzero(points[bonded_terms(force)].all(axis=1))
     for number in numbers.tolist():
         parameters = list(terms.get(force, number))
-        if not any(parameters[place]._value for place in terms.strengths):
+        if all(parameters[place] == 0 * parameters[place] for place in terms.strengths):
             continue
         terms.add(found, *parameters)
         for place in terms.strengths:

@@ -8,23 +8,58 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import DIVISIBLE, working_terms
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
 from openmm_sier.system.hydrogens import hydrogens
+from openmm_sier.system.notices import Advised, Remedy
 
-#: Remedies, for messages.
-PREPARE = "Call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step"
-SHORTER_STEP = "Take a shorter step"
-MORE_SUBSTEPS = "Take more substeps or a shorter step"
-HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
-HEAVIER = f"for averages only, make all hydrogens heavy by {HEAVY}"
-CONSTRAIN = (
+_HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
+
+#: Remedies, see `Remedy`.
+SHORTER_STEP = Remedy("shorter step", "take a shorter step")
+PREPARE = Remedy(
+    "prepare",
+    "call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step",
+)
+MORE_SUBSTEPS = Remedy("more substeps", "take more substeps or a shorter step")
+HEAVIER = Remedy("heavier hydrogens", f"for averages only, make all hydrogens heavy by {_HEAVY}")
+CONSTRAIN = Remedy(
+    "constrain hydrogens",
     "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
-    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)'
+    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)',
 )
-CONSTRAIN_HEAVY = (
+CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
+    words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}, which leaves other atoms heavier"
+)
+CONSTRAIN_HEAVY = Remedy(
+    "constrain bonds",
     "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
-    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)"
+    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
 )
-ONE_BODY = "hold the bond: put all atoms of both ends into one rigid body of `bodies`"
-KEEP_HEAVY = f"; if createSystem made hydrogens heavy, call {HEAVY}, which leaves other atoms heavier"
+ONE_BODY = Remedy("one body", "hold the bond: put all atoms of both ends into one rigid body of `bodies`")
+STRAIGHTEN = Remedy("straighten", "put the atoms of a body that is nearly a line on the line, which has no such spin")
+CHECK_FORCES = Remedy("check forces", "if it drifts alike with both, print(check_forces(context))")
+
+
+def up_to(step: str) -> Remedy:
+    """Return the remedy of a step up to this one, which has its unit."""
+    return Remedy("step up to", f"take up to {step}", step)
+
+
+def soften(force: str) -> Remedy:
+    """Return the remedy of a Force that is less stiff, by its name."""
+    return Remedy("soften", f"make {force} softer", force)
+
+
+def in_femtoseconds(step: float) -> Remedy:
+    """Return the remedy of a unit for a step that was meant in fs."""
+    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a number is a time in ps")
+
+
+class StepError(Advised, openmm.OpenMMException):
+    """A step is too long."""
+
+
+class StepWarning(Advised, UserWarning):
+    """A step is long for what moves in a System."""
+
 
 #: Dalton. Hydrogens up to this have not been made heavy.
 LIGHT = 2.0
@@ -58,10 +93,10 @@ class Remedies:
         """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
-    def hold(self, atoms: tuple[int, ...]) -> str:
-        """Tell how to hold a bond."""
+    def hold(self, atoms: tuple[int, ...]) -> Remedy:
+        """Return how to hold a bond."""
         if self.has_hydrogen(atoms):
-            return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN + KEEP_HEAVY
+            return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP
         return ONE_BODY if self._beside_bodies[list(atoms)].any() else CONSTRAIN_HEAVY
 
     def heavier(self, atoms: np.ndarray) -> bool:

@@ -15,6 +15,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.system import own_methods
 
 #: Forces whose terms are expressions of the places of a few atoms.
 EXPRESSIONS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce, openmm.CustomExternalForce)
@@ -65,7 +66,7 @@ def fastest_vibration(
     atoms, alone = _terms_alone(force, context)
     if not len(atoms):
         return None
-    state = context.getState(positions=True)
+    state = own_methods.get_state(context, positions=True)
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)[atoms]
     gradient, curvature = _derivatives(alone, x)
     weights = np.sqrt(np.repeat(mobility[atoms], 3, axis=1))
@@ -96,7 +97,7 @@ def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarr
         term.attrib.update({name: str(first + i) for i, name in enumerate(names)})
     atoms = np.array(rows, dtype=np.int64)
     system = openmm.System()
-    system.setDefaultPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
+    system.setDefaultPeriodicBoxVectors(*own_methods.get_state(context).getPeriodicBoxVectors())
     system.addForce(openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode")))
     for _ in range(max(1, atoms.size)):
         system.addParticle(1.0)
@@ -108,12 +109,12 @@ def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarr
 
 
 def _derivatives(alone: openmm.Context, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first, (t, 3k), and second, (t, 3k, 3k), derivatives of the terms' energies at x (t, k, 3), kJ/mol and nm."""
+    """Return first (t, 3k) and second (t, 3k, 3k) derivatives of the terms' energies at x (t, k, 3), kJ/mol, nm."""
     terms, k, _ = x.shape
 
     def forces(places: np.ndarray) -> np.ndarray:
-        alone.setPositions(places.reshape(-1, 3))
-        found = alone.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+        own_methods.set_positions(alone, places.reshape(-1, 3))
+        found = own_methods.get_state(alone, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
         return np.array(found).reshape(terms, 3 * k)
 
     columns = []

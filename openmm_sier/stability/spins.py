@@ -19,6 +19,7 @@ import openmm
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
+from openmm_sier.stability import advice
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 from openmm_sier.system.notices import notify
@@ -75,14 +76,14 @@ class Spins:
         described = (
             f"{self._name}, and others like it, have a moment of inertia of only {self._moment:.2g} dalton nm^2, and "
             f"at {temperature:g} K turn about that axis by {turned:.2g} radians from one kick to the next. "
-            f"{scheme.name} is accurate up to {1000 * accurate:.2g} fs. Take a shorter step; or put the atoms of a "
-            "body that is nearly a line on the line, which has no such spin"
+            f"{scheme.name} is accurate up to {1000 * accurate:.2g} fs"
         )
+        remedies = advice.SHORTER_STEP, advice.STRAIGHTEN
         if turned >= ALIASED:
-            raise openmm.OpenMMException(f"A step of {1000 * h:.3g} fs is too long: {described}")
+            raise advice.StepError(f"A step of {1000 * h:.3g} fs is too long: {described}", *remedies)
         if not self._told:
             self._told = True
-            notify(f"A step of {1000 * h:.3g} fs is long: {described}")
+            notify(advice.StepWarning(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies))
 
 
 def _field_groups(system: openmm.System, atoms: int) -> int:

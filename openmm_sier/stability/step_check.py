@@ -18,19 +18,20 @@ class StepCheck:
         self,
         system: openmm.System,
         bodies: RigidBodies,
-        inner_step: Callable[[Flow, float], float],
+        inner_step: Callable[[Flow, float], float] | None = None,
         rigid: Sequence[Species] | None = None,
     ):
         """
         Args:
             system: openmm.System.
             bodies: what moves in it.
-            inner_step: the longest step of a flow within drifts, ps, and up to which step bonds bear it where the flow
-                leaves the number of substeps open.
+            inner_step: gives the longest step of a flow within drifts, ps. Its second argument is the longest step that
+                the bonds bear, for flows that leave the number of substeps open. None: the number of the flow, or one.
             rigid: the kinds of rigid body; None: those of `bodies`.
         """
         self._spins = Spins(system, bodies.species if rigid is None else rigid, bodies.describe_atoms)
-        self._vibrations, self._inner_step = Vibrations(system, bodies), inner_step
+        self._vibrations = Vibrations(system, bodies)
+        self._inner_step = inner_step or _as_asked
         self._checked: tuple = ()
         #: The flow and the groups for which an inner step was found, and that step.
         self._found: tuple[Flow | None, int, float] = (None, 0, 0.0)
@@ -74,3 +75,8 @@ class StepCheck:
         if flow.constant_energy:
             self._vibrations.tell_of_walk(flow.scheme, flow.step, slow)
         self._checked = checked
+
+
+def _as_asked(flow: Flow, _: float) -> float:
+    """Return the longest step of a flow within drifts, ps, with the number of substeps that it names, or one."""
+    return flow.step * flow.scheme.inner_fraction(flow.substeps or 1)

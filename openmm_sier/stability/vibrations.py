@@ -27,7 +27,7 @@ from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES,
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.mobilities import COARSE, mobilities
-from openmm_sier.system.notices import notify
+from openmm_sier.system.notices import Remedy, notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
@@ -188,14 +188,17 @@ class Vibrations:
         stable, accurate = _limits(scheme, libration.period)
         number = int(self._bodies.owners[libration.atoms[0]])
         body = self._bodies.describe(number)
-        heavier = f"; or, {advice.HEAVIER}" if self._remedies.heavier(self._bodies.atoms_of(number)) else ""
         described = (
             f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
             f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
-            f"liquids heat up. Take a shorter step{heavier}"
+            "liquids heat up"
         )
-        slip = f". A number is a time in ps: for {h:g} fs give {h:g}*unit.femtoseconds" if h >= SLIP else ""
-        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described + slip)
+        remedies = [advice.SHORTER_STEP]
+        if self._remedies.heavier(self._bodies.atoms_of(number)):
+            remedies.append(advice.HEAVIER)
+        if h >= SLIP:
+            remedies.append(advice.in_femtoseconds(h))
+        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described, remedies)
 
     def check_nested(self, scheme: Scheme, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """Check the step for fast forces within drifts, which must also not resonate with the kicks.
@@ -213,17 +216,19 @@ class Vibrations:
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
             # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
-            heavier = f"or, {advice.HEAVIER}, " if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else ""
+            heavier = [advice.HEAVIER] if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else []
+            remedies = [advice.up_to(_fs(RESONANCE * bond.period)), *heavier, self._hold(bond)]
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
-                f"in it. Take up to {_fs(RESONANCE * bond.period)}, {heavier}or {self._hold(bond)}"
+                "in it"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
             is_shortened = scheme.bath_divides_drift and self._moves_like_hydrogen(bond)
             if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
-                raise openmm.OpenMMException(f"A step of {_fs(h)} is too long {message}. More inner steps do not help")
-            self._tell_once(f"A step of {_fs(h)} is long {message}")
+                useless = "More inner steps do not help"
+                raise advice.StepError(f"A step of {_fs(h)} is too long {message}", *remedies, remark=useless)
+            self._tell_once(advice.StepWarning(f"A step of {_fs(h)} is long {message}", *remedies))
         if scheme.bath_divides_drift:
             self._tell_of_stiffness(h, groups)
 
@@ -237,11 +242,12 @@ class Vibrations:
         if bond is None or (x := math.pi * h / bond.period) <= STIFFENED:
             return
         left = max(0.0, x / math.tan(x)) if x < math.pi / 2 else 0.0
-        self._tell_once(
+        wrong = (
             f"At {_fs(h)} averages of this molecule are wrong: slow forces stretch {self._name(bond)} (period "
-            f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should. Take up to "
-            f"{_fs(STIFFENED * bond.period / math.pi)}, or {self._hold(bond)}"
+            f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should"
         )
+        borne = advice.up_to(_fs(STIFFENED * bond.period / math.pi))
+        self._tell_once(advice.StepWarning(wrong, borne, self._hold(bond)))
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
         """Say, once, where a step at constant energy is so long that the energy walks at random over a run.
@@ -257,11 +263,12 @@ class Vibrations:
         if h <= TOLERATED * good:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
-        self._tell_once(
+        wanders = (
             f"At {_fs(h)} the total energy wanders: its error over a whole run is some {_percent(min(error, 1.0))}, "
-            f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V)). Take {_fs(good)}. Longer "
-            "steps are for a heat bath or hybrid Monte Carlo"
+            f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V))"
         )
+        longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
+        self._tell_once(advice.StepWarning(wanders, advice.up_to(_fs(good)), remark=longer))
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """Return the longest step without a warning, ps, with inner steps that are short enough for the fast groups.
@@ -280,36 +287,38 @@ class Vibrations:
         bond = _fastest(self._harmonic, groups)
         return accurate_step(inner, bond.period) if bond else math.inf
 
-    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str = "") -> None:
+    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: Remedy | None = None) -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
         if bond := _fastest(self._bonds, groups):
             remedy = remedy or (advice.PREPARE if bond.can_be_fast else advice.SHORTER_STEP)
             stable, accurate = _limits(scheme, bond.period)
             described = (
                 f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} is "
-                f"accurate up to {_fs(accurate)}, and unstable from {_fs(stable)} on. {remedy}, or {self._hold(bond)}"
+                f"accurate up to {_fs(accurate)}, and unstable from {_fs(stable)} on"
             )
-            self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described)
+            self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described, [remedy, self._hold(bond)])
         names = [name for group, name in self._unknown if groups >> group & 1]
         if names and h > accurate_step(scheme, FASTEST_BOND):
-            self._tell_once(
+            unknown = (
                 f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
-                "changes with half the step, or the temperature is too high, the step is too long for it. If it "
-                "drifts alike with both, print(check_forces(context))"
+                "changes with half the step, or the temperature is too high, the step is too long for it"
             )
+            self._tell_once(advice.StepWarning(unknown, advice.CHECK_FORCES))
 
-    def _judge(self, what: str, h: float, refused: float, accurate: float, described: str) -> None:
+    def _judge(
+        self, what: str, h: float, refused: float, accurate: float, described: str, remedies: Sequence[Remedy]
+    ) -> None:
         if h >= refused:
-            raise openmm.OpenMMException(f"{what} is too long: {described}")
+            raise advice.StepError(f"{what} is too long: {described}", *remedies)
         if h > accurate:
-            self._tell_once(f"{what} is long: {described}")
+            self._tell_once(advice.StepWarning(f"{what} is long: {described}", *remedies))
 
     def _moves_like_hydrogen(self, bond: Motion) -> bool:
         """Tell whether an end of a bond moves like a hydrogen, which may have been made heavy."""
         return bool(self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def _hold(self, motion: Motion) -> str:
-        return self._remedies.hold(motion.atoms) if motion.is_bond else f"make {motion.force} softer"
+    def _hold(self, motion: Motion) -> Remedy:
+        return self._remedies.hold(motion.atoms) if motion.is_bond else advice.soften(motion.force)
 
     def _name(self, bond: Motion) -> str:
         labels = self._bodies.labels
@@ -320,12 +329,12 @@ class Vibrations:
         plural = "s" if len(bond.atoms) > 1 else ""
         return f"the motion that {bond.force} causes of atom{plural} {', '.join(map(str, bond.atoms))}{residues}"
 
-    def _tell_once(self, message: str) -> None:
+    def _tell_once(self, warning: advice.StepWarning) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.
-        words = re.sub(r"[\d.]+", "", message)
+        words = re.sub(r"[\d.]+", "", str(warning))
         if words not in self._told:
             self._told.add(words)
-            notify(message)
+            notify(warning)
 
 
 def accurate_step(scheme: Scheme, period: float) -> float:

@@ -134,8 +134,8 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
         if split.any():
             raise RigidityError(
                 f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
-                f"{type(barostats(system)[0]).__name__} moves apart: join its atoms by bonds (a HarmonicBondForce, of "
-                "any strength); or leave out the barostat, and give the integrator pressure=…"
+                f"{type(barostats(system)[0]).__name__} moves apart: join its atoms, by prepare_system(system, "
+                "bodies) before the Context is made; or leave out the barostat, and give the integrator pressure=…"
             )
 
 

@@ -108,7 +108,7 @@ class BodyPlan:
 
     @property
     def species(self) -> tuple[Species, ...]:
-        """Return the kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
+        """Return the kinds of body whose geometry constraints define; some may also have mirror images."""
         return tuple(kind.model for kind in self.kinds if kind.model is not None)
 
     @property

@@ -174,7 +174,7 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
 
 
 def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray, np.ndarray]:
-    """Return the geometry of the first body and those like it, how far all are from it, (m,), and which share it, (m,)."""
+    """Return the geometry of the first body and its like, how far all are from it, (m,), and which share it, (m,)."""
     shape = arms[0]
     # The first may be as far from the mean as any other: others can be near the mean but not near the first. The mean
     # of bodies turned onto a mean would change only in second order of their deviations.

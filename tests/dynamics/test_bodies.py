@@ -8,7 +8,7 @@ import pytest
 from openmm_sier import RigidBodies, RigidityError
 from openmm_sier.dynamics.backend.formulas import angular_velocity
 from openmm_sier.dynamics.species import FIT_TOLERANCE, Species
-from tests.support.molecules import GEOMETRIES, scattered, species, thermal_state
+from tests.support.molecules import GEOMETRIES, WATER, ensemble, scattered, species, thermal_state
 from tests.support.oracles import matmul, orthogonality_error, random_attitudes
 
 ALL = list(GEOMETRIES)
@@ -346,3 +346,11 @@ def test_no_bodies_at_all():
     q, A = nothing.fit(np.zeros((4, 3)))
     assert q.shape == (3, 0)
     assert A.shape == (3, 3, 0)
+
+
+@pytest.mark.parametrize("factors", [(1.2, 1.0, 1.0), (1.0, 1.0, 1.0 + 3e-6)])
+def test_moments_that_the_masses_do_not_have_are_refused(factors):
+    """Velocities of atoms would carry another angular momentum than the body rotates with."""
+    water = ensemble(WATER, 1)[0].species[0]
+    with pytest.raises(ValueError, match=r"moments of their masses.*set_inertia"):
+        replace(water, moments=water.moments * factors)

@@ -9,15 +9,15 @@ import openmm
 import pytest
 
 import openmm_sier
-from openmm_sier.engines import own_methods
+from openmm_sier.system import own_methods
 
 PACKAGE = Path(openmm_sier.__file__).parent
 
 #: What engines must not call as a method of a Context.
 REPLACED = [name for name, method in vars(openmm.Context).items() if own_methods.is_replaced(method)]
 
-#: Whoever calls these is no user: what moves a Context, and what decides between flows.
-INSIDE = ("engines", "ensembles", "integrators")
+#: Whoever calls these is no user: what moves a Context, decides between flows, or looks at what moves.
+INSIDE = ("engines", "ensembles", "integrators", "stability", "system")
 
 
 def calls(text: str) -> list[str]:
@@ -48,11 +48,11 @@ def test_no_engine_calls_a_replaced_method():
     assert calls("context.setPositions(x)") == ["1 setPositions"]
 
 
-@pytest.mark.parametrize("first", ["openmm_sier", "openmm_sier.engines.own_methods", "openmm_sier.hooks"])
+@pytest.mark.parametrize("first", ["openmm_sier", "openmm_sier.system.own_methods", "openmm_sier.hooks"])
 def test_the_order_of_imports_does_not_matter(first):
     program = (
         f"import {first}, openmm_sier, openmm\n"
-        "from openmm_sier.engines import own_methods as own\n"
+        "from openmm_sier.system import own_methods as own\n"
         "assert own.is_replaced(openmm.Context.setPositions)\n"
         "assert not own.is_replaced(own.set_positions)\n"
         "assert openmm.Context.setPositions.__wrapped__ is own.set_positions\n"

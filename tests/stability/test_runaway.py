@@ -8,8 +8,8 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
-from openmm_sier.engines import own_methods
 from openmm_sier.stability import runaway
+from openmm_sier.system import own_methods
 from tests.support.silence import silence
 from tests.support.systems import assembled
 from tests.support.waters import context_at, platform

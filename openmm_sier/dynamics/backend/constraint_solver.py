@@ -57,7 +57,7 @@ def differences(ends, x):
 
 
 def pushed(ends, multipliers, bonds, p):
-    """Return momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, and oppositely on second."""
+    """Return momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, oppositely on second."""
     first, second = ends
     atoms = p.shape[1]
     forces = multipliers * bonds
@@ -85,7 +85,7 @@ def dots(a, b):
 
 
 def linear_equations(table, bonds):
-    """Return elements of G M^-1 G^T with a diagonal of ones, and the factors that scale its rows and columns to that."""
+    """Return elements of G M^-1 G^T scaled to a diagonal of ones, and the factors of its rows and columns."""
     first, second = table.inverse_masses[table.ends[0]], table.inverse_masses[table.ends[1]]
     scale = 1 / np.sqrt(dots(bonds, bonds) * (first + second))
     rows = scale * bonds

@@ -60,7 +60,7 @@ def sine_cosine(x):
 
 
 def _direction(body_L, h):
-    """Return the direction of L~ and |L| h, whether or not the square of L~ is a double; a body at rest has any direction."""
+    """Return the direction of L~ and |L| h, also where the square of L~ overflows; a body at rest has any direction."""
     scale = np.abs(body_L).max(axis=0)
     scaled = body_L / np.where(scale > 0, scale, 1.0)
     norm = np.sqrt((scaled * scaled).sum(axis=0))

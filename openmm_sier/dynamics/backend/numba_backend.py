@@ -59,6 +59,13 @@ class NumbaBackend(NumpyBackend):
             _shared(numba_loops.kick_elsewhere)(every, p, L, F, tau, h, q, at, new_p, new_L)
         return new_p, new_L
 
+    def bathe(
+        self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
+    ) -> tuple[ndarray, ndarray, ndarray]:
+        new_p, new_L, gained, every = np.empty(p.shape), np.empty(p.shape), np.empty(p.shape[1]), slice(0, p.shape[1])
+        _shared(numba_loops.bathe)(every, p, A, L, *kept, *kicks, *inverses, new_p, new_L, gained)
+        return new_p, new_L, gained
+
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
         new_q, new_A, every = np.empty(q.shape), np.empty(A.shape), slice(0, q.shape[1])
         _shared(numba_loops.displace)(every, q, A, F, tau, shift, *inverses, new_q, new_A)

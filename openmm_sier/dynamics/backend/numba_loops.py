@@ -115,6 +115,27 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
     return 0
 
 
+def bathe(
+    start, stop, p, A, L, kept, kept_turning, kicks, twists, inverse_masses, inverse_moments, new_p, new_L, gained
+):
+    """Do what `NumpyBackend.bathe` does, for a range of the bodies."""
+    for n in range(np.uint64(start), np.uint64(stop)):
+        energy = 0.0
+        for x in range(3):
+            new_p[x, n] = kept * p[x, n] + kicks[x, n]
+            energy += new_p[x, n] * new_p[x, n] - p[x, n] * p[x, n]
+            new_L[x, n] = kept_turning * L[x, n]
+        energy *= inverse_masses[n]
+        for i in range(3):
+            along = A[i, 0, n] * L[0, n] + A[i, 1, n] * L[1, n] + A[i, 2, n] * L[2, n]
+            new_along = kept_turning * along + twists[i, n]
+            energy += (new_along * new_along - along * along) * inverse_moments[i, n]
+            for x in range(3):
+                new_L[x, n] += twists[i, n] * A[i, x, n]
+        gained[n] = 0.5 * energy
+    return 0
+
+
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
     """Do what `RigidBodies.displaced` does, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
     for n in range(np.uint64(start), np.uint64(stop)):

@@ -73,6 +73,25 @@ class NumpyBackend:
         torque = tau if at is q else tau + formulas.cross(at - q, F)
         return p + h * F, L + h * torque
 
+    def bathe(
+        self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
+    ) -> tuple[ndarray, ndarray, ndarray]:
+        """Return momenta and angular momenta after a bath, and the kinetic energy that each body gained, (n,).
+
+        Args:
+            p, L: (3, n).
+            A: attitudes, (3, 3, n).
+            kept: factors of momenta and of angular momenta.
+            kicks: what momenta gain in the lab frame, and angular momenta in the principal frames, (3, n).
+            inverses: of masses and moments.
+        """
+        inverse_masses, inverse_moments = inverses
+        new_p, along = kept[0] * p + kicks[0], formulas.body_frame(A, L)
+        new_L, new_along = kept[1] * L + formulas.combine(kicks[1], A[0], A[1], A[2]), kept[1] * along + kicks[1]
+        gained = (new_p * new_p - p * p).sum(axis=0) * inverse_masses
+        gained += ((new_along * new_along - along * along) * inverse_moments).sum(axis=0)
+        return new_p, new_L, 0.5 * gained
+
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
         """Return centres and attitudes of bodies displaced by `shift` times their accelerations.
 

@@ -14,11 +14,11 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
-from openmm_sier.engines import interrupts, own_methods
+from openmm_sier.engines import interrupts
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import tables
+from openmm_sier.system import own_methods, tables
 from openmm_sier.system.arguments import quantity_to_float
 
 if TYPE_CHECKING:

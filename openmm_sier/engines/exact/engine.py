@@ -20,7 +20,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
-from openmm_sier.engines import interrupts, neighbour_list, own_methods
+from openmm_sier.engines import interrupts, neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces
 from openmm_sier.engines.exact.motion import Motion
@@ -28,11 +28,11 @@ from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.exact.packing import sites_of_atoms
 from openmm_sier.engines.exact.reading import Fitting, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, holds_doubles
-from openmm_sier.engines.variables import SITES, STATE_VARIABLES, StoredLedger
+from openmm_sier.engines.variables import SITES, STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system.arguments import Bodies
+from openmm_sier.system import own_methods
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperatures
 
@@ -47,19 +47,13 @@ class ExactEngine(Engine):
     name = "exact"
     repeats_noise = True
 
-    def __init__(self, context: openmm.Context, flow: Flow, stored: StoredLedger, bodies: Bodies):
+    def __init__(self, task: Task):
         """
-        Args:
-            context: openmm.Context; the variables of its integrator carry the state in checkpoints.
-            flow: what will be followed.
-            stored: the ledger of the integrator.
-            bodies: as users give them, see `find_bodies.known_or_planned`.
-
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says.
         """
-        super().__init__(context, flow, stored)
-        self.clock = Clock(0.0, 0)
+        super().__init__(task)
+        context = task.context
         self._updates = SystemUpdates(context)
         self._fitting = Fitting(context.getSystem())
         self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
@@ -74,9 +68,9 @@ class ExactEngine(Engine):
         #: The end of the last step, and what the bath within it made.
         self._last: tuple[BodyState, BodyState] | None = None
         self._evaluations_before = 0
-        found = known_or_planned(context.getSystem(), bodies)
+        found = known_or_planned(context.getSystem(), task.bodies)
         self._plan = found if isinstance(found, BodyPlan) else None
-        self._parts = None if isinstance(found, BodyPlan) else MovingBodies(context, found, flow, self.ledger)
+        self._parts = None if isinstance(found, BodyPlan) else MovingBodies(context, found, task.flow, self.ledger)
 
     # --- the bodies ---
 
@@ -110,7 +104,7 @@ class ExactEngine(Engine):
         return self._made.bodies
 
     @property
-    def check_step(self) -> StepCheck:  # type: ignore[override]
+    def check_step(self) -> StepCheck:
         return self._made.check_step
 
     @property

@@ -7,9 +7,9 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import own_methods
 
 
 class BodyForces:

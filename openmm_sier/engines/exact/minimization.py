@@ -14,8 +14,8 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.minimizer import descent
-from openmm_sier.engines import interrupts, own_methods
-from openmm_sier.system import tables
+from openmm_sier.engines import interrupts
+from openmm_sier.system import own_methods, tables
 
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:

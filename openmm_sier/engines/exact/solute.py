@@ -7,7 +7,7 @@ import openmm
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics.backend.sites import as_slice
-from openmm_sier.engines import own_methods
+from openmm_sier.system import own_methods
 from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms
 
 

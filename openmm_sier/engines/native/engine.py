@@ -15,21 +15,21 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import neighbour_list, own_methods
+from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.actions import NativeActions
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
-from openmm_sier.engines.native.program import V0, WORK, Program
+from openmm_sier.engines.native.program import V0, WORK
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.writing import refuse_other_slow_groups
-from openmm_sier.engines.protocol import Clock, Engine, Memory, TrajectoryError
+from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
-from openmm_sier.engines.variables import PART, StoredLedger
+from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import tables
+from openmm_sier.system import own_methods, tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperature, temperatures, thermal_energies
@@ -61,24 +61,16 @@ class NativeEngine(Engine):
 
     name = "native"
 
-    def __init__(
-        self, context: openmm.Context, flow: Flow, stored: StoredLedger, bodies: Bodies, program: Program
-    ) -> None:
+    def __init__(self, task: Task) -> None:
         """
-        Args:
-            context: openmm.Context, whose integrator has the program.
-            flow: what will be followed.
-            stored: the ledger of the integrator.
-            bodies: as users give them; they have to be rigid by constraints.
-            program: that of the flow.
-
         Raises:
-            openmm.OpenMMException: the integrator needs what only the exact engine has, or the System has a Force that
-                does not work with divided steps.
+            openmm.OpenMMException: the integrator needs what only the exact engine has, such as bodies that are not
+                rigid by constraints, or the System has a Force that does not work with divided steps.
         """
-        super().__init__(context, flow, stored)
+        super().__init__(task)
+        context, bodies = task.context, task.bodies
         system, integrator = context.getSystem(), context.getIntegrator()
-        self._program = program
+        self._program = task.program
         self._refuse_system(system, bodies)
         self._constraints = tables.constraints(system)
         self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
@@ -88,7 +80,7 @@ class NativeEngine(Engine):
         self._atoms = owners[self.moving.n_particles - self.moving.n :]
         self._rigid = _rigid_bodies(system, bodies)
         species = () if isinstance(self._rigid, RigidityError) else self._rigid.species
-        fraction = program.inner_fraction
+        fraction = task.program.inner_fraction
         self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction, species)
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import box_of
-from openmm_sier.system import tables
+from openmm_sier.system import own_methods, tables
 
 #: The names by which `Context.getState` is asked for vectors, each with its number.
 POSITIONS, VELOCITIES = "positions", "velocities"

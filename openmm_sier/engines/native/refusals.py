@@ -47,7 +47,7 @@ def why_not(flow: Flow, program: Program) -> str | None:
 
 
 def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
-    """Return the text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
+    """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given

@@ -4,8 +4,8 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.engines import own_methods
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import own_methods
 from openmm_sier.system.cut_molecules import IF_CUT, refuse_cut_molecules
 from openmm_sier.system.tables import Constraints
 

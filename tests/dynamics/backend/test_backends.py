@@ -9,7 +9,9 @@ import pytest
 from openmm_sier.dynamics import backend, operators, rotation
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
 from openmm_sier.dynamics.constrained import DisplacedForces
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support import flexible
 from tests.support.steps import constant_torques, with_a_fast_body
 from tests.support.subprocesses import run_python
@@ -51,6 +53,19 @@ def test_steps_agree(mixture):
         one, other = getattr(plain, name), getattr(fast, name)
         # Some stages, of the fast body by angles up to 30, each rounded.
         assert np.abs(one - other).max() < 100 * ROUNDING * np.abs(one).max(), name
+
+
+def test_baths_agree(mixture):
+    bodies, state, _ = mixture
+
+    def bathed():
+        ledger = Ledger(5)
+        after = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, ledger)(state, 0.05)
+        return after.p, after.L, np.array([ledger.heat])
+
+    for one, other in zip(*both(bathed), strict=True):
+        # Of a body there are some ten terms of each momentum, and the heat is a sum over all.
+        assert np.abs(one - other).max() < 10 * ROUNDING * np.abs(one).max()
 
 
 def test_atoms_and_sums_over_them_agree(mixture):

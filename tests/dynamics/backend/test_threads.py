@@ -9,6 +9,8 @@ import pytest
 
 from openmm_sier.dynamics import operators, rotation
 from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support import molecules
 from tests.support.steps import with_a_fast_body
 
@@ -23,9 +25,16 @@ def three_threads(monkeypatch):
 def test_threads_give_the_same_bits(request, mixture):
     bodies, state, _ = mixture
     state, flow = with_a_fast_body(bodies, state), operators.drift(bodies)
-    alone = flow(state, 0.001)
+
+    def bathed():
+        ledger = Ledger(1)
+        after = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, ledger)(state, 0.05)
+        return after.p, after.L, ledger.heat
+
+    alone, bathed_alone = flow(state, 0.001), bathed()
     request.getfixturevalue("three_threads")
     assert np.array_equal(flow(state, 0.001).A, alone.A)
+    assert all(map(np.array_equal, bathed(), bathed_alone))
 
 
 def test_no_thread_is_at_work_after_an_interrupt(three_threads):

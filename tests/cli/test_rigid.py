@@ -1,0 +1,86 @@
+"""Bodies that the command holds rigid: by ranges of residues, selections and files, from start to trajectory."""
+
+import shutil
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+from openmm_sier.cli.files.checkpoints import read_checkpoint
+from tests.support.commands import complaint, run
+from tests.support.domains import domain_system, folded, topology_of
+
+CHAIN = ("chain.pdb", "--topology", "system.xml")
+SHORT = ("--dt", "20", "--ensemble", "nvt", "--platform", "Reference", "--equilibrate", "0.2", "--every", "0.1")
+
+
+@pytest.fixture(autouse=True)
+def chain(tmp_path, monkeypatch):
+    """A chain with two domains in the current directory, and a file that names these."""
+    monkeypatch.chdir(tmp_path)
+    with open("chain.pdb", "w") as file:
+        app.PDBFile.writeFile(topology_of(), folded() * unit.nanometer, file, keepIds=True)
+    system = domain_system(box=12.0, elastic=False)
+    with open("system.xml", "w") as file:
+        file.write(openmm.XmlSerializer.serialize(system))
+    with open("domains.txt", "w") as file:
+        file.write("# domains of a chain\nhead = A:2-13\n\nA:24-37\n")
+
+
+def stretched(trajectory):
+    """By how much distances within the domains change along a trajectory, and within all, nm."""
+    x = mdtraj.load(trajectory, top="chain.pdb").xyz
+    assert len(x) > 1
+    distances = np.linalg.norm(x[:, :, None] - x[:, None], axis=3)
+    spread = np.ptp(distances, axis=0)
+    return max(spread[1:13, 1:13].max(), spread[23:37, 23:37].max()), spread.max()
+
+
+@pytest.mark.slow
+def test_from_coordinates_to_a_trajectory(capsys):
+    run("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--steps", "20", "--out", "whole.dcd")
+    out = capsys.readouterr().out
+    assert "rigid: head: A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
+    assert "132 pairs of atoms within 2 rigid bodies, which do no work, are excluded" in out
+    assert "usual steps are 26 fs with SIER4G" in out
+    within, among = stretched("whole.dcd")
+    # The DCD file has single precision in Angstrom, of coordinates up to 120.
+    assert within < 1e-4
+    assert among > 1e-3
+
+
+@pytest.mark.slow
+def test_a_restart_needs_no_file(capsys):
+    """The checkpoint has the words of the file, which may have been changed since."""
+    given = ("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--checkpoint-every", "0.1")
+    run(*given, "--steps", "20", "--out", "whole.dcd")
+    run(*given, "--steps", "10", "--out", "cut.dcd")
+    assert read_checkpoint("cut.chk")[1]["plan"]["rigid"] == ["head = A:2-13", "A:24-37"]
+    shutil.move("domains.txt", "moved.txt")
+    run("run", "--restart", "cut.chk", "--steps", "15", "--platform", "Reference")
+    again = ("run", "--restart", "cut.chk", "--steps", "20", "--platform", "Reference")
+    run(*again, "--rigid", "moved.txt")
+    assert np.array_equal(mdtraj.load("cut.dcd", top="chain.pdb").xyz, mdtraj.load("whole.dcd", top="chain.pdb").xyz)
+    assert "differs from" in complaint(capsys, *again, "--rigid", "A:2-13")
+
+
+def test_what_is_rigid_is_shown(capsys):
+    for words in (["domains.txt"], ["resSeq 2 to 13", "A:24-37"], ["atoms 1-12", "atoms 23-36"]):
+        run("info", *CHAIN, "--rigid", *words)
+        out = capsys.readouterr().out
+        assert "A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
+        assert "2 rigid bodies, 14 points" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("A:2-50", "the chain A has no residue 50"),
+        ("GLI", "'GLI' describes no body"),
+        ("none.txt", "there is no file none.txt"),
+    ],
+)
+def test_words_that_describe_nothing(capsys, words, said):
+    assert said in complaint(capsys, "info", *CHAIN, "--rigid", words)
