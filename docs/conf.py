@@ -65,7 +65,6 @@ napoleon_use_ivar = True
 INNER = (
     "Actions",
     "Constraints",
-    "Ledger",
     "Memory",
     "MoleculeCentres",
     "Move",

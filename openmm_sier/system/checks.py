@@ -113,8 +113,8 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
     for barostat in barostats(system):
         if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
             raise RigidityError(
-                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and which constraints "
-                "do not bear: create it with scaleMoleculesAsRigid=True"
+                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and breaks "
+                "constraints: create it with scaleMoleculesAsRigid=True"
             )
 
 

@@ -217,7 +217,7 @@ class BodyPlan:
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
                 raise RigidityError(
-                    f"{self._describe(cluster)}: its atoms lie on one point, where positions must tell its geometry. "
+                    f"{self._describe(cluster)}: its atoms lie on one point, but its shape comes from positions. "
                     "Set the positions first"
                 )
 

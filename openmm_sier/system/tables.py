@@ -116,8 +116,8 @@ def constraints(system: openmm.System) -> Constraints:
         row = int(wrong[0])
         still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
         raise RigidityError(
-            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses such: give both "
-            "a mass, or freeze both by the mass 0, or remove the constraint, which a virtual site needs none of"
+            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses that: give both "
+            "a mass, freeze both with the mass 0, or remove the constraint, which a virtual site does not need"
         )
     acting = ~frozen.any(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]

@@ -85,7 +85,7 @@ def names(water, tmp_path, monkeypatch):
     return found | {"topology": topology, "positions": positions, "system": system, "simulation": simulation}
 
 
-@pytest.mark.filterwarnings("ignore:Call prepare_system")
+@pytest.mark.filterwarnings("ignore:Call prepare_system", "ignore:A step of")
 @pytest.mark.parametrize("place", CALLED)
 def test_there_is_an_example_and_it_runs(place, names):
     """It is in the docstring of the class or function itself; those of methods run too."""
