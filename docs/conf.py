@@ -65,6 +65,7 @@ napoleon_use_ivar = True
 INNER = (
     "Actions",
     "Constraints",
+    "Mark",
     "Memory",
     "MoleculeCentres",
     "Move",
