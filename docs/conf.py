@@ -81,7 +81,6 @@ INNER = (
 nitpick_ignore_regex = [
     ("py:class", r"(openmm|numpy|collections|os)\..*"),
     ("py:class", rf"openmm_sier\..*\.({'|'.join(INNER)})"),
-    ("py:class", r".*\.tuning\..*Found"),
     ("py:exc", r".*(Error|Exception)"),
 ]
 

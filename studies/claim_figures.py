@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from openmm_sier.dynamics.acceptance import usual_steps
+from openmm_sier.dynamics.schemes import SIER2, SIER2V2, SIER4G
 from studies.records import Record
 from studies.trust import one
 
@@ -136,6 +137,18 @@ def trials_of_dhfr(record: Record) -> Mapping[str, float]:
     return {"accepted": 100 * row["accepted"], "trials": row["trials"]}
 
 
+def costs_of_trials(record: Record) -> Mapping[str, float]:
+    """Forces for an independent energy over those of LangevinMiddle, of trials as they are without arguments."""
+    step = SIER2V2.heavy_trial_step or 0.0
+    found, accepted = dict[str, float](), []
+    for name in ("tip3p", "spce"):
+        method = f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}"
+        row = one(record.tables["rows"], box=f"{name}-64", method=method)
+        found |= {name: row["relative"], f"{name}_error": row["relative_error"]}
+        accepted.append(row["accepted"])
+    return found | {"accepted": min(accepted)}
+
+
 def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
     middle = rows[rows["method"] == "OpenMM LangevinMiddle"].set_index(["box", "step"])
@@ -186,3 +199,20 @@ def cost_of_native_steps(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
     ratios = rows[rows["what"] == "native / exact"]["ratio"]
     return {"least": ratios.min(), "most": ratios.max(skipna=False)}
+
+
+#: Methods of the study of rigid domains.
+RIGID, SPRINGS = "SIER2", "LangevinMiddle, springs"
+
+
+def domains_at_constant_energy(record: Record) -> Mapping[str, float]:
+    row = one(record.tables["gains"], key="chain", step=30.0)
+    return {"verlet": row["verlet"], "gain": row["gain"]}
+
+
+def domains_in_a_bath(record: Record) -> Mapping[str, float]:
+    speeds = record.tables["speeds"]
+    own = one(speeds, key="chain", method=RIGID, step=60.0)["ns_a_day"]
+    usual, same = (one(speeds, key="chain", method=SPRINGS, step=step)["ns_a_day"] for step in (10.0, 60.0))
+    off = one(record.tables["averages"], key="chain", method=RIGID, step=60.0)["off"]
+    return {"off": off, "over": own / usual, "longest": own / same}

@@ -1,18 +1,15 @@
 """Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import openmm
-import tyro
-from tyro.conf import Positional
+from cyclopts import App, CycloptsError, Parameter
 
 from studies.report import PrintedReport, Report
 
@@ -37,6 +34,9 @@ class Settings:
 
     #: Names of numbers that need not be above 0.
     ANY_SIGN: ClassVar[tuple[str, ...]] = ()
+
+    #: The option whose value a command line may begin with, if there is one.
+    FIRST: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -63,10 +63,12 @@ class BoxSettings(Settings):
         platform: of OpenMM; None takes the fastest.
     """
 
-    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
+    box: Path = SYSTEMS / "tip3p-512.pdb"
     forcefield: tuple[str, ...] = ()
     temperature: float = 297.0
     platform: str | None = None
+
+    FIRST: ClassVar[str] = "box"
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ def command(
 
     def main(arguments: Sequence[str] | None = None) -> int:
         try:
-            settings = tyro.cli(kind, prog=_program(), args=arguments, description=description)
+            settings = parsed(kind, description, arguments)
+            if settings is None:
+                return 0
             settings.out.mkdir(parents=True, exist_ok=True)
             study(settings, PrintedReport())
         except EXPECTED as error:
@@ -118,6 +122,35 @@ def command(
     if module == "__main__":
         sys.exit(main())
     return main
+
+
+def parsed(kind: type[Given], description: str | None, arguments: Sequence[str] | None = None) -> Given | None:
+    """Return the settings that the arguments of a command line give; None where they ask for help, which is printed.
+
+    Raises:
+        SystemExit: arguments are wrong, which has been said in one line.
+    """
+
+    def given(*, settings: Given) -> Given:
+        return settings
+
+    # The last of several values counts, as elsewhere.
+    shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
+    app = App(
+        name=_program(), help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared
+    )
+    given.__annotations__ = {"settings": Annotated[kind, Parameter(name="*")]}
+    given.__kwdefaults__ = {"settings": kind()}
+    app.default(given)
+    tokens = list(sys.argv[1:] if arguments is None else arguments)
+    if kind.FIRST and tokens and not tokens[0].startswith("-"):
+        tokens.insert(0, f"--{kind.FIRST}")
+    try:
+        found = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except (CycloptsError, ValueError) as error:
+        print(" ".join(str(error).split()), file=sys.stderr)
+        raise SystemExit(2) from None
+    return found if isinstance(found, kind) else None
 
 
 def _program() -> str:

@@ -19,6 +19,7 @@ from openmm_sier.dynamics.schemes import SIER2
 from studies import acceptance, crowding, equipartition, records, step_study, style, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
+from studies.domains import drawing
 from studies.paper import water
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -91,6 +92,7 @@ FIGURES = {
     "acceptance": Drawn(acceptance.figure, "acceptance.json"),
     "bath": Drawn(bath, "heat-bath.json"),
     "crowding": Drawn(crowding.figure, "crowding.json"),
+    "domains": Drawn(drawing.figure, "domains.json"),
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),
     "paper-water": Drawn(water.figure, "paper-water.json"),

@@ -30,14 +30,13 @@ import openmm
 import pandas as pd
 from openmm import unit
 from scipy.stats import kstwobign
-from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.inputs import forcefields
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.starts import equilibrate, make_context
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
@@ -134,7 +133,7 @@ class BathSettings(RunsSettings):
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
     """
 
-    box: Positional[Path] = SYSTEMS / "peptide.pdb"
+    box: Path = SYSTEMS / "peptide.pdb"
     methods: tuple[str, ...] = ()
     starts: int = 1
     time: float = 250.0
@@ -145,6 +144,7 @@ class BathSettings(RunsSettings):
     tolerance: float = 1e-4
 
     SHARED = ("temperature", "tolerance", "equilibrate")
+    FIRST = "box"
 
 
 class Observer:
@@ -237,9 +237,12 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, seed)
-        integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         if isinstance(integrator, SIERHMCIntegrator):
-            integrator.resetStatistics()
+            # Trials of large boxes are rejected while these warm up.
+            warmed = equilibrate(context, settings.temperature, seed, settings.equilibrate)
+            context.setState(warmed.state)
+        else:
+            integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
@@ -264,14 +267,17 @@ def _distributions(series: pd.DataFrame) -> dict[str, Any]:
 
 
 def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
-    """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many forces."""
+    """Forces for an independent energy, dipole of the box and cosine of psi, of a run of so many, with errors."""
     samples = {"cost": series[["potential"]], "dipole_cost": series[list(DIPOLE)]}
     if "psi" in series:
         samples["psi_cost"] = np.cos(series[["psi"]])
-    return {name: cost(values, forces / len(series)).value for name, values in samples.items()}
+    found = {}
+    for name, values in samples.items():
+        found[name], found[f"{name}_error"] = cost(values, forces / len(series))[:2]
+    return found
 
 
-def read_box(settings: BathSettings) -> Any:
+def read_box(settings: Any) -> Any:
     """What has topology, positions and system, its sums of PME in balance."""
     if settings.box.stem == "dhfr":
         box = boxes.dhfr(speed_boxes.CUTOFF, speed_boxes.SWITCH, settings.tolerance, speed_boxes.HYDROGEN)

@@ -17,6 +17,7 @@ COMMANDS = {
     "crowding.json": ("OPENMM_CPU_THREADS=1 python -m studies.crowding --platform CPU",),
     "defaults.json": ("python -m studies.defaults",),
     "dipeptide-samples.json": ("python -m studies.hmc.costs",),
+    "domains.json": ("OPENMM_CPU_THREADS=1 python -m studies.domains",),
     "equipartition.json": ("python -m studies.equipartition",),
     "equipartition-long-steps.json": (
         "python -m studies.equipartition --ensemble nvt --friction 20 --time 24 --equilibrate 3 --methods sier2p3 "
@@ -63,5 +64,12 @@ COMMANDS = {
         "python -m studies.step_study",
         "python -m studies.step_study --methods hmc --per-force 3 2 --times 44 30",
     ),
+    "trial-cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.hmc.trial_cost --trials 10",),
+    "trial-lengths.json": (
+        "python -m studies.hmc.lengths --schemes sier2v2 sier2p3 sier4g '4 stages' '3 stages, kicks first'",
+        "python -m studies.hmc.lengths systems/peptide.pdb --schemes sier2v2 sier2p3 --steps 4 5 --starts 24 "
+        "--longest 150",
+    ),
+    "trials.json": ("python -m studies.hmc.trials",),
     "whole-run.json": ("python -m studies.whole_run",),
 }

@@ -7,9 +7,11 @@ has a line for each method, and a column for each box.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from string import Formatter
 from typing import Any
 
 import pandas as pd
@@ -58,7 +60,13 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
 
     Returns:
         Strings, without columns in which nothing is known.
+
+    Raises:
+        ValueError: the rows have no column of a name in `columns`; an error that they lack is not known.
     """
+    for field in _fields(columns):
+        if len(rows) and field not in rows and not field.endswith("_error"):
+            raise ValueError(f"there is no column {field!r}; there are {', '.join(rows)}")
     made = pd.DataFrame(
         [{cell(heading, row): cell(form, row) for heading, form in columns.items()} for row in rows.to_dict("records")],
         columns=None if len(rows) else list(columns),
@@ -68,6 +76,14 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
         made = made.groupby(lines, sort=False).first().reset_index()
     made = made.fillna(UNKNOWN)
     return made.loc[:, ~made.isin(["", UNKNOWN]).all()]
+
+
+def _fields(columns: Mapping[str, str]) -> Iterator[str]:
+    """Yield the names of values in headings and cells."""
+    for form in itertools.chain.from_iterable(columns.items()):
+        for _, field, _, _ in Formatter().parse(form):
+            if field:
+                yield field.removesuffix("_text")
 
 
 class _Known(dict[str, Any]):

@@ -9,9 +9,11 @@ from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.info import rigid_bodies
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.inputs.forcefields import describe
 from openmm_sier.inputs.inputs import fingerprints, read_input
 from openmm_sier.inputs.starts import make_context
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
@@ -87,13 +89,18 @@ class Simulated:
         shared: dict[str, Any] = {"bodies": self.bodies, "engine": engine, "fastForceGroups": self.fast}
         if settings.ensemble == "nve":
             return SIERIntegrator(step, scheme, **shared)
-        shared["pressure"] = settings.pressure if settings.moves_volume else None
         temperature, friction = settings.temperature, settings.friction
-        made: SIERHMCIntegrator | SIERLangevinIntegrator
+        pressure = settings.pressure if settings.moves_volume else None
+        made: SIERThermostatIntegrator
         if settings.ensemble == "hmc":
-            made = SIERHMCIntegrator(temperature, step, scheme, settings.steps_per_trial, friction or None, **shared)
+            trial = settings.steps_per_trial
+            made = SIERHMCIntegrator(temperature, step, scheme, trial, friction or None, pressure=pressure, **shared)
+        elif settings.rescales:
+            thermostat = VelocityRescaling(temperature, friction, pressure=pressure)
+            made = SIERThermostatIntegrator(thermostat, step, scheme, **shared)
         else:
             # The log has the conserved energy, on every platform.
-            made = SIERLangevinIntegrator(temperature, friction, step, scheme, countsHeat=True, **shared)
+            shared |= {"pressure": pressure, "countsHeat": True}
+            made = SIERLangevinIntegrator(temperature, friction, step, scheme, **shared)
         made.setRandomNumberSeed(settings.seed)
         return made

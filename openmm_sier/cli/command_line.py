@@ -99,18 +99,24 @@ def run(
 def tune(
     options: Annotated[OfTuning, FLAT] = NOTHING,
     *,
-    acceptance: Annotated[float, _in_words("0.9", "wanted fraction of accepted trials", gte=0.01, lte=0.99)] = 0.9,
+    acceptance: Annotated[
+        float | None,
+        _in_words(
+            "where step times acceptance is nearly largest", "wanted fraction of accepted trials", gte=0.01, lte=0.99
+        ),
+    ] = None,
     trials: Annotated[int, _in_words("40", "at each step that is tried", gte=10, lt=2**31)] = 40,
     samples: Annotated[
         int, _in_words("200", "trials of the first length, and as many steps of the other lengths", gte=10, lt=2**31)
     ] = 200,
     debug: Debug = False,
 ) -> None:
-    """Find step and trial length of hybrid Monte Carlo.
+    """Find scheme, step and trial length of hybrid Monte Carlo.
 
-    Equilibrate coordinates as `run --ensemble hmc` does, then find the step that has the wanted acceptance, beginning
-    with --dt, and the number of steps in a trial that gives an independent potential energy for the fewest force
-    evaluations. Writes no files: it prints the command line of a run.
+    Equilibrate coordinates as `run --ensemble hmc` does, then find the scheme and the step, beginning with --dt, whose
+    accepted trials cost the least processor time, and the number of steps in a trial that gives an independent
+    potential energy in the least. With --scheme only that one is tried. Writes no files: it prints the command line of
+    a run, and the line of a script.
     """
     _execute("tune", options.given(), acceptance=acceptance, trials=trials, samples=samples)
 

@@ -1,10 +1,25 @@
-"""What can move the molecules of a run: the schemes of this package and, to compare them with, OpenMM's integrators."""
+"""List what there is for a run: ensembles, thermostats, and methods that move the molecules.
+
+Methods are the schemes of this package and, to compare them with, OpenMM's integrators.
+"""
 
 from typing import NamedTuple
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
-ENSEMBLES = ("nve", "nvt", "npt", "hmc")
+#: What is constant.
+ENSEMBLES = {
+    "nve": "the energy",
+    "nvt": "the temperature",
+    "npt": "temperature and pressure",
+    "hmc": "the temperature, and the pressure if one is given, without an error of the step, by hybrid Monte Carlo",
+}
+
+#: What keeps the temperature with nvt and npt.
+THERMOSTATS = {
+    "langevin": "friction and noise on each molecule",
+    "rescaling": "one factor on all velocities now and then, which hardly disturbs the motion",
+}
 
 #: Dalton, from which hydrogens bear the usual steps of heavy ones.
 HEAVY = 3.0
@@ -34,7 +49,7 @@ class Method(NamedTuple):
 
     name: str
     order: int = 2
-    ensembles: tuple[str, ...] = ENSEMBLES
+    ensembles: tuple[str, ...] = tuple(ENSEMBLES)
     scheme: Scheme | None = None
     leapfrog: bool = False
 
@@ -42,10 +57,18 @@ class Method(NamedTuple):
         """The usual step for rigid water in an ensemble, fs, with hydrogens of a mass in dalton if one was chosen."""
         if self.scheme is None:
             return 1000 * STEP_OF_OPENMM
-        of_bath = self.scheme.bath_step
-        if is_heavy(hydrogen_mass):
-            of_bath = self.scheme.heavy_bath_step or of_bath
-        return 1000 * ((self.scheme.constant_energy_step if ensemble == "nve" else of_bath) or STEP_OF_OPENMM)
+        return 1000 * (_usual_step(self.scheme, ensemble, is_heavy(hydrogen_mass)) or STEP_OF_OPENMM)
+
+
+def _usual_step(scheme: Scheme, ensemble: str, heavy: bool) -> float | None:
+    """Return the usual step of a scheme in an ensemble, ps, if it has one."""
+    if ensemble == "nve":
+        return scheme.constant_energy_step
+    if ensemble == "hmc":
+        usual, longer = scheme.trial_step, scheme.heavy_trial_step
+    else:
+        usual, longer = scheme.bath_step, scheme.heavy_bath_step
+    return longer or usual if heavy else usual
 
 
 #: Methods by the names that `--scheme` takes.

@@ -14,6 +14,7 @@ from openmm_sier.cli.methods import METHODS
 from openmm_sier.cli.settings import (
     CONTINUED,
     FILES,
+    LATER,
     LENGTHS,
     NOTED,
     OF_THE_SYSTEM,
@@ -59,6 +60,7 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
 
 #: What settings need that do nothing without it.
 _NEEDED = {
+    "thermostat": "--ensemble nvt or npt, and a scheme of this package",
     "friction": "--ensemble nvt, npt or hmc",
     "pressure": "--ensemble npt or hmc",
     "steps_per_trial": "--ensemble hmc",
@@ -69,6 +71,7 @@ _NEEDED = {
 def useless_settings(settings: RunSettings) -> list[str]:
     """Return the names of settings that do nothing beside the others."""
     does_something = {
+        "thermostat": settings.ensemble in ("nvt", "npt") and settings.method.scheme is not None,
         "friction": settings.ensemble != "nve",
         "pressure": settings.ensemble in ("npt", "hmc"),
         "steps_per_trial": settings.ensemble == "hmc",
@@ -130,7 +133,7 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
     Raises:
         RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
     """
-    if absent := [name for name in NOTED if name not in saved]:
+    if absent := [name for name in NOTED if name not in (*saved, *LATER)]:
         raise RunError(f"{checkpoint}: plan: {absent[0]} is missing")
     if foreign := set(saved) - set(NOTED):
         raise RunError(f"{checkpoint}: plan: {min(foreign)}: there is no such option")

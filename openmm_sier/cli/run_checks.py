@@ -67,7 +67,7 @@ def is_runaway(error: BaseException) -> bool:
 
 def likely_cause(plan: RunSettings) -> str:
     """Why a run with this plan may have run away, and what to do."""
-    usual, name = plan.method.usual_step(plan.ensemble, plan.hydrogen_mass), plan.method.name
+    usual, name = plan.usual_step, plan.method.name
     if plan.dt > usual:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
     return (

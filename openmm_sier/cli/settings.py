@@ -3,6 +3,7 @@
 # Fields are declared by functions.
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,13 +11,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from openmm_sier.cli import fields
 from openmm_sier.cli.fields import FILE, NAME, File, Name, Switch, one_of
-from openmm_sier.cli.methods import ENSEMBLES, FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method, is_heavy
+from openmm_sier.cli.methods import (
+    ENSEMBLES,
+    FRICTION,
+    HEAVY,
+    HEAVY_FRICTION,
+    METHODS,
+    THERMOSTATS,
+    Method,
+    is_heavy,
+)
+from openmm_sier.dynamics.acceptance import TRIAL_LENGTH, usual_steps
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: The default scheme of each ensemble, by the name that `--scheme` takes.
-RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier4g"}
+RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier2v2"}
 
 #: Most steps of a run: doubles count them exactly, with room.
 MOST_STEPS = 10**15
@@ -27,32 +38,47 @@ DEFAULT_TEMPERATURE = 297.0
 #: ps; the length of a run.
 DEFAULT_TIME = 10.0
 
-#: Steps in a trial of hybrid Monte Carlo.
-TRIAL = 10
-
 #: nm; the shortest and the longest edge of a box.
 EDGES = 0.1, 1e4
 
 
+def _listed(meanings: Mapping[str, str]) -> str:
+    return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
+
+
 def _usual_steps() -> str:
-    """Return the default step of each method: at constant energy, with a bath or trials, and with heavy hydrogens."""
+    """Return the default step of each method: at constant energy, with a bath and with trials, and heavy hydrogens."""
 
     def told(method: Method) -> str:
-        steps = method.usual_step("nve"), method.usual_step("nvt"), method.usual_step("nvt", HEAVY)
-        return " or ".join(dict.fromkeys(f"{dt:g}" for dt in steps))
+        bath, trials = (
+            "/".join(dict.fromkeys(f"{method.usual_step(ensemble, mass):g}" for mass in (None, HEAVY)))
+            for ensemble in ("nvt", "hmc")
+        )
+        return f"{method.usual_step('nve'):g}, {bath}" + (f", {trials}" if "hmc" in method.ensembles else "")
 
-    each = ", ".join(f"{told(method)} for {name}" for name, method in METHODS.items())
-    return f"{each}; the first at constant energy, the last with heavy hydrogens and a bath or trials"
+    each = "; ".join(f"{name} {told(method)}" for name, method in METHODS.items())
+    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {each}"
+
+
+def _motion(ensemble: str, thermostat: str) -> str:
+    """Return the ensemble whose schemes and steps are the usual ones: between rescalings it is that of the energy."""
+    return "nve" if ensemble in ("nvt", "npt") and thermostat == "rescaling" else ensemble
+
+
+def _usual_scheme(before: dict[str, Any]) -> str:
+    return RECOMMENDED[_motion(before["ensemble"], before["thermostat"])]
 
 
 def _usual_step(before: dict[str, Any]) -> float:
-    return METHODS[before["scheme"]].usual_step(before["ensemble"], before["hydrogen_mass"])
+    motion = _motion(before["ensemble"], before["thermostat"])
+    return METHODS[before["scheme"]].usual_step(motion, before["hydrogen_mass"])
 
 
 def _usual_friction(before: dict[str, Any]) -> float:
     if before["ensemble"] == "hmc":
         return 0.0
-    return HEAVY_FRICTION if is_heavy(before["hydrogen_mass"]) else FRICTION
+    is_long = is_heavy(before["hydrogen_mass"]) and before["thermostat"] == "langevin"
+    return HEAVY_FRICTION if is_long else FRICTION
 
 
 def _steps(before: dict[str, Any]) -> int:
@@ -133,20 +159,23 @@ class RunSettings(BaseModel):
     # --- their motion ---
 
     ensemble: Annotated[str, one_of(ENSEMBLES)] = fields.choice(
-        "what is constant; hmc is hybrid Monte Carlo", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
+        f"what is constant ({_listed(ENSEMBLES)})", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
+    )
+    thermostat: Annotated[str, one_of(THERMOSTATS)] = fields.choice(
+        f"what keeps the temperature with nvt and npt ({_listed(THERMOSTATS)})", THERMOSTATS, "langevin"
     )
     scheme: Annotated[str, one_of(METHODS)] = fields.choice(
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         METHODS,
-        follows=lambda before: RECOMMENDED[before["ensemble"]],
-        otherwise="sier4g; sier2 with nvt and npt",
+        follows=_usual_scheme,
+        otherwise="sier4g; sier2 with nvt and npt by langevin, sier2v2 with hmc",
     )
     dt: float = fields.step("step", 0.05, 1e3, follows=_usual_step, otherwise=_usual_steps())
     friction: float = fields.number(
-        *("of the heat bath, or the rate of collisions of verlet", "1/ps", 0, 1e5),
+        *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=_usual_friction,
-        otherwise="1, or 5 with heavy hydrogens; hmc draws all momenta for each trial without it",
+        otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta for each trial without it",
     )
     pressure: float | None = fields.number(
         *("with npt or hmc", "bar (1 bar is 100000 Pa)", -5000, 50000),
@@ -156,8 +185,8 @@ class RunSettings(BaseModel):
     steps_per_trial: int = fields.whole(
         "of the scheme in a trial of hmc, which is then a step of the run",
         most=10**6,
-        follows=lambda before: TRIAL if before["ensemble"] == "hmc" else 1,
-        otherwise=str(TRIAL),
+        follows=lambda before: usual_steps(before["dt"] / 1000) if before["ensemble"] == "hmc" else 1,
+        otherwise=f"as many as make {1000 * TRIAL_LENGTH:g} fs",
     )
     time: float | None = fields.time(
         "length of the whole trajectory, of which a restart does what is left",
@@ -267,6 +296,25 @@ class RunSettings(BaseModel):
         return METHODS[self.scheme]
 
     @property
+    def rescales(self) -> bool:
+        """Whether a factor on all velocities keeps the temperature."""
+        return self.ensemble in ("nvt", "npt") and self.thermostat == "rescaling"
+
+    @property
+    def usual_step(self) -> float:
+        """The usual step of the method, fs."""
+        return self.method.usual_step(_motion(self.ensemble, self.thermostat), self.hydrogen_mass)
+
+    @property
+    def stand_in(self) -> "RunSettings":
+        """These with a method of this package, by which all runs begin."""
+        if self.method.scheme:
+            return self
+        scheme = RECOMMENDED[self.ensemble]
+        usual = METHODS[scheme].usual_step(self.ensemble, self.hydrogen_mass)
+        return self.model_copy(update={"scheme": scheme, "dt": usual})
+
+    @property
     def interactions(self) -> Interactions:
         """How the interactions are cut off."""
         return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
@@ -275,6 +323,8 @@ class RunSettings(BaseModel):
     def title(self) -> str:
         """Method, ensemble, the mass of hydrogens if it was chosen, and step."""
         bath = f", {self.temperature:g} K" if self.ensemble != "nve" else ""
+        if self.rescales:
+            bath = f" by rescaling{bath}"
         piston = f", {self.pressure:g} bar" if self.moves_volume else ""
         hydrogens = f", hydrogens of {self.hydrogen_mass:g}" if self.hydrogen_mass else ""
         return f"{self.method.name}, {self.ensemble.upper()}{bath}{piston}{hydrogens}, {self.dt:g} fs"
@@ -315,6 +365,9 @@ SETTINGS = {name: fields.known_of(field) for name, field in RunSettings.model_fi
 #: Settings that a restart keeps, and all those that stand in a checkpoint.
 CONTINUED = tuple(name for name, known in SETTINGS.items() if known["restart"] == "keeps")
 NOTED = tuple(name for name, known in SETTINGS.items() if known["restart"] != "of the call")
+
+#: Those that checkpoints of earlier versions lack, which had their defaults.
+LATER = ("thermostat",)
 
 #: Those that name one file each. A checkpoint notes them relative to itself.
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)

@@ -13,10 +13,9 @@ from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
-from openmm_sier.cli.methods import METHODS
 from openmm_sier.cli.planning import new_settings, noted_settings
 from openmm_sier.cli.running import Run, check_extras, tell_of_settings
-from openmm_sier.cli.settings import RECOMMENDED, RunSettings, checkpoint_of
+from openmm_sier.cli.settings import RunSettings, checkpoint_of
 from openmm_sier.cli.stopping import StopRequests
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.inputs.pdb_files import first_line
@@ -86,10 +85,7 @@ def begin(simulated: Simulated, origin: Origin | None = None) -> tuple[openmm.Co
         Runaway: the equilibration broke down.
     """
     settings = simulated.settings
-    scheme = RECOMMENDED[settings.ensemble]
-    usual = METHODS[scheme].usual_step(settings.ensemble, settings.hydrogen_mass)
-    stand_in = settings if settings.method.scheme else settings.model_copy(update={"scheme": scheme, "dt": usual})
-    begun = simulated.context_of(simulated.integrator(stand_in))
+    begun = simulated.context_of(simulated.integrator(settings.stand_in))
     begun.getIntegrator().binding.check_step()
     positions, minimize, unsettled = simulated.box.positions, settings.minimize, None
     if origin is not None:

@@ -24,6 +24,23 @@ from statistics import NormalDist
 
 from openmm_sier.dynamics.noise import generator
 
+#: The usual length of a trial, ps. In shorter ones momenta that are drawn anew turn motion into diffusion, and longer
+#: ones cost more without forgetting the energy sooner (docs/measurements/sampling.md).
+TRIAL_LENGTH = 0.15
+
+
+#: See `best_acceptance`.
+NEARLY = 0.95
+
+
+def usual_steps(step: float) -> int:
+    """Return the usual number of steps in a trial for a step in ps; 1 where nothing moves.
+
+    >>> usual_steps(0.009)
+    17
+    """
+    return max(1, round(TRIAL_LENGTH / step)) if step else 1
+
 
 def is_accepted(error: float, seed: int, draw: int) -> bool:
     """Tell whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
@@ -33,6 +50,31 @@ def is_accepted(error: float, seed: int, draw: int) -> bool:
         seed, draw: fix the random number.
     """
     return bool(error <= -math.log(1 - generator(seed, draw, stream=2).random()))
+
+
+def acceptance_at(spread: float) -> float:
+    """Return the fraction of trials that is accepted where energy errors have this standard deviation in kT.
+
+    >>> round(acceptance_at(0.5), 3)
+    0.803
+    """
+    return math.erfc(spread / math.sqrt(8))
+
+
+def best_acceptance(order: int) -> float:
+    """Return the acceptance at which a scheme of this order has nearly the largest step times acceptance.
+
+    The standard deviation of energy errors grows as the step to the power of the order. The largest product, at an
+    acceptance of 0.65 for second order and of 0.80 for fourth, is flat, and rejected trials also reverse momenta: this
+    is the shortest step with `NEARLY` of it.
+
+    >>> round(best_acceptance(2), 2), round(best_acceptance(4), 2)
+    (0.77, 0.9)
+    """
+    spreads = [0.001 * i for i in range(1, 5000)]
+    products = [spread ** (1 / order) * acceptance_at(spread) for spread in spreads]
+    first = next(i for i, product in enumerate(products) if product >= NEARLY * max(products))
+    return acceptance_at(spreads[first])
 
 
 def spread_at(acceptance: float) -> float:

@@ -73,7 +73,9 @@ def constrained_operators(
 
 
 def projection(constraints: Constraints) -> Operator:
-    """Return the same phase point with tangent momenta."""
+    """Return an operator that gives the same phase point with tangent momenta."""
+    if not len(constraints.pairs):
+        return lambda state: state
 
     def apply(state: BodyState) -> BodyState:
         p = constraints.project(state.q, state.p)
@@ -184,6 +186,8 @@ def constrained_drift(drift: Operator, constraints: Constraints) -> Operator:
 
     The operator raises ConstraintError where momenta are far too large for the time.
     """
+    if not len(constraints.pairs):
+        return drift
 
     def apply(state: BodyState, h: float) -> BodyState:
         q, p = constraints.drift(state.q, state.p, h, SUZUKI)

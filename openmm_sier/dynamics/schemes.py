@@ -30,8 +30,11 @@ class Scheme:
         source: publication of the scheme.
         constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy holds over runs
             of any length (docs/measurements/whole-runs.md); None where nobody has looked.
-        bath_step: the usual step in a heat bath or by hybrid Monte Carlo, ps, where the energy need not hold.
+        bath_step: the usual step in a heat bath, ps, where the energy need not hold.
         heavy_bath_step: the same with hydrogens of 4 dalton, those of solutes of 3, see `prepare_system`.
+        trial_step: the usual step by hybrid Monte Carlo, ps, with which most trials of some ten thousand atoms are
+            accepted (docs/measurements/sampling.md).
+        heavy_trial_step: the same with hydrogens of 4 dalton, those of solutes of 3.
 
     Raises:
         ValueError: there are no stages, a number is not finite, the fractions of a flow do not sum to 1, or a plain
@@ -45,6 +48,8 @@ class Scheme:
     constant_energy_step: float | None = field(default=None, compare=False)
     bath_step: float | None = field(default=None, compare=False)
     heavy_bath_step: float | None = field(default=None, compare=False)
+    trial_step: float | None = field(default=None, compare=False)
+    heavy_trial_step: float | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         return self.name
@@ -200,7 +205,7 @@ def alternating(
             makes the fractions of its operator sum to 1.
         source: publication of the scheme.
         first: operator of the outermost stages.
-        usual_steps: `constant_energy_step`, `bath_step` and `heavy_bath_step` of `Scheme`, ps.
+        usual_steps: `constant_energy_step`, `bath_step`, `trial_step` and others of `Scheme`, ps.
     """
     second = KICK if first == DRIFT else DRIFT
     operators = [(first, second)[i % 2] for i in range(len(half) + 1)]
@@ -216,6 +221,8 @@ SIER2 = alternating(
     constant_energy_step=0.002,
     bath_step=0.004,
     heavy_bath_step=0.009,
+    trial_step=0.002,
+    heavy_trial_step=0.003,
 )
 
 #: Made once, since its limits are computed when they are first asked for.
@@ -230,6 +237,7 @@ SIER4 = alternating(
     "van Zon and Schofield (2007), Eq. 8 (EFRL); Omelyan, Mryglod and Folk, Comput. Phys. Commun. 146, 188 (2002)",
     constant_energy_step=0.004,
     bath_step=0.005,
+    trial_step=0.005,
 )
 
 #: The best scheme per force evaluation in liquid water of those without a gradient, which are symplectic to rounding.
@@ -239,6 +247,7 @@ SIER4V = alternating(
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eqs. 63 and 71",
     constant_energy_step=0.0055,
     bath_step=0.0065,
+    trial_step=0.0065,
 )
 
 _ENDS = (Stage(KICK, 1 / 6), Stage(DRIFT, 1 / 2))
@@ -250,6 +259,8 @@ SIER4G = Scheme(
     constant_energy_step=0.004,
     bath_step=0.006,
     heavy_bath_step=0.009,
+    trial_step=0.006,
+    heavy_trial_step=0.009,
 )
 
 #: Of the family drift, kick, drift, gradient kick, drift, kick, drift of fourth order: the share of a kick, which fixes
@@ -266,6 +277,7 @@ SIER4P = Scheme(
     "Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44",
     constant_energy_step=0.005,
     bath_step=0.006,
+    trial_step=0.006,
 )
 
 #: Two stages with the least sum of squares of their two errors of second order: for 3 fs per force evaluation.
@@ -275,6 +287,8 @@ SIER2V2 = alternating(
     "McLachlan, SIAM J. Sci. Comput. 16, 151 (1995); Omelyan, Mryglod and Folk, Phys. Rev. E 65, 056706 (2002)",
     constant_energy_step=0.006,
     bath_step=0.006,
+    trial_step=0.006,
+    heavy_trial_step=0.009,
 )
 
 #: Of the family of three stages that no harmonic mode makes unstable near half its period: there the trace of a step
@@ -290,6 +304,8 @@ SIER2P3 = alternating(
     DRIFT,
     constant_energy_step=0.012,
     bath_step=0.012,
+    trial_step=0.009,
+    heavy_trial_step=0.015,
 )
 
 #: The schemes that users can name. Which one conserves the energy of liquid water best depends on the simulated time

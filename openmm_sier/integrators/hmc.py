@@ -4,9 +4,10 @@ import math
 
 from openmm import unit
 
+from openmm_sier.dynamics.acceptance import usual_steps
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER2V2, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, step_size
@@ -20,12 +21,15 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     velocities. A step that is too long lowers the acceptance and causes no bias. Every state that the Context shows is
     a sample, also after an interrupt or an error.
 
-    >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, stepsPerTrial=10, frictionCoeff=2/picosecond)
+    >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, frictionCoeff=2/picosecond)
     >>> simulation = Simulation(topology, system, integrator)
     >>> simulation.context.setPositions(positions)
     >>> simulation.step(2)
     >>> integrator.trials
     2
+
+    The usual step of SIER2V2, the default scheme, is 9 fs with heavy hydrogens, see `prepare_system`, and 6 fs
+    otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
 
     Note: the constructor takes the step of the scheme (9 fs). `getStepSize` and `setStepSize` are for the length of a
     trial (90 fs with 10 steps), and `getSchemeStepSize` and `setSchemeStepSize` for the step of the scheme. The
@@ -49,8 +53,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self,
         temperature: Quantity,
         stepSize: Quantity,
-        scheme: Scheme | str = SIER4G,
-        stepsPerTrial: int = 10,
+        scheme: Scheme | str = SIER2V2,
+        stepsPerTrial: int | None = None,
         frictionCoeff: Quantity | None = None,
         pressure: Quantity | None = None,
         barostatInterval: int = 1,
@@ -64,8 +68,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         Args:
             temperature: a quantity or a number in K, above zero.
             stepSize: the step of the scheme, a time quantity or a number in ps.
-            scheme: the splitting scheme or its name. It must have no bath and read the same backwards; SIER4G is best.
-            stepsPerTrial: number of steps of the scheme in each trial, at least 1.
+            scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
+            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 0.15 ps.
             frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
                 of length t, and the rest is drawn anew. None draws all of them anew.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
@@ -80,7 +84,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        trials = Metropolis(temperature, frictionCoeff, stepsPerTrial, pressure=pressure, interval=barostatInterval)
+        steps = usual_steps(step_size(stepSize)) if stepsPerTrial is None else stepsPerTrial
+        trials = Metropolis(temperature, frictionCoeff, steps, pressure=pressure, interval=barostatInterval)
         super().__init__(trials, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     # --- what users ask ---

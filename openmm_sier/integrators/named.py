@@ -11,7 +11,7 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 class IntegratorWithScheme(SIERIntegrator):
     """Integrate by a scheme that the class fixes.
 
-    The usual steps in water are `SCHEME.constant_energy_step` and, for hybrid Monte Carlo, `SCHEME.bath_step`, in ps.
+    The usual steps in water are `SCHEME.constant_energy_step` and, for hybrid Monte Carlo, `SCHEME.trial_step`, in ps.
     """
 
     SCHEME: ClassVar[Scheme]

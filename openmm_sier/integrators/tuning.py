@@ -1,6 +1,8 @@
-"""Tuning of step and trajectory length in hybrid Monte Carlo by the cost of an independent sample."""
+"""Tuning of hybrid Monte Carlo: the scheme, its step and the length of trials, by what an independent sample costs."""
 
+import copy
 import math
+import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,11 +10,17 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.acceptance import spread_at
+from openmm_sier.dynamics.acceptance import acceptance_at, best_acceptance, spread_at
 from openmm_sier.dynamics.correlation import inefficiency_and_error
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2P3, SIER2V2, SIER4G, Scheme
+from openmm_sier.engines.choice import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, StepFound, Tuning
 from openmm_sier.stability.vibrations import Vibrations
-from openmm_sier.system.arguments import group_mask, whole_number
+from openmm_sier.system.arguments import checked_scheme, group_mask, whole_number
+
+#: The schemes that are compared, beside that of the integrator.
+SCHEMES = (SIER2V2, SIER2P3, SIER4G)
 
 #: Trajectory lengths to compare, as multiples of the one that the integrator had.
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
@@ -26,91 +34,15 @@ ATTEMPTS, SHORTER, LONGER, SETTLED = 10, 0.6, 1.5, 0.06
 FEWEST = 10
 
 
-class StepFound(NamedTuple):
-    """Results of trials at one step size.
-
-    Attributes:
-        step: ps.
-        spread: standard deviation of the energy error, kT; infinite if most trajectories failed, or were refused.
-        acceptance: mean of min(1, exp(-error)).
-    """
-
-    step: float
-    spread: float
-    acceptance: float
-
-
-class LengthFound(NamedTuple):
-    """Results of trials of one length.
-
-    Attributes:
-        steps: number of steps in a trial.
-        acceptance: mean of min(1, exp(-error)).
-        forces: number of force evaluations in a trial.
-        inefficiency: number of trials per independent sample of the potential energy, with its standard error.
-        refused: the reason, if there were no trials.
-    """
-
-    steps: int
-    acceptance: float = math.nan
-    forces: float = math.nan
-    inefficiency: tuple[float, float] = (math.inf, math.nan)
-    refused: str = ""
-
-    @property
-    def cost(self) -> tuple[float, float]:
-        """Return force evaluations per independent sample of the potential energy, with the standard error."""
-        value, error = self.inefficiency
-        return value * self.forces, error * self.forces
-
-    def __str__(self) -> str:
-        """Show trials, and force evaluations, for an independent potential energy; ? marks an unknown error."""
-        (trials, error), (forces, uncertain) = self.inefficiency, self.cost
-        if self.refused:
-            return f"{self.steps:10}  {self.refused}"
-        errors = (f"{error:.1f}", f"{uncertain:.0f}") if math.isfinite(error) else ("?", "?")
-        return f"{self.steps:10}{self.acceptance:12.3f}  {trials:.1f} ± {errors[0]}, {forces:.0f} ± {errors[1]}"
-
-
-class Tuning(NamedTuple):
-    """Hold what `tune` found; print it as tables.
-
-    Attributes:
-        stepSize: ps.
-        stepsPerTrial: number of steps in a trial.
-        wanted: the acceptance that was asked for.
-        steps: the steps that were tried, in order; each has `step` in ps, `spread` and `acceptance`.
-        lengths: the lengths that were compared; each has `steps`, `acceptance`, `forces`, `inefficiency` and `refused`.
-        forceEvaluations: number of force evaluations in the whole tuning.
-    """
-
-    stepSize: float
-    stepsPerTrial: int
-    wanted: float
-    steps: tuple[StepFound, ...]
-    lengths: tuple[LengthFound, ...]
-    forceEvaluations: int
-
-    def __str__(self) -> str:
-        lines = [
-            f"Hybrid Monte Carlo tuned for an acceptance of {self.wanted:g}, by {self.forceEvaluations} forces:",
-            f"steps of {1e3 * self.stepSize:.4g} fs, {self.stepsPerTrial} in a trial",
-            "",
-            "   step/fs     sd/kT  acceptance",
-        ]
-        lines += [f"{1e3 * each.step:10.4g}{each.spread:10.3g}{each.acceptance:12.3f}" for each in self.steps]
-        lines += ["", "     steps  acceptance  trials, and forces, for an independent potential energy"]
-        return "\n".join([*lines, *map(str, self.lengths)])
-
-
 def tune(
     context: openmm.Context,
-    acceptance: float = 0.9,
+    acceptance: float | None = None,
     trials: int = 40,
     samples: int = 200,
     lengths: Sequence[int] | None = None,
+    schemes: Sequence[Scheme | str] | None = None,
 ) -> Tuning:
-    """Find the step and trial length for a Context's hybrid Monte Carlo, and set them in its integrator.
+    """Find scheme, step and trial length for a Context's hybrid Monte Carlo, and set step and length in its integrator.
 
     Equilibrate roughly before. Trials of the tuning are no samples, so leave them out of averages. Afterwards `trials`
     and `accepted` count from zero.
@@ -118,30 +50,35 @@ def tune(
     >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, stepsPerTrial=4)
     >>> simulation = Simulation(topology, system, integrator)
     >>> simulation.context.setPositions(positions)
-    >>> tuning = tune(simulation.context, acceptance=0.8, trials=10, samples=10)
+    >>> tuning = tune(simulation.context, acceptance=0.8, trials=10, samples=10, schemes=["SIER2V2"])
     >>> length = tuning.stepsPerTrial
 
-    First it changes the step, at the same length in time, until the energy errors of trials have the standard deviation
-    of the wanted acceptance. It never tries a step that resonates with fast forces.
+    First it changes the step of each scheme, at the same length in time, until the energy errors of trials have the
+    standard deviation of the best acceptance. It never tries a step that resonates with fast forces. The best scheme is
+    the one whose accepted trajectories take the least processor time, or on GPUs the least time.
 
-    Then it compares trial lengths at this step, each with the same number of steps in all, and takes the one at which
-    an independent potential energy costs the fewest forces, with the error of that cost added. If costs differ by less
-    than their errors, take more samples.
+    Then it compares trial lengths with this scheme, each with the same number of steps in all, and takes the one at
+    which an independent potential energy takes the least time, with the error of that time added. If times differ by
+    less than their errors, take more samples.
 
-    An interrupt or error restores the step and length that the integrator had.
+    It tries other schemes than the integrator's in Contexts of their own. An integrator keeps its scheme: if another
+    one is the best, it gets the best step for its own, and the result has the line that makes a new integrator.
 
-    The same seed gives the same result if the platform's forces are deterministic.
+    An interrupt or error restores the step and length that the integrator had. The same seed makes the same trials if
+    the platform's forces are deterministic, but the choice also depends on the time that they take.
 
     Args:
         context: the Context of a `SIERHMCIntegrator`, with positions. The search begins at the integrator's step and
             number of steps.
-        acceptance: the wanted fraction, between 0 and 1; the largest useful steps have 0.6 to 0.95.
+        acceptance: the wanted fraction, between 0 and 1. None takes that at which step times acceptance is nearly
+            largest: 0.77 for a scheme of second order and 0.90 for one of fourth order.
         trials: number of trials at each step size, at least 10.
         samples: number of trials of the integrator's length in time, at least 10; longer trials are fewer in
             proportion. The relative error of a cost is about 3 over the square root of the number of independent
             samples.
         lengths: numbers of steps in a trial to compare. None compares half the integrator's length in time, that
             length, twice and four times that.
+        schemes: schemes to compare, or their names. None compares the integrator's with SIER2V2, SIER2P3 and SIER4G.
 
     Returns:
         A `Tuning`; print it as tables.
@@ -149,32 +86,109 @@ def tune(
     Raises:
         TypeError: the Context has another integrator.
         ValueError: an argument is out of its range.
-        openmm.OpenMMException: no step or length could be tried; the message gives the last reason.
+        openmm.OpenMMException: no scheme, step or length could be tried; the message gives the last reason.
     """
-    if not isinstance(context, openmm.Context):
-        raise TypeError(f"tune needs a Context, such as simulation.context, got a {type(context).__name__}")
-    integrator = context.getIntegrator()
-    if not isinstance(integrator, SIERHMCIntegrator):
-        raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")
-    if not 0 < acceptance < 1:
+    integrator = _integrator_of(context)
+    if acceptance is not None and not 0 < acceptance < 1:
         raise ValueError(f"acceptance must be between 0 and 1, got {acceptance:g}")
     trials, samples = whole_number("trials", trials, FEWEST), whole_number("samples", samples, FEWEST)
     counts = None if lengths is None else [whole_number("lengths", steps, 1) for steps in lengths]
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
-    before, forces = (integrator.getSchemeStepSize(), integrator.getStepsPerTrial()), integrator.forceEvaluations
-    if not (length := before[0].value_in_unit(unit.picosecond) * before[1]):
+    compared = _schemes(integrator.scheme, schemes)
+    start = _Start.of(integrator)
+    if not start.time:
         raise ValueError("the integrator's step must be above zero, got 0")
+    bill = _Bill(integrator.forceEvaluations)
     try:
-        tried, step = _find_step(integrator, acceptance, trials, _longest_step(context))
-        compared, steps = _find_length(integrator, step, samples, counts, length)
-        _set(integrator, step, steps)
+        found = tuple(_try_scheme(context, scheme, start, acceptance, trials, bill) for scheme in compared)
+        best = _cheapest(found)
+        of_lengths = _compare_lengths(context, best, start, samples, counts, bill)
+        steps = _best_length(of_lengths).steps
+        own = next((each for each in found if each.scheme == integrator.scheme and not each.refused), None)
+        if own is not None:
+            _set(integrator, own.step, steps if own is best else max(1, round(best.step * steps / own.step)))
     except BaseException:
-        integrator.setSchemeStepSize(before[0])
-        integrator.setStepsPerTrial(before[1])
+        integrator.setSchemeStepSize(start.step)
+        integrator.setStepsPerTrial(start.steps)
         raise
     integrator.resetStatistics()
-    return Tuning(step, steps, acceptance, tuple(tried), tuple(compared), integrator.forceEvaluations - forces)
+    script = _script(integrator, best, steps)
+    return Tuning(best.scheme, best.step, steps, found, of_lengths, bill.total(integrator), script, isSet=best is own)
+
+
+class _Start(NamedTuple):
+    """What the integrator had.
+
+    Attributes:
+        step: ps.
+        steps: of a trial.
+        per_force: simulated time for each force evaluation, ps.
+    """
+
+    step: float
+    steps: int
+    per_force: float
+
+    @classmethod
+    def of(cls, integrator: SIERHMCIntegrator) -> "_Start":
+        step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
+        return cls(step, integrator.getStepsPerTrial(), step / integrator.scheme.force_evaluations)
+
+    @property
+    def time(self) -> float:
+        """Return the length of a trial, ps."""
+        return self.step * self.steps
+
+
+class _Bill:
+    """Counts force evaluations, of the integrator that is tuned and of those of other schemes."""
+
+    def __init__(self, before: int):
+        self._before, self._of_others = before, 0
+
+    def add(self, integrator: SIERHMCIntegrator) -> None:
+        """Count those of another integrator, which is not used any more."""
+        self._of_others += integrator.forceEvaluations
+
+    def total(self, integrator: SIERHMCIntegrator) -> int:
+        return integrator.forceEvaluations - self._before + self._of_others
+
+
+def _integrator_of(context: openmm.Context) -> SIERHMCIntegrator:
+    if not isinstance(context, openmm.Context):
+        raise TypeError(f"tune needs a Context, such as simulation.context, got a {type(context).__name__}")
+    integrator = context.getIntegrator()
+    if not isinstance(integrator, SIERHMCIntegrator):
+        raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")
+    return integrator
+
+
+def _schemes(own: Scheme, asked: Sequence[Scheme | str] | None) -> list[Scheme]:
+    """Return the schemes to compare, each once."""
+    compared = list(map(checked_scheme, [own, *SCHEMES] if asked is None else asked))
+    if not compared:
+        raise ValueError("schemes must have at least one scheme, got none")
+    return [scheme for i, scheme in enumerate(compared) if scheme not in compared[:i]]
+
+
+def _context_for(context: openmm.Context, scheme: Scheme) -> openmm.Context:
+    """Return the Context itself for its own scheme, or another one at the same state."""
+    integrator = context.getIntegrator()
+    if scheme == integrator.scheme:
+        return context
+    other = copy.copy(integrator)
+    other.binding.change(scheme=scheme)
+    platform = context.getPlatform()
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+    made = openmm.Context(context.getSystem(), other, platform, properties)
+    made.setState(context.getState(positions=True, velocities=True, parameters=True))
+    return made
+
+
+def _seconds(context: openmm.Context) -> float:
+    """Return the time of the processor or, where a GPU works, of the clock."""
+    return time.process_time() if is_on_host(context.getPlatform()) else time.perf_counter()
 
 
 def _set(integrator: SIERHMCIntegrator, step: float, steps: int) -> None:
@@ -190,8 +204,40 @@ def _trial(integrator: SIERHMCIntegrator) -> float:
 
 
 def _chances(errors: Sequence[float]) -> float:
-    """Return the mean probability of acceptance for energy errors in kT, which may be infinite."""
+    """Return mean probability of acceptance for energy errors in kT, which may be infinite."""
     return float(np.exp(-np.maximum(errors, 0)).mean())
+
+
+# --- schemes and their steps ---
+
+
+def _try_scheme(
+    context: openmm.Context, scheme: Scheme, start: _Start, acceptance: float | None, trials: int, bill: _Bill
+) -> SchemeFound:
+    """Return the best step of a scheme, and what its accepted trajectories cost."""
+    wanted = best_acceptance(scheme.order) if acceptance is None else acceptance
+    try:
+        tried_in = _context_for(context, scheme)
+        try:
+            first = start.per_force * scheme.force_evaluations
+            tried, step = _find_step(tried_in, first, start.time, wanted, trials)
+        finally:
+            if tried_in is not context:
+                bill.add(tried_in.getIntegrator())
+    except openmm.OpenMMException as error:
+        return SchemeFound(scheme, math.nan, 0.0, math.inf, (), " ".join(str(error).split()))
+    nearest = min((each for each in tried if math.isfinite(each.spread)), key=lambda each: abs(each.step - step))
+    expected = acceptance_at(nearest.spread * (step / nearest.step) ** scheme.order)
+    # A step takes as long, whatever its size.
+    seconds = nearest.seconds * nearest.step / step
+    return SchemeFound(scheme, step, expected, seconds / expected, tuple(tried))
+
+
+def _cheapest(found: Sequence[SchemeFound]) -> SchemeFound:
+    best = min(found, key=lambda each: each.seconds)
+    if best.refused:
+        raise openmm.OpenMMException(best.refused)
+    return best
 
 
 def _longest_step(context: openmm.Context) -> float:
@@ -202,15 +248,16 @@ def _longest_step(context: openmm.Context) -> float:
     return vibrations.longest_step(integrator.scheme, 0, group_mask("fastForceGroups", integrator.fastForceGroups))
 
 
-def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int, most: float) -> tuple[list[StepFound], float]:
-    """Return the steps that were tried, and the one with the wanted acceptance, or `most` if that is less."""
-    step = integrator.getSchemeStepSize().value_in_unit(unit.picosecond)
-    time, order = step * integrator.getStepsPerTrial(), integrator.scheme.order
+def _find_step(
+    context: openmm.Context, first: float, time: float, wanted: float, trials: int
+) -> tuple[list[StepFound], float]:
+    """Return the steps that were tried, and the one with the wanted acceptance, or the longest allowed one."""
+    order, most = context.getIntegrator().scheme.order, _longest_step(context)
     tried: list[StepFound] = []
-    longest, refusal, step = math.inf, None, min(step, most)
+    longest, refusal, step = math.inf, None, min(first, most)
     for _ in range(ATTEMPTS):
         try:
-            found = _try_step(integrator, step, max(1, round(time / step)), trials)
+            found = _try_step(context, step, max(1, round(time / step)), trials)
         except openmm.OpenMMException as error:
             # For example, the step is too long for a bond.
             found, refusal, longest = StepFound(step, math.inf, 0.0), error, step
@@ -227,37 +274,73 @@ def _find_step(integrator: SIERHMCIntegrator, wanted: float, trials: int, most: 
     return tried, min(usable, key=lambda each: abs(each.acceptance - wanted)).step
 
 
-def _try_step(integrator: SIERHMCIntegrator, step: float, steps: int, trials: int) -> StepFound:
+def _try_step(context: openmm.Context, step: float, steps: int, trials: int) -> StepFound:
+    integrator = context.getIntegrator()
     _set(integrator, step, steps)
+    begun = _seconds(context)
     errors = [_trial(integrator) for _ in range(trials)]
+    seconds = (_seconds(context) - begun) / (trials * steps * step)
     followed = [error for error in errors if math.isfinite(error)]
     spread = float(np.std(followed, ddof=1)) if len(followed) > trials / 2 else math.inf
-    return StepFound(step, spread, _chances(errors))
+    return StepFound(step, spread, _chances(errors), seconds)
 
 
-def _find_length(
-    integrator: SIERHMCIntegrator, step: float, samples: int, counts: list[int] | None, time: float
-) -> tuple[list[LengthFound], int]:
-    """Compare lengths and find the cheapest; one without an error, or refused, only if there is no other."""
+# --- lengths of trials ---
+
+
+def _compare_lengths(
+    context: openmm.Context, best: SchemeFound, start: _Start, samples: int, counts: list[int] | None, bill: _Bill
+) -> tuple[LengthFound, ...]:
+    """Return what trials of several numbers of steps cost, of the best scheme at its step."""
     if counts is None:
-        counts = [max(1, round(factor * time / step)) for factor in LENGTHS]
+        counts = [max(1, round(factor * start.time / best.step)) for factor in LENGTHS]
+    tried_in = _context_for(context, best.scheme)
     found = []
     for steps in sorted(set(counts)):
+        several = max(FEWEST, round(samples * start.time / (best.step * steps)))
         try:
-            found.append(_try_length(integrator, step, steps, max(FEWEST, round(samples * time / (step * steps)))))
+            found.append(_try_length(tried_in, best.step, steps, several))
         except openmm.OpenMMException as error:
             found.append(LengthFound(steps, refused=" ".join(str(error).split())))
-    best = min(found, key=lambda each: (each.refused != "", math.isnan(each.cost[1]), np.nansum(each.cost)))
-    if best.refused:
-        raise openmm.OpenMMException(best.refused)
-    return found, best.steps
+    if tried_in is not context:
+        bill.add(tried_in.getIntegrator())
+    return tuple(found)
 
 
-def _try_length(integrator: SIERHMCIntegrator, step: float, steps: int, samples: int) -> LengthFound:
+def _try_length(context: openmm.Context, step: float, steps: int, samples: int) -> LengthFound:
+    integrator = context.getIntegrator()
     _set(integrator, step, steps)
-    before, errors, energies = integrator.forceEvaluations, [], []
+    before, begun, errors, energies = integrator.forceEvaluations, _seconds(context), [], []
     for _ in range(samples):
         errors.append(_trial(integrator))
         energies.append(integrator.binding.engine.potential_energy())
+    seconds = (_seconds(context) - begun) / samples
     forces = (integrator.forceEvaluations - before) / samples
-    return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)))
+    return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)), seconds)
+
+
+def _best_length(found: Sequence[LengthFound]) -> LengthFound:
+    """Return the cheapest; of those without an error, or refused, only if no other is."""
+    best = min(found, key=lambda each: (each.refused != "", math.isnan(each.duration[1]), np.nansum(each.duration)))
+    if best.refused:
+        raise openmm.OpenMMException(best.refused)
+    return best
+
+
+def _script(integrator: SIERHMCIntegrator, best: SchemeFound, steps: int) -> str:
+    """Return the line of a script that makes the integrator that was found, its other arguments as they were."""
+    scheme = best.scheme
+    known = CATALOGUE.get(scheme.name.lower()) == scheme
+    words = [
+        f"{integrator.getTemperature().value_in_unit(unit.kelvin):g}*kelvin",
+        f"{1e3 * best.step:.4g}*femtoseconds",
+        repr(scheme.name) if known else scheme.name,
+        f"stepsPerTrial={steps}",
+    ]
+    friction = integrator.getFriction().value_in_unit(unit.picosecond**-1)
+    if math.isfinite(friction):
+        words.append(f"frictionCoeff={friction:g}/picosecond")
+    if (pressure := integrator.getPressure()) is not None:
+        words.append(f"pressure={pressure.value_in_unit(unit.bar):g}*bar")
+        words.append(f"barostatInterval={integrator.getBarostatInterval()}")
+    return f"integrator = SIERHMCIntegrator({', '.join(words)})"

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from openmm_sier.dynamics.backend import threads
 
 #: Platforms on which processor time is what a computation costs; on others the processor waits.
 ON_PROCESSORS = ("CPU", "Reference")
+
+
+Key = TypeVar("Key")
 
 
 def counts_processor_time(platform: str | None) -> bool:
@@ -44,9 +47,9 @@ def interleaved(
     return turns({name: partial(seconds, action) for name, action in actions.items()}, rounds)
 
 
-def turns(actions: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, np.ndarray]:
+def turns(actions: Mapping[Key, Callable[[], Any]], rounds: int) -> dict[Key, np.ndarray]:
     """What each action gave in each round, (rounds, ...); a first round is not counted."""
-    found: dict[str, list[Any]] = {name: [] for name in actions}
+    found: dict[Key, list[Any]] = {name: [] for name in actions}
     for number in range(rounds + 1):
         for name, action in actions.items():
             given = action()

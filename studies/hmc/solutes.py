@@ -1,7 +1,5 @@
 """Solutes in water for the studies of hybrid Monte Carlo: read, prepared, in part frozen, and equilibrated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -9,7 +7,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import openmm
 from openmm import app
-from tyro.conf import Positional
 
 from openmm_sier import prepare_system
 from openmm_sier.inputs.forcefields import Interactions
@@ -40,13 +37,15 @@ class SoluteSettings(BoxSettings, RunsSettings):
         equilibrate: ps with LangevinMiddle before the first run of a box, whose end `--out` keeps.
     """
 
-    box: Positional[Path] = boxes.DHFR
+    box: Path = boxes.DHFR
     cutoff: float = 0.9
     tolerance: float = 1e-4
     hydrogen_mass: float = 3.0
     heavy_water: bool = False
     moving: Moving = "all"
     equilibrate: float = 1.0
+
+    FIRST = "box"
 
 
 class Solution(NamedTuple):

@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import Literal, NamedTuple
 
 import pandas as pd
-from tyro.conf import Positional
 
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.inputs.report import duration
@@ -35,10 +34,12 @@ class PaperSettings(RunsSettings):
         quick: less of everything, to see it work.
     """
 
-    experiment: Positional[Literal["free-rotation", "dipole", "water", "all"]] = "all"
+    experiment: Literal["free-rotation", "dipole", "water", "all"] = "all"
     quick: bool = False
     processes: int = cores()
     out: Path = Path("sier-paper")
+
+    FIRST = "experiment"
 
 
 def study(settings: PaperSettings, report: Report = SILENT) -> dict[str, Record]:

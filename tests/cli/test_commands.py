@@ -1,18 +1,23 @@
 """`run` beyond constant energy."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator, ensembles
+from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.methods import ENSEMBLES, THERMOSTATS
+from openmm_sier.cli.planning import new_settings
 from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.commands import SMALL, complaint, log, run
+from tests.support.commands import SMALL, complaint, log, rewrite_notes, run
 
 PARTS = {
     "NVT": ["--ensemble", "nvt", "--dt", "2", "--friction", "5"],
     "NPT": ["--ensemble", "npt", "--dt", "2", "--pressure", "-500", "--pressure-tensor", "{}-p.csv"],
+    "rescaling": ["--ensemble", "nvt", "--thermostat", "rescaling", "--dt", "2", "--friction", "5"],
     "HMC": ["--ensemble", "hmc", "--pressure", "1", "--steps-per-trial", "4"],
     # Volume moves are tried every 25 steps: one before the interruption, one after it.
     "LangevinMiddle": ["--scheme", "langevinmiddle", "--ensemble", "npt", "--dt", "2"],
@@ -35,7 +40,7 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys):
     for kind in (".dcd", ".csv", *(["-p.csv"] if name == "NPT" else [])):
         assert Path(f"whole{kind}").read_bytes() == Path(f"parts{kind}").read_bytes()
     whole = log("whole.csv")
-    if name == "NVT":
+    if name in ("NVT", "rescaling"):
         # The bath exchanges energy, of which the conserved quantity knows.
         assert np.ptp(whole["Total Energy (kJ/mole)"]) > 10 * np.ptp(whole["Conserved Energy (kJ/mole)"])
     elif name == "HMC":
@@ -58,6 +63,9 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys):
         (["--friction", "1"], "--friction needs --ensemble nvt, npt or hmc"),
         (["--ensemble", "nvt", "--pressure", "1"], "--pressure needs --ensemble npt or hmc"),
         (["--ensemble", "nvt", "--steps-per-trial", "5"], "--steps-per-trial needs --ensemble hmc"),
+        (["--thermostat", "rescaling"], "--thermostat needs --ensemble nvt or npt, and a scheme of this package"),
+        (["--ensemble", "hmc", "--thermostat", "rescaling"], "--thermostat needs --ensemble nvt or npt"),
+        (["--scheme", "langevinmiddle", "--thermostat", "langevin"], "--thermostat needs --ensemble nvt or npt"),
     ],
 )
 def test_options_of_another_ensemble(capsys, box, arguments, message):
@@ -70,6 +78,7 @@ def test_options_of_another_ensemble(capsys, box, arguments, message):
         ([], SIERIntegrator(0.001), SIER4G.constant_energy_step),
         (["--ensemble", "nvt"], SIERLangevinIntegrator(300, 1, 0.001), SIER2.bath_step),
         (["--ensemble", "nvt", "--hydrogen-mass", "4"], SIERLangevinIntegrator(300, 1, 0.001), SIER2.heavy_bath_step),
+        (["--ensemble", "npt", "--thermostat", "rescaling"], SIERIntegrator(0.001), SIER4G.constant_energy_step),
     ],
 )
 def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
@@ -78,3 +87,28 @@ def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
     assert CATALOGUE[plan["scheme"]] == integrator.scheme.without_bath()
     assert plan["dt"] == pytest.approx(1000 * step)
     assert plan["friction"] == (5 if "--hydrogen-mass" in options else 1)
+
+
+def test_the_command_has_all_ensembles_that_scripts_have(box):
+    """In one list of ensembles and thermostats, with the same temperature and pressure."""
+    made = set()
+    for ensemble, thermostat in product(ENSEMBLES, THERMOSTATS):
+        given = {"box": box, "ensemble": ensemble}
+        if ensemble in ("nvt", "npt"):
+            given["thermostat"] = thermostat
+        simulated = Simulated(new_settings(given))
+        integrator = simulated.integrator(simulated.settings)
+        made.add(type(integrator.binding.ensemble))
+        if ensemble != "nve":
+            assert integrator.binding.ensemble.temperature == 297
+            assert integrator.binding.ensemble.pressure == (1 if ensemble == "npt" else None)
+    assert made == set(ensembles.ENSEMBLES.values())
+
+
+def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):
+    """Its bath was that of Langevin."""
+    short = ["--platform", "Reference", "--equilibrate", "0", "--ensemble", "nvt"]
+    run("run", box, *short, "--steps", "1", "--out", "old.dcd")
+    rewrite_notes("old.chk", lambda notes: notes["plan"].pop("thermostat"))
+    run("run", "--restart", "old.chk", "--steps", "2")
+    assert checkpoints.read_notes(Path("old.chk"))["plan"]["thermostat"] == "langevin"

@@ -9,10 +9,11 @@ import pytest
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.tune import run_line
-from openmm_sier.integrators.tuning import Tuning
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2P3
+from openmm_sier.integrators.tuning_results import Tuning
 from tests.support.commands import log, run
 
-FOUND = Tuning(0.0080234, 4, 0.9, (), (), 100)
+FOUND = Tuning(SIER2P3, 0.0080234, 4, (), (), 100)
 
 
 @pytest.mark.slow
@@ -22,22 +23,24 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box):
     run("tune", box, *options, "--trials", "10", "--samples", "10", "--acceptance", "0.8")
     assert not list(Path().iterdir())
     said = capsys.readouterr().out
-    step, trial = re.search(r"^steps of (.*) fs, (.*) in a trial$", said, re.MULTILINE).groups()
+    scheme, step, trial = re.search(r"^(\S+), steps of (.*) fs, (.*) in a trial$", said, re.MULTILINE).groups()
     needed, forces = re.search(rf"^ +{trial} +\S+ +(\S+) ± \S+, (\S+) ± ", said, re.MULTILINE).groups()
     program, *arguments = shlex.split(said.splitlines()[-1])
     assert program == "openmm-sier"
     run(*arguments, "--steps", "3", "--report-every", "0.001")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
     assert plan["ensemble"] == "hmc"
+    assert plan["scheme"] == scheme.lower()
     assert plan["pressure"] == 1
     assert plan["seed"] == 3
     assert f"{plan['dt']:.4g}" == step
     assert str(plan["steps_per_trial"]) == trial
     assert log("box.csv")["Acceptance"][-1] in (0, pytest.approx(1 / 3), pytest.approx(2 / 3), 1)
-    # SIER4G has three forces in a step. A trial has one more at its start, and one or two for the move of the volume.
-    # The trials that an independent energy needs, one or more, are rounded to a tenth.
-    per_trial = float(forces) / float(needed)
-    assert 0.95 * 3 * plan["steps_per_trial"] <= per_trial <= 1.05 * (3 * plan["steps_per_trial"] + 3)
+    assert f"integrator = SIERHMCIntegrator(297*kelvin, {step}*femtoseconds, '{scheme}', stepsPerTrial={trial}" in said
+    # A trial has one force more at its start, and one or two for the move of the volume. The trials that an independent
+    # energy needs, one or more, are rounded to a tenth.
+    per_trial, in_steps = float(forces) / float(needed), CATALOGUE[plan["scheme"]].force_evaluations * int(trial)
+    assert 0.95 * in_steps <= per_trial <= 1.05 * (in_steps + 3)
 
 
 def test_line_keeps_what_was_given():
@@ -45,5 +48,5 @@ def test_line_keeps_what_was_given():
     given = parse(words.split()).carry_out.args[0].given()
     assert run_line(given, FOUND) == (
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
-        "--dt 8.023 --no-minimize --start s.chk --steps-per-trial 4"
+        "--dt 8.023 --no-minimize --start s.chk --scheme sier2p3 --steps-per-trial 4"
     )

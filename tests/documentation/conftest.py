@@ -14,6 +14,9 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 
+#: Seconds after which the site is not built any more, far above the minute of processor time that it takes.
+BUILDING = 1500
+
 #: What the site is built with.
 NEEDED = ("sphinx", "myst_nb", "furo", "sphinx_copybutton")
 
@@ -34,7 +37,7 @@ def site(tmp_path_factory):
         pytest.skip(f"the site cannot be built without {', '.join(missing)}: install the extra docs")
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-n", "docs", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=500)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=BUILDING)
     assert done.returncode == 0, done.stderr
     return folder
 

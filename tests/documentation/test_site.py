@@ -10,6 +10,9 @@ import pytest
 
 import openmm_sier
 
+#: The first of them waits until the site is built.
+pytestmark = pytest.mark.timeout(2000)
+
 #: Widths of a window in px.
 WIDE, NARROW = 1280, 375
 
@@ -55,6 +58,7 @@ QUESTIONS = [
     ("the same by the name of OpenMM's class", "SimulatedTempering", "guide/howto/enhanced-sampling"),
     ("replica exchange", "replica exchange", "guide/howto/enhanced-sampling"),
     ("a rigid protein", "rigid protein", "guide/howto/large-bodies"),
+    ("CALVADOS with rigid domains", "CALVADOS rigid domains", "guide/howto/rigid-domains"),
     ("crowding", "crowd of proteins", "guide/howto/large-bodies"),
     ("openmmtools refuses a heat bath", "heat bath at a different temperature", "guide/howto/enhanced-sampling"),
     ("velocity autocorrelation", "velocity correlations", "guide/howto/constant-energy"),

@@ -7,7 +7,8 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.dynamics.acceptance import TRIAL_LENGTH
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
@@ -63,6 +64,17 @@ def test_a_step_is_a_trial(cluster, options, engine):
     integrator.resetStatistics()
     assert integrator.trials == 0
     assert math.isnan(integrator.acceptanceRate)
+
+
+@pytest.mark.parametrize("step", [SIER2V2.trial_step, SIER2V2.heavy_trial_step, 9 * unit.femtoseconds])
+def test_trials_have_a_usual_length(step):
+    integrator = SIERHMCIntegrator(300, step)
+    assert integrator.scheme is SIER2V2
+    assert math.isinf(integrator.getFriction()._value)
+    # In whole steps.
+    assert integrator.getStepSize()._value == pytest.approx(TRIAL_LENGTH, abs=integrator.getSchemeStepSize()._value / 2)
+    # Where nothing moves any number is as good.
+    assert SIERHMCIntegrator(300, 0).getStepsPerTrial() == 1
 
 
 def test_steps_of_trials_and_of_the_scheme(cluster, tmp_path):

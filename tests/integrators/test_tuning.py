@@ -6,8 +6,10 @@ import math
 import numpy as np
 import openmm
 import pytest
+from openmm import unit
 
-from openmm_sier import SIER2, SIER4G, SIERHMCIntegrator, SIERIntegrator, tune
+from openmm_sier import SIER2, SIER2V2, SIER4G, SIERHMCIntegrator, SIERIntegrator, tune
+from openmm_sier.dynamics.acceptance import acceptance_at, best_acceptance, spread_at, usual_steps
 from openmm_sier.ensembles import metropolis
 from openmm_sier.integrators import tuning
 from openmm_sier.integrators.tuning import LengthFound
@@ -38,7 +40,7 @@ def test_the_acceptance_that_was_asked_for(h, scheme):
     integrator = context.getIntegrator()
     integrator.step(2)
     before = integrator.forceEvaluations
-    found = tune(context, 0.8, samples=20)
+    found = tune(context, 0.8, samples=20, schemes=[scheme])
     assert (integrator.getSchemeStepSize()._value, integrator.getStepsPerTrial()) == (
         found.stepSize,
         found.stepsPerTrial,
@@ -54,7 +56,13 @@ def test_the_acceptance_that_was_asked_for(h, scheme):
     assert f"{found.stepsPerTrial} in a trial" in str(found)
 
 
-def test_equal_seeds_tune_alike():
+def forces_made(context):
+    """A clock for tests: every force takes as long."""
+    return context.getIntegrator().forceEvaluations
+
+
+def test_equal_seeds_tune_alike(monkeypatch):
+    monkeypatch.setattr(tuning, "_seconds", forces_made)
     one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))
     assert str(one) == str(other)
     assert one.stepSize == other.stepSize
@@ -64,13 +72,14 @@ def test_equal_seeds_tune_alike():
 def test_the_cheapest_length_is_taken(monkeypatch):
     costs = {2: (8.0, 5.0), 3: (9.0, 1.0), 5: (7.0, math.nan)}
 
-    def known(integrator, step, steps, samples):
+    def known(context, step, steps, samples):
         # As many steps for each length.
         assert samples == max(10, round(200 * 0.04 / (step * steps)))
-        return LengthFound(steps, 0.9, 1.0, costs[steps])
+        # Forces do not decide.
+        return LengthFound(steps, 0.9, 100.0 / steps, costs[steps], seconds=0.01)
 
     monkeypatch.setattr(tuning, "_try_length", known)
-    found = tune(wells(), trials=10, lengths=[5, 3, 3, 2])
+    found = tune(wells(), trials=10, lengths=[5, 3, 3, 2], schemes=["SIER2"])
     assert [each.steps for each in found.lengths] == [2, 3, 5]
     # With its error the first is dearer, and the last is not known.
     assert found.stepsPerTrial == 3
@@ -79,12 +88,12 @@ def test_the_cheapest_length_is_taken(monkeypatch):
 def test_a_length_that_does_not_reverse_is_left_out(monkeypatch):
     monkeypatch.setattr(metropolis, "reversal_error", lambda engine, steps: 1.0 if steps > 4 else 0.0)
     context = wells(n=4)
-    found = tune(context, trials=10, samples=10, lengths=[2, 8])
+    found = tune(context, trials=10, samples=10, lengths=[2, 8], schemes=["SIER2"])
     assert "missed its start" in found.lengths[1].refused
     assert "missed its start" in str(found)
     assert found.stepsPerTrial == 2
     with pytest.raises(openmm.OpenMMException, match="missed its start"):
-        tune(context, trials=10, samples=10, lengths=[8])
+        tune(context, trials=10, samples=10, lengths=[8], schemes=["SIER2"])
 
 
 def bonded(mass, strength, **options):
@@ -101,8 +110,8 @@ def test_steps_stay_below_what_a_bond_bears():
     """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
     context = bonded(1.0, 2e4, scheme=SIER2)
     with pytest.warns(UserWarning, match="A step of 4 fs is long"):
-        found = tune(context, 0.05, trials=10, samples=10)
-    refused = [each.step for each in found.steps if math.isinf(each.spread)]
+        found = tune(context, 0.05, trials=10, samples=10, schemes=[SIER2])
+    refused = [each.step for each in found.schemes[0].tried if math.isinf(each.spread)]
     assert refused
     # What was refused is not tried again.
     assert all(one > other for one, other in itertools.pairwise(refused))
@@ -116,8 +125,76 @@ def test_steps_stay_where_kicks_do_not_resonate_with_fast_forces():
     period = 0.024
     context = bonded(12.0, (2 * math.pi / period) ** 2 * 6, fastForceGroups={1})
     with silence():
-        found = tune(context, 0.05, trials=10, samples=10)
+        found = tune(context, 0.05, trials=10, samples=10, schemes=[context.getIntegrator().scheme])
     assert found.stepSize == pytest.approx(0.45 * period)
+
+
+# --- schemes ---
+
+
+@pytest.mark.parametrize(("own", "is_set"), [(SIER2V2, True), (SIER2, False)])
+def test_the_cheapest_scheme_is_chosen(monkeypatch, own, is_set):
+    """In springs a force of SIER2V2 carries a longer time than one of SIER2 does, for equal energy errors."""
+    monkeypatch.setattr(tuning, "_seconds", forces_made)
+    context = wells(n=4, scheme=own)
+    integrator = context.getIntegrator()
+    before = integrator.forceEvaluations
+    found = tune(context, trials=20, samples=20, schemes=["SIER2", "sier2v2", SIER2])
+    assert [each.scheme for each in found.schemes] == [SIER2, SIER2V2]
+    assert found.schemes[0].seconds > found.schemes[1].seconds
+    assert (found.scheme, found.isSet) == (SIER2V2, is_set)
+    assert (integrator.scheme, integrator.trials) == (own, 0)
+    mine = found.schemes[1 if is_set else 0]
+    assert integrator.getSchemeStepSize()._value == mine.step
+    # The same length in time, in whole steps.
+    assert integrator.getStepSize()._value == pytest.approx(found.stepSize * found.stepsPerTrial, abs=mine.step / 2)
+    # Forces of other Contexts are counted too.
+    assert found.forceEvaluations > integrator.forceEvaluations - before
+    assert ("make a new one" in str(found)) != is_set
+
+
+def test_the_line_for_a_script_makes_what_was_found(monkeypatch):
+    monkeypatch.setattr(tuning, "_seconds", forces_made)
+    integrator = seeded(SIERHMCIntegrator(TEMPERATURE, 0.004, SIER2, 3, frictionCoeff=2), 3)
+    well = openmm.CustomExternalForce("1000*(x^2+y^2+z^2)")
+    well.addParticle(0, [])
+    found = tune(context_at(assembled([1.0], well), integrator, np.zeros((2, 1, 3))), trials=10, samples=10)
+    assert found.script in str(found)
+    units = {"kelvin": unit.kelvin, "femtoseconds": unit.femtoseconds, "picosecond": unit.picosecond}
+    made = eval(found.script.removeprefix("integrator = "), {"SIERHMCIntegrator": SIERHMCIntegrator} | units)
+    assert made.scheme == found.scheme
+    assert made.getStepsPerTrial() == found.stepsPerTrial
+    # It has four digits.
+    assert made.getSchemeStepSize()._value == pytest.approx(found.stepSize, rel=5e-4)
+    assert made.getTemperature()._value == TEMPERATURE
+    assert made.getFriction()._value == 2
+
+
+def test_a_scheme_that_cannot_be_tried_is_left_out(monkeypatch):
+    def refused(context, first, time, wanted, trials):
+        if context.getIntegrator().scheme is SIER4G:
+            raise openmm.OpenMMException("no step")
+        return find_step(context, first, time, wanted, trials)
+
+    find_step = tuning._find_step
+    monkeypatch.setattr(tuning, "_find_step", refused)
+    found = tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G, SIER2])
+    assert (found.scheme, found.schemes[0].refused) == (SIER2, "no step")
+    assert "SIER4G  no step" in str(found)
+    with pytest.raises(openmm.OpenMMException, match="no step"):
+        tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G])
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_at_the_best_acceptance_a_longer_step_gains_little(order):
+    spread = spread_at(best_acceptance(order))
+    gains = [times * acceptance_at(spread * times**order) for times in np.linspace(1, 2, 200)]
+    # By its definition 0.95 of the largest, whose place is known to a step of this grid, where it is flat.
+    assert acceptance_at(spread) / max(gains) == pytest.approx(0.95, abs=0.002)
+
+
+def test_usual_trials_are_as_long_for_every_step():
+    assert [usual_steps(step) for step in (0.0, 0.006, 0.01, 0.3)] == [1, 25, 15, 1]
 
 
 @pytest.mark.parametrize("after", [5, 60])
@@ -147,6 +224,8 @@ def test_an_interrupt_restores_step_and_length(monkeypatch, after):
         ({"samples": 2.5}, "samples must be a whole number"),
         ({"lengths": [3, 0]}, "lengths must be at least 1, got 0"),
         ({"lengths": []}, "at least one number of steps"),
+        ({"schemes": []}, "at least one scheme"),
+        ({"schemes": ["SIER9"]}, "scheme must be one of SIER2"),
     ],
 )
 def test_arguments_that_make_no_sense(options, message):

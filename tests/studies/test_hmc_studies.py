@@ -1,12 +1,14 @@
 """The studies of solvated molecules by hybrid Monte Carlo, in miniature."""
 
+import math
+
 import numpy as np
 import openmm
 import pandas as pd
 import pytest
 
 from openmm_sier import RigidBodies
-from studies.hmc import solutes
+from studies.hmc import lengths, solutes, trials
 from studies.hmc.curvature import Curvature
 from studies.hmc.samples import dihedral
 from tests.support.commands import SYSTEMS
@@ -61,3 +63,34 @@ def test_curvatures_of_known_potentials():
     assert found["rotation_square"] == pytest.approx((torque**2).sum(), rel=1e-4)
     # 400 estimates whose scatter is about the mean itself.
     assert found["rotation_divergence"] == pytest.approx(-2 * field, rel=0.25)
+
+
+def test_costs_beside_those_of_langevin_middle():
+    """Two runs of trials, weighted by their times, beside one of the reference; a run that is too short tells none."""
+    common = {"box": "b", "at": "constant volume", "hydrogens": "4 Da", "broken": "", "fs_per_second": 100.0}
+    of_trials = common | {"method": "SIER2V2 HMC, 9 fs x 17", "accepted": 0.9, "trials": 10}
+    short = {"dipole_cost": 50.0, "dipole_cost_error": math.nan}
+    runs = [
+        common | {"method": trials.REFERENCE, "time": 10.0, "cost": 200.0, "cost_error": 20.0} | short,
+        of_trials | {"time": 10.0, "cost": 100.0, "cost_error": 30.0} | short,
+        of_trials | {"time": 30.0, "cost": 140.0, "cost_error": 40.0} | short,
+    ]
+    row = trials.compared(pd.DataFrame(runs)).iloc[1]
+    assert row["cost"] == pytest.approx(130)
+    # Two forces in 9 fs, and 100 fs in a second.
+    assert row["milliseconds"] == pytest.approx(1e3 * 9 / 200)
+    assert row["relative"] == pytest.approx(0.65)
+    error = math.hypot(math.hypot(0.25 * 30, 0.75 * 40) / 130, 0.1)
+    assert row["relative_error"] == pytest.approx(0.65 * error)
+    assert row["seconds"] == pytest.approx(130 * 0.045)
+    assert math.isnan(row["dipole_cost"])
+
+
+def test_acceptance_by_length():
+    """Of two trajectories one gains as much as 1 kT in its second step, and one fails there."""
+    heat = lengths.GAS_CONSTANT * 300
+    run = {"box": "b", "hydrogens": "heavy", "scheme": "sier2v2", "per_force": 9.0, "step": 18.0, "starts": 2}
+    rows = list(lengths.by_length(run | {"total": [[0, -heat, heat], [0, 0, None]]}, 300))
+    assert [row["length"] for row in rows] == [18, 36]
+    assert [row["acceptance"] for row in rows] == pytest.approx([1, math.exp(-1) / 2])
+    assert [row["about"] for row in lengths.shown_lengths(run | {"total": [[0, 0], [0, 0]]}, 300)] == [36, 72, 144]

@@ -28,7 +28,8 @@ from studies import (
     whole_run,
 )
 from studies.bench import accuracy, peers, usual_inputs
-from studies.hmc import exactness, mixture, solvated
+from studies.domains import __main__ as domains_command
+from studies.hmc import exactness, lengths, mixture, solvated, trial_cost, trials
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
 from tests.support.commands import SYSTEMS, write_lattice
@@ -50,10 +51,11 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"acceptance", "bench", "equipartition", "water", "whole-run"}
+DRAWN = {"acceptance", "bench", "domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed", "water"}
+MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed"}
+MADE_AT_ONCE |= {"trial-cost", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -181,6 +183,27 @@ def framed(found):
 
 
 @miniature(
+    "domains",
+    domains_command,
+    "--models patchy --shorter 200 --rounds 1",
+    "--models chain --kinds bath --methods hmc sier2 inner --steps 40 --shorter 200",
+)
+def domains(found):
+    rows = found["averages"].set_index(["key", "name", "step"])
+    names = ("hmc", "springs-hmc", "sier2", "frames", "langevinmiddle")
+    assert set(rows.loc["patchy"].index.get_level_values("name")) == set(names)
+    # Springs start at rest, and take up to half of the heat in 0.75 ps; 384 degrees of freedom scatter by 7 %.
+    assert rows.loc["patchy", "temperature"].between(100, 450).all()
+    assert rows.loc["chain", "gyration"].between(1, 10).all()
+    assert found["broken"].empty
+    assert (found["speeds"]["ns_a_day"] > 0).all()
+    # Springs have periods of 70 fs, of which 5 fs are a fourteenth; without them 20 fs are short.
+    energies = found["energies"].set_index(["method", "step"])["rms"]
+    assert energies["SIER4G", 20.0] < energies["Verlet, springs", 5.0]
+    assert list(found["gains"]["step"]) == [20, 40, 60]
+
+
+@miniature(
     "schemes",
     schemes,
     "{liquid_64} --forcefield tip3p.xml --dt 2 12 --schemes verlet sier2 sier4g --starts 1 --time 0.3 "
@@ -266,6 +289,45 @@ def bath_averages(found):
     assert rows["solute"].between(150, 450).all()
     assert rows["bonds"].between(5, 100).all()
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
+
+
+@miniature(
+    "trial-lengths",
+    lengths,
+    "{dipeptide} --schemes sier2v2 sier4g --steps 3 7 --starts 3 --longest 42",
+    patches=((lengths, "EQUILIBRATION", 0.3), (lengths, "SHOWN", (42.0,))),
+)
+def trajectories_by_length(found):
+    rows = found["rows"].set_index(["scheme", "per_force"])
+    assert len(rows) == 4
+    # At 7 fs per force SIER4G has steps of 21 fs, which are refused.
+    assert rows.loc[("SIER2V2", 3.0), "acceptance"] > 0.9 > rows.loc[("SIER4G", 7.0), "acceptance"]
+    # In whole steps.
+    assert rows["length"].tolist() == pytest.approx((rows["steps"] * rows["step"]).tolist())
+
+
+@miniature(
+    "trials",
+    trials,
+    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 6" --time 3 --equilibrate 0.2',
+)
+def costs_of_trials(found):
+    rows = found["rows"].set_index("method")
+    assert rows.loc["LangevinMiddle, 4 fs", "relative"] == 1
+    # DHFR, with 33 times the atoms, has 0.9 of trials of 36 fs accepted.
+    assert rows.loc["SIER2V2 HMC, 9 fs x 6", "accepted"] > 0.8
+    # Costs are not known from so short a run; `test_hmc_studies` has those of made-up ones.
+    assert (rows["milliseconds"] > 0).all()
+
+
+@miniature("trial-cost", trial_cost, "--schemes sier2v2 sier2p3 --trials 4 --length 36")
+def what_trials_ask_for(found):
+    rows = found["rows"].set_index(["scheme", "how"])
+    # A scheme that ends with a kick has the energy with its last force, the others ask for it alone.
+    assert rows.loc[("SIER2V2", "one call"), ["both", "energies"]].tolist() == [1, 0]
+    assert rows.loc[("SIER2P3", "one call"), ["both", "energies"]].tolist() == [0, 1]
+    # The list of neighbours is forgotten after checkpoints alone, of which the last is followed by no trial.
+    assert rows["forgotten"].tolist() == 2 * [0, 0, 0.75]
 
 
 @miniature("processed", processed, "--starts 1 --steps 2 --time 0.3 --equilibrate 0.1")

@@ -3,6 +3,7 @@
 import math
 
 import pandas as pd
+import pytest
 
 from studies import text
 
@@ -17,8 +18,8 @@ ROWS = pd.DataFrame(
 
 
 def test_a_column_for_each_heading():
-    """Columns in which nothing is known are left out, those too that the rows do not have."""
-    columns = {"scheme": "{method}", "fs": "{h:g}", "%": "{percent_text}", "what": "{unknown}", "none": "{missing:.2f}"}
+    """Columns in which nothing is known are left out."""
+    columns = {"scheme": "{method}", "fs": "{h:g}", "%": "{percent_text}", "what": "{unknown}"}
     made = text.table(ROWS, columns)
     assert list(made.columns) == ["scheme", "fs", "%"]
     assert made.to_numpy().tolist() == [
@@ -32,6 +33,13 @@ def test_a_column_for_each_value_in_a_heading():
     made = text.table(ROWS[::-1], {"fs": "{h:g}", "{method}, %": "{percent:.2f}"})
     assert list(made.columns) == ["fs", "SIER2, %", "SIER4G, %"]
     assert made.to_numpy().tolist() == [["1", "0.19", "-"], ["2", "0.83", "0.08"]]
+
+
+def test_names_that_are_not_there_are_told():
+    with pytest.raises(ValueError, match="there is no column 'per_cent'; there are method, h, percent"):
+        text.table(ROWS, {"%": "{per_cent:.2f}"})
+    with pytest.raises(ValueError, match="there is no column 'liquid'"):
+        text.table(ROWS, {"fs": "{h:g}", "{liquid}": "{percent:.2f}"})
 
 
 def test_no_rows():

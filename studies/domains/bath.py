@@ -1,0 +1,164 @@
+"""Runs of a model in a heat bath, and their averages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_sier import SIERHMCIntegrator
+from openmm_sier.analysis.statistics import mean_and_error
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.inputs.starts import make_context
+from openmm_sier.integrators.integrator import SIERIntegrator
+from studies.domains.methods import METHODS, TRIAL, Made
+from studies.domains.models import INTERACTIONS, SPRINGS, Model
+from studies.records import replace_file
+from studies.units import md
+
+#: What a sample has. Temperatures in K, energies in kJ/mol without springs, nm, nm^3.
+OBSERVED = ("temperature", "translation", "rotation", "linkers", "potential", "bonds", "gyration", "volume")
+
+#: Step in ps and friction in 1/ps of equilibrations.
+SETTLING, SETTLING_FRICTION = 0.01, 1.0
+
+#: K, above which a run has broken down.
+HIGHEST = 1000.0
+
+ALL_GROUPS = 2**32 - 1
+
+
+def settled(model: Model, time: float, step: float, seed: int, platform: str, kept: Path) -> openmm.State:
+    """The phase point of the rigid model after an equilibration, which is kept in a file for other runs.
+
+    Args:
+        model: its start is minimized, and followed for a tenth of the time in steps of 10 fs, then in the given ones.
+        time: ps.
+        step: fs.
+        seed: of the bath.
+        platform: of OpenMM.
+        kept: XML file.
+    """
+    if kept.exists():
+        return openmm.XmlSerializer.deserialize(kept.read_text())
+    made = METHODS["sier2"].make(model, SETTLING, SETTLING_FRICTION, seed)
+    context = make_context(made.system, made.integrator, platform)
+    context.setPositions(made.positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 500)
+    context.setVelocitiesToTemperature(model.temperature, seed)
+    made.integrator.step(round(0.1 * time / SETTLING))
+    made.integrator.setStepSize(1e-3 * step)
+    made.integrator.step(round(0.9 * time / (1e-3 * step)))
+    state = context.getState(positions=True, velocities=True)
+    replace_file(kept, openmm.XmlSerializer.serialize(state))
+    return state
+
+
+def context_at(made: Made, model: Model, start: openmm.State, seed: int, platform: str) -> openmm.Context:
+    """A Context at a phase point of the rigid model, with new velocities."""
+    context = make_context(made.system, made.integrator, platform)
+    positions = md(start.getPositions(asNumpy=True))
+    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+    context.setPositions(placed(made, positions))
+    context.setVelocitiesToTemperature(model.temperature, seed)
+    return context
+
+
+def placed(made: Made, positions: np.ndarray) -> np.ndarray:
+    """Positions of all particles, those of frames included, from those of atoms."""
+    if made.framed is None:
+        return positions
+    return np.asarray(md(made.framed.addFramePositions(positions)))
+
+
+def averages(
+    model: Model,
+    name: str,
+    step: float,
+    time: float,
+    interval: float,
+    friction: float,
+    start: openmm.State,
+    seed: int,
+    platform: str,
+) -> dict[str, Any]:
+    """Means of `OBSERVED` with errors, of a run whose first tenth is left out; `broken` says why it has none.
+
+    Args:
+        model, name: what is run, and by which of `METHODS`.
+        step: fs.
+        time: ps.
+        interval: ps between two samples, or a step if that is longer.
+        friction: 1/ps.
+        start: positions of the rigid model.
+        seed: of the bath and of the velocities.
+        platform: of OpenMM.
+    """
+    made = METHODS[name].make(model, 1e-3 * step, friction, seed)
+    context = context_at(made, model, start, seed, platform)
+    per_call = 1e-3 * step * (TRIAL if isinstance(made.integrator, SIERHMCIntegrator) else 1)
+    every = max(1, round(interval / per_call))
+    samples = []
+    try:
+        for _ in range(max(1, round(time / (every * per_call)))):
+            made.integrator.step(every)
+            samples.append(sample(model, made, context))
+            if not samples[-1]["temperature"] < HIGHEST:
+                raise openmm.OpenMMException(f"{samples[-1]['temperature']:.0f} K")
+    except (openmm.OpenMMException, ArithmeticError, ValueError, RuntimeError) as error:
+        return {"broken": f"{model.name}, {METHODS[name].name} at {step:g} fs: {' '.join(str(error).split())[:120]}"}
+    kept = samples[len(samples) // 10 :]
+    found: dict[str, Any] = {"broken": "", "samples": len(kept)}
+    for key in OBSERVED:
+        found[key], found[f"{key}_error"], _ = mean_and_error(np.array([each[key] for each in kept]))
+    if isinstance(made.integrator, SIERHMCIntegrator):
+        found["accepted"] = made.integrator.acceptanceRate
+    return found
+
+
+def sample(model: Model, made: Made, context: openmm.Context) -> dict[str, float]:
+    """What is observed of a Context, by `OBSERVED`."""
+    state = context.getState(energy=True, positions=True, groups=ALL_GROUPS - (1 << SPRINGS))
+    interactions = context.getState(energy=True, groups=1 << INTERACTIONS).getPotentialEnergy()
+    positions = md(state.getPositions(asNumpy=True))[: len(model.positions)]
+    potential = md(state.getPotentialEnergy()) - model.offset
+    found = dict.fromkeys(OBSERVED, math.nan)
+    found |= temperatures(made, state)
+    found |= {"potential": potential, "volume": md(state.getPeriodicBoxVolume())}
+    if model.chains:
+        found["bonds"] = potential - md(interactions)
+        masses = np.array([md(model.rigid.getParticleMass(i)) for i in range(len(model.positions))])
+        found["gyration"] = gyration(positions, masses, model.chains)
+    return found
+
+
+def temperatures(made: Made, state: openmm.State) -> dict[str, float]:
+    """Temperatures in K: of all motion and, with this package's integrators, of bodies and linkers."""
+    if isinstance(made.integrator, SIERIntegrator):
+        found = made.integrator.computeTemperatures().in_kelvin()
+        return {
+            "temperature": found.total,
+            "translation": found.translation,
+            "rotation": found.rotation,
+            "linkers": found.flexible,
+        }
+    return {"temperature": 2 * md(state.getKineticEnergy()) / (freedoms(made.system) * GAS_CONSTANT)}
+
+
+def freedoms(system: openmm.System) -> int:
+    """Degrees of freedom in a bath that acts on the centre of mass too."""
+    moving = sum(md(system.getParticleMass(i)) > 0 for i in range(system.getNumParticles()))
+    return 3 * moving - system.getNumConstraints()
+
+
+def gyration(positions: np.ndarray, masses: np.ndarray, chains: Sequence[Sequence[int]]) -> float:
+    """The root of the mean square radius of gyration of chains that are whole, nm."""
+    squares = []
+    for chain in chains:
+        mine, weights = positions[chain], masses[chain] / masses[chain].sum()
+        squares.append(weights @ ((mine - weights @ mine) ** 2).sum(axis=1))
+    return float(np.sqrt(np.mean(squares)))

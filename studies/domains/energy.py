@@ -1,0 +1,102 @@
+"""Runs of a model at constant energy: by Verlet where springs hold bodies, by SIER4G where they are rigid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier import SIER4GIntegrator
+from openmm_sier.analysis.observables import energy_error
+from openmm_sier.analysis.statistics import rms, slope_and_error
+from openmm_sier.inputs.starts import make_context
+from studies.domains import bath
+from studies.domains.methods import METHODS
+from studies.domains.models import Model
+from studies.units import md
+
+#: ps and 1/ps of the bath that gives springs their heat before a run.
+WARMING, WARMING_FRICTION = 20.0, 5.0
+
+#: Steps of the shortest run. There is a sample after each, so that all oscillations of the energy count.
+FEWEST = 10
+
+
+class Integrator(NamedTuple):
+    """An integrator at constant energy.
+
+    Attributes:
+        name: for tables.
+        springs: whether springs hold bodies, which are rigid otherwise.
+        forces: evaluations a step.
+        make: model and step in ps -> integrator.
+    """
+
+    name: str
+    springs: bool
+    forces: int
+    make: Callable[[Model, float], openmm.Integrator]
+
+
+INTEGRATORS = {
+    "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIER4GIntegrator(step, bodies=model.bodies)),
+    "verlet": Integrator("Verlet, springs", True, 1, lambda model, step: openmm.VerletIntegrator(step)),
+}
+
+
+def followed(model: Model, name: str, step: float, time: float, start: openmm.State, seed: int) -> dict[str, Any]:
+    """Errors of the energy H of a run in double precision: rms in kJ/mol and over that of V in per cent, and the drift.
+
+    Args:
+        model, name: what is run, and by which of `INTEGRATORS`.
+        step: fs.
+        time: ps.
+        start: a phase point of the rigid model in the bath; springs are warmed from it.
+        seed: of velocities and of the bath that warms springs.
+    """
+    chosen = INTEGRATORS[name]
+    system = system_of(model, chosen)
+    if chosen.springs:
+        start = warmed(model, start, seed)
+    integrator = chosen.make(model, 1e-3 * step)
+    context = make_context(openmm.XmlSerializer.clone(system), integrator, "Reference")
+    context.setPositions(start.getPositions())
+    context.setVelocities(start.getVelocities())
+    total, potential = [], []
+    for _ in range(max(FEWEST, round(1e3 * time / step))):
+        integrator.step(1)
+        state = context.getState(energy=True)
+        V = md(state.getPotentialEnergy())
+        potential.append(V)
+        total.append(V + md(state.getKineticEnergy()))
+    H = np.array(total)
+    drift, error, _ = slope_and_error(1e-3 * step * np.arange(len(H)), H)
+    return {
+        "forces": chosen.forces,
+        "rms": rms(H),
+        "percent": 100 * energy_error(H, np.array(potential)),
+        "drift": drift,
+        "drift_error": error,
+    }
+
+
+def system_of(model: Model, chosen: Integrator) -> openmm.System:
+    """The System that an integrator is for.
+
+    Raises:
+        ValueError: it is for springs, and the model has none.
+    """
+    system = model.network if chosen.springs else model.rigid
+    if system is None:
+        raise ValueError(f"{model.name} has no springs")
+    return system
+
+
+def warmed(model: Model, start: openmm.State, seed: int) -> openmm.State:
+    """A phase point of the model with springs in the bath."""
+    made = METHODS["langevinmiddle"].make(model, 1e-3 * model.usual, WARMING_FRICTION, seed)
+    context = bath.context_at(made, model, start, seed, "CPU")
+    made.integrator.step(round(1e3 * WARMING / model.usual))
+    return context.getState(positions=True, velocities=True)

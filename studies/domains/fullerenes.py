@@ -1,0 +1,61 @@
+"""Crystals of C60, whose molecules turn: Lennard-Jones atoms with Girifalco's parameters.
+
+Cage and interactions are those of `studies.frames` (L. A. Girifalco, J. Phys. Chem. 96, 858 (1992)). The springs join
+atoms up to two bonds apart, with the strength of the bond CA-CA of AMBER (W. D. Cornell et al., J. Am. Chem. Soc. 117,
+5179 (1995)). The crystal is cubic and face-centred, with a lattice constant of 1.417 nm at room temperature (W. I. F.
+David et al., Europhys. Lett. 18, 219 (1992)).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import openmm
+
+from studies.domains.models import INTERACTIONS, Model, exclude, nearer, pairs_within, springs, with_force
+from studies.frames import CARBON, EPSILON, SIGMA, buckminsterfullerene
+
+#: nm, at 300 K and 1 bar.
+LATTICE = 1.417
+
+#: Springs: kJ/mol/nm^2 and nm.
+STIFFNESS, REACH = 392459.0, 0.26
+
+#: nm, of the interactions and of the distance from which they are switched off.
+CUTOFF, SWITCH = 1.25, 1.1
+
+
+def model(cells: int = 2) -> Model:
+    """A crystal of `cells`^3 cells of four molecules, at 300 K and 1 bar."""
+    system, force, places, bodies = openmm.System(), openmm.NonbondedForce(), [], []
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    # Reaction fields do not matter without charges.
+    force.setCutoffDistance(min(CUTOFF, 0.49 * cells * LATTICE))
+    force.setUseSwitchingFunction(True)
+    force.setSwitchingDistance(min(SWITCH, 0.43 * cells * LATTICE))
+    force.setName("contacts")
+    force.setForceGroup(INTERACTIONS)
+    random = np.random.default_rng(1)
+    faces = 0.5 * np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]])
+    for cell, corner in itertools.product(itertools.product(range(cells), repeat=3), faces):
+        turned = buckminsterfullerene() @ rotation(random)
+        places.append(turned + LATTICE * (np.array(cell) + corner))
+        bodies.append([system.addParticle(CARBON) for _ in turned])
+        for _ in turned:
+            force.addParticle(0, SIGMA, EPSILON)
+    exclude(force, pairs_within(bodies))
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(cells * LATTICE * np.eye(3)))
+    positions = np.concatenate(places)
+    joined = nearer(pairs_within(bodies), positions, REACH)
+    network = with_force(system, springs(positions, dict.fromkeys(joined, STIFFNESS)))
+    return Model("C60", system, network, positions, bodies, pressure=1.0, usual=1.0)
+
+
+def rotation(random: np.random.Generator) -> np.ndarray:
+    """A rotation at random, (3, 3)."""
+    found, triangle = np.linalg.qr(random.normal(size=(3, 3)))
+    found *= np.sign(np.diag(triangle))
+    return found * math.copysign(1, np.linalg.det(found))

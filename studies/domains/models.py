@@ -1,0 +1,85 @@
+"""A model of the study: a System whose bodies are rigid, and one in which springs hold them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+
+#: Force groups: of interactions between bodies, and of springs within them, which the rigid model lacks. Energies that
+#: are compared leave springs out.
+INTERACTIONS, SPRINGS = 4, 5
+
+#: The name of the Force of bonds that join no bodies, and the force group in which they are fast.
+LINKERS, FAST = "bonds of linkers", 1
+
+#: Numbers of two atoms, the lower one first.
+Pair = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Bodies in a bath, rigid or held by springs.
+
+    Attributes:
+        name: for tables.
+        rigid: the System in which bodies are rigid; nothing acts within them.
+        network: one in which springs of the force group `SPRINGS` hold bodies; None without.
+        positions: (N, 3), nm.
+        bodies: atoms of each body.
+        chains: atoms of each molecule of several bodies, of which there is a radius of gyration.
+        temperature: K.
+        pressure: bar; None keeps the volume.
+        usual: the step with which such models are run with springs, fs.
+        offset: kJ/mol, of what cannot move.
+    """
+
+    name: str
+    rigid: openmm.System
+    network: openmm.System | None
+    positions: np.ndarray
+    bodies: Sequence[Sequence[int]]
+    chains: Sequence[Sequence[int]] = ()
+    temperature: float = 300.0
+    pressure: float | None = None
+    usual: float = 10.0
+    offset: float = 0.0
+
+
+def pairs_within(bodies: Sequence[Sequence[int]]) -> set[Pair]:
+    """All pairs of atoms of one body, the lower number first."""
+    return {pair for body in bodies for pair in itertools.combinations(sorted(body), 2)}
+
+
+def nearer(pairs: Iterable[Pair], positions: np.ndarray, reach: float) -> set[Pair]:
+    """The pairs whose atoms are not as far apart as `reach`, nm."""
+    return {(i, j) for i, j in pairs if np.linalg.norm(positions[i] - positions[j]) < reach}
+
+
+def exclude(force: openmm.CustomNonbondedForce | openmm.NonbondedForce, pairs: Iterable[Pair]) -> None:
+    """Leave out the interactions of pairs in a Force that leaves out none of them yet."""
+    for i, j in sorted(pairs):
+        if isinstance(force, openmm.CustomNonbondedForce):
+            force.addExclusion(i, j)
+        else:
+            force.addException(i, j, 0, 1, 0)
+
+
+def springs(positions: np.ndarray, stiffness: Mapping[Pair, float]) -> openmm.HarmonicBondForce:
+    """Springs k/2 (r - r0)^2 at rest in some positions (N, 3) in nm, with k in kJ/mol/nm^2 for each pair."""
+    force = openmm.HarmonicBondForce()
+    force.setName("springs")
+    force.setForceGroup(SPRINGS)
+    for (i, j), k in sorted(stiffness.items()):
+        force.addBond(i, j, float(np.linalg.norm(positions[i] - positions[j])), k)
+    return force
+
+
+def with_force(system: openmm.System, force: openmm.Force) -> openmm.System:
+    """A copy of a System with one more Force."""
+    made = openmm.XmlSerializer.clone(system)
+    made.addForce(force)
+    return made

@@ -1,0 +1,114 @@
+"""Processor time of steps, by turns."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import openmm
+
+from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.inputs.starts import make_context
+from studies.bench.timing import median_and_error, turns
+from studies.domains import bath, energy, lammps
+from studies.domains.methods import METHODS, TRIAL
+from studies.domains.models import Model
+from studies.domains.plans import Plan
+from studies.units import md
+
+#: s of processor time that a turn should take, and steps of LAMMPS in one.
+TURN, LAMMPS_STEPS = 0.2, 500
+
+#: 1/ps.
+FRICTION = 1.0
+
+
+def by_turns(
+    model: Model, plan: Plan, start: openmm.State, rounds: int, seed: int, platform: str
+) -> list[dict[str, Any]]:
+    """Rows with ns a day for each method at each step that the plan has, and for springs at their usual step.
+
+    A step costs the same at any length, but where forces act in inner steps, and in LAMMPS, which renews its lists of
+    neighbours more often. There each length has its own turns.
+    """
+    actions: dict[tuple[str, float], Callable[[], float]] = {}
+    contexts = []
+    for name, steps in plan.baths.items():
+        for step in steps if METHODS[name].inner else [*steps, model.usual][:1]:
+            made = METHODS[name].make(model, 1e-3 * step, FRICTION, seed)
+            contexts.append(bath.context_at(made, model, start, seed, platform))
+            actions[name, step] = _turn(made.integrator)
+    for name, steps in plan.energies.items():
+        chosen = energy.INTEGRATORS[name]
+        integrator = chosen.make(model, 1e-3 * steps[0])
+        context = make_context(openmm.XmlSerializer.clone(energy.system_of(model, chosen)), integrator, platform)
+        context.setPositions(start.getPositions())
+        context.setVelocitiesToTemperature(model.temperature, seed)
+        contexts.append(context)
+        actions[name, steps[0]] = _turn(integrator)
+    with tempfile.TemporaryDirectory() as place:
+        for step in plan.in_lammps if lammps.installed() else ():
+            actions[lammps.SHORT, step] = _turn_of_lammps(model, start, step, seed, Path(place))
+        seconds = turns(actions, rounds)
+    rows: list[dict[str, Any]] = []
+    for (name, step), found in seconds.items():
+        spent = median_and_error(found)
+        for each in [step] if (name, step) in _with_own_turns(plan) else _steps(model, plan, name):
+            rows.append({"method": _name(name), "step": each, **_speed(name, each, spent)})
+    return rows
+
+
+def _with_own_turns(plan: Plan) -> set[tuple[str, float]]:
+    """Methods and steps of which each was timed."""
+    inner = {(name, step) for name, steps in plan.baths.items() if METHODS[name].inner for step in steps}
+    return inner | {(lammps.SHORT, step) for step in plan.in_lammps}
+
+
+def _steps(model: Model, plan: Plan, name: str) -> list[float]:
+    """All steps for which the speed of a method is told."""
+    usual = [model.usual] if name == "langevinmiddle" else []
+    return sorted({*usual, *{**plan.baths, **plan.energies}[name]})
+
+
+def _name(name: str) -> str:
+    """The name of a method for tables."""
+    if name == lammps.SHORT:
+        return lammps.NAME
+    return METHODS[name].name if name in METHODS else energy.INTEGRATORS[name].name
+
+
+def _speed(name: str, step: float, spent: Estimate) -> dict[str, float]:
+    """ms a step, or a trial, and ns a day with errors, from seconds."""
+    simulated = step * (TRIAL if name in METHODS and METHODS[name].exact else 1)
+    a_day = 86400 * 1e-6 * simulated / spent.value
+    share = spent.error / spent.value
+    return {"ms": 1e3 * spent.value, "ms_error": 1e3 * spent.error, "ns_a_day": a_day, "ns_a_day_error": a_day * share}
+
+
+def _turn(integrator: openmm.Integrator) -> Callable[[], float]:
+    """A function that makes some steps, and gives the processor time of one in s."""
+    integrator.step(1)
+    begun = process_time()
+    integrator.step(2)
+    steps = max(2, round(2 * TURN / max(1e-6, process_time() - begun)))
+
+    def take() -> float:
+        begun = process_time()
+        integrator.step(steps)
+        return (process_time() - begun) / steps
+
+    return take
+
+
+def _turn_of_lammps(model: Model, start: openmm.State, step: float, seed: int, place: Path) -> Callable[[], float]:
+    """The same of LAMMPS, which starts anew each time; what it takes to start does not count."""
+    positions = md(start.getPositions(asNumpy=True))
+
+    def take() -> float:
+        made = lammps.run(model, positions, step, LAMMPS_STEPS, LAMMPS_STEPS, FRICTION, seed, place)
+        return made.seconds / LAMMPS_STEPS
+
+    return take

@@ -1,0 +1,183 @@
+"""What exact averages cost beside those of LangevinMiddle: forces and processor time for an independent sample.
+
+    python -m studies.hmc.trials                                                TIP3P, all methods, 100 ps each
+    python -m studies.hmc.trials systems/peptide.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 17"
+    python systems/make.py --model tip3p --molecules 64 --equilibrate 15 --out tip3p-64.pdb
+    python -m studies.hmc.trials tip3p-64.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 17" --time 300
+
+Samples are the potential energy, the dipole of the box and, of a peptide, the cosine of psi. A trial of hybrid Monte
+Carlo has so many steps of so many fs; momenta are drawn anew, or in part by the friction that is named. LangevinMiddle
+has a friction of 5/ps and hydrogens of 3 dalton, hybrid Monte Carlo hydrogens of 4. Each run is kept in trials.jsonl as
+soon as it is done and is not repeated; runs with other seeds or times add to the same averages. Processor time is of
+one thread. Writes trials.json.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import openmm
+import pandas as pd
+from tyro.conf import Positional
+
+from openmm_sier import SIERHMCIntegrator
+from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
+from studies import heat_bath, records, text
+from studies.command import SYSTEMS, chosen, command
+from studies.contestants import Bath, Contestant
+from studies.heat_bath import AVERAGED, BathSettings
+from studies.records import Record, Task
+from studies.report import SILENT, Report
+
+#: What is known of a run beside its averages, with errors.
+COSTS = ("cost", "dipole_cost", "psi_cost")
+
+COLUMNS = {
+    **text.columns("box", "method", "hydrogens", "time"),
+    "accepted": "{accepted:.3f}",
+    "V, kJ/mol": "{potential_text}",
+    "forces an independent V": "{cost:.0f} ± {cost_error:.0f}",
+    "dipole": "{dipole_cost:.0f} ± {dipole_cost_error:.0f}",
+    "cos psi": "{psi_cost:.0f} ± {psi_cost_error:.0f}",
+    "ms a force": "{milliseconds:.2f}",
+    "seconds an independent V": "{seconds:.2f} ± {seconds_error:.2f}",
+    "V over LangevinMiddle": "{relative:.2f} ± {relative_error:.2f}",
+    "dipole over": "{dipole_relative:.2f} ± {dipole_relative_error:.2f}",
+}
+
+
+@dataclass(frozen=True)
+class TrialContestant(Contestant):
+    """Hybrid Monte Carlo, whose name has the number of steps in a trial."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.method}, {self.step:g} fs x {self.steps}{', ' if self.detail else ''}{self.detail}"
+
+
+def _draw(bath: Bath, step: float, scheme: Scheme, steps: int, friction: float | None) -> openmm.Integrator:
+    return SIERHMCIntegrator(bath.temperature, step, scheme, steps, friction, bath.pressure)
+
+
+def _contestant(scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None) -> TrialContestant:
+    details = ([] if friction is None else [f"{friction:g}/ps"]) + (["light"] if mass is None else [])
+    return TrialContestant(
+        f"{scheme.name} HMC",
+        step,
+        partial(_draw, scheme=scheme, steps=steps, friction=friction),
+        scheme.force_evaluations,
+        mass,
+        prepared=True,
+        detail=", ".join(details),
+        steps=steps,
+    )
+
+
+#: Mass of heavy hydrogens, dalton.
+HEAVY = 4.0
+
+#: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, and mass of hydrogens,
+#: None where they keep theirs.
+TRIALS = (
+    *(_contestant(SIER2V2, 9, steps, None, HEAVY) for steps in (6, 11, 17, 33)),
+    _contestant(SIER2V2, 9, 6, 5.0, HEAVY),
+    _contestant(SIER2V2, 10, 15, None, HEAVY),
+    _contestant(SIER2V2, 6, 25, None, None),
+    *(_contestant(SIER2P3, 18, steps, None, HEAVY) for steps in (6, 8)),
+    _contestant(SIER2P3, 12, 12, None, HEAVY),
+    _contestant(SIER4G, 9, 17, None, HEAVY),
+)
+
+#: What others take, with which exact averages are compared.
+REFERENCE = "LangevinMiddle, 4 fs"
+
+METHODS = {
+    **{name: heat_bath.METHODS[name] for name in (REFERENCE, f"{REFERENCE}, light", "SIER2, 9 fs")},
+    **{method.name: method for method in TRIALS},
+}
+
+
+@dataclass(frozen=True)
+class TrialSettings(BathSettings):
+    """Settings of the runs; those of `heat_bath`, with shorter ones.
+
+    Attributes:
+        box: PDB file that names its force field, or dhfr.
+        time: of each run, ps.
+    """
+
+    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
+    time: float = 100.0
+
+    SHARED = ("temperature", "tolerance", "friction")
+
+
+def tasks(settings: TrialSettings) -> Iterator[Task]:
+    """All runs that the settings ask for, seed by seed."""
+    chosen(settings.methods, METHODS, "method")
+    at = "constant volume" if settings.pressure is None else f"{settings.pressure:g} bar"
+    place = {"box": settings.box.stem, "at": at, "time": settings.time}
+    for seed, name in product(range(settings.seed, settings.seed + settings.starts), settings.methods or METHODS):
+        yield Task(settings, place | {"method": name, "seed": seed}, name)
+
+
+def run(task: Task) -> dict[str, Any]:
+    """What a run is kept as, see `heat_bath.measure`."""
+    return task.point | heat_bath.measure(task.settings, METHODS[task.method], task.point["seed"])
+
+
+def study(settings: TrialSettings, report: Report = SILENT) -> Record:
+    """Make the runs that are missing in the directory `out`, and write trials.json."""
+    form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: {cost:.0f} forces an independent V"
+    rows = compared(records.all_runs(settings, "trials", tasks(settings), run, report, form))
+    report.table("What an independent sample costs", text.table(rows, COLUMNS))
+    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "trials.json")
+
+
+def compared(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row for each box, pressure and method, with its costs as a multiple of those of LangevinMiddle."""
+    rows = [_row(mine) for _, mine in runs.groupby(["box", "at", "method"], sort=False)]
+    return pd.DataFrame([row | _relative(row, rows) for row in rows])
+
+
+def _row(runs: pd.DataFrame) -> dict[str, Any]:
+    """Means over the runs of one method in one box, weighted by their time."""
+    row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
+    method = METHODS[row["method"]]
+    row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
+    share = runs["time"] / runs["time"].sum()
+    known = runs.reindex(columns=["accepted", "trials", "fs_per_second", *COSTS, *(f"{name}_error" for name in COSTS)])
+    row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
+    for name in COSTS:
+        # Where a run is too short to show its memory, its cost has no error, and is as little known.
+        is_known = known[f"{name}_error"].notna().all()
+        row[name] = (share * known[name]).sum() if is_known else math.nan
+        row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum() ** 0.5 if is_known else math.nan
+    processor = (runs["time"] * 1e3 / known["fs_per_second"]).sum()
+    row["milliseconds"] = 1e3 * processor / (1e3 * row["time"] / method.step * method.forces)
+    row |= {f"seconds{part}": 1e-3 * row["milliseconds"] * row[f"cost{part}"] for part in ("", "_error")}
+    return row | records.pooled(runs, AVERAGED)
+
+
+def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Forces and processor time of an independent sample over those of LangevinMiddle in the same box."""
+    same = (each for each in rows if (each["box"], each["at"], each["method"]) == (row["box"], row["at"], REFERENCE))
+    reference = next(same, None)
+    if reference is None:
+        return {}
+    found = {}
+    names = {"relative": "cost", "seconds_relative": "seconds", "dipole_relative": "dipole_cost"}
+    for name, of in (names | {"psi_relative": "psi_cost"}).items():
+        found[name] = row[of] / reference[of]
+        errors = [each[f"{of}_error"] / each[of] for each in (row, reference)]
+        found[f"{name}_error"] = found[name] * (errors[0] ** 2 + errors[1] ** 2) ** 0.5
+    return found
+
+
+main = command(TrialSettings, study, __doc__, __name__)
