@@ -6,7 +6,7 @@ from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 from cyclopts.validators import Number
@@ -14,8 +14,10 @@ from pydantic import ValidationError
 
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.fields import Options, options, refusal
+from openmm_sier.cli.seeds import read_seeds
 from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings, flag
 from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
 
 EXIT_CODES = """Exit codes:
 
@@ -57,7 +59,9 @@ Skip = Annotated[
         "settled, if anything)",
     ),
 ]
-Picture = Annotated[Path | None, Parameter(help="draw the logs, as `plot` does, in PNG or SVG (default: no picture)")]
+Picture = Annotated[
+    Path | None, Parameter(help="draw the logs, as `plot` does, in PNG, SVG or HTML (default: no picture)")
+]
 
 
 def _in_words(default: str, of: str, **limits: Any) -> Parameter:
@@ -84,6 +88,21 @@ def run(
     config: Annotated[
         Path | None, _in_words("none", "a TOML file with settings under the names of options, which take their place")
     ] = None,
+    seeds: Annotated[
+        str | None,
+        _in_words(
+            "one run",
+            "run members beside each other that differ in their seeds, such as 1-24 or 1-4,7, each with files of its "
+            "own, -seedN added to their names; go on with those that are not complete, and print means over all",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        _in_words("one for each core, or one on a GPU", "members that run at a time on this machine", gte=1, lte=10**4),
+    ] = None,
+    scheduler: Annotated[
+        str | None, _in_words("this machine", "address of a scheduler of Dask, whose workers run the members")
+    ] = None,
     debug: Debug = False,
 ) -> None:
     """Simulate molecules.
@@ -92,7 +111,49 @@ def run(
     constant energy, temperature or pressure. Writes a trajectory of the atoms that the coordinates list, a log (CSV)
     and a checkpoint, from which --restart goes on without a gap and --start begins a new run, in another ensemble say.
     """
-    _execute("run", options.given(), config)
+    _execute("run", options.given(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
+
+
+@app.command
+def setup(
+    structure: Annotated[Path, Parameter(help="a PDB or PDBx/mmCIF file, of which the first model is taken")],
+    *,
+    out: Annotated[
+        Path | None,
+        _in_words(
+            "after the structure with -water.pdb, in the current directory",
+            "what `run` reads, with the force field named in it",
+        ),
+    ] = None,
+    forcefield: Annotated[
+        list[Path] | None,
+        _in_words(" ".join(FILES), "force-field files, OpenMM's or your own, with water and ions"),
+    ] = None,
+    shape: Annotated[
+        Literal["cube", "octahedron", "dodecahedron"],
+        _in_words("dodecahedron", "of the box: cube, octahedron or dodecahedron, which has the least water"),
+    ] = "dodecahedron",
+    padding: Annotated[
+        float, _in_words(f"{PADDING:g}", "least distance in nm between the solute and its images", gte=0.1, lte=100)
+    ] = PADDING,
+    salt: Annotated[
+        float, _in_words(f"{SALT:g}", "mol/l of ions beyond those that neutralize the solute", gte=0, lte=10)
+    ] = SALT,
+    ph: Annotated[float, _in_words(f"{PH:g}", "by which hydrogens of residues are chosen", gte=0, lte=14)] = PH,
+    leave_out: Annotated[list[str] | None, _in_words("none", "names of residues to leave out")] = None,
+    ends: Annotated[
+        bool, Parameter(negative="", help="add residues that are missing at the ends of chains too, not within alone")
+    ] = False,
+    seed: Annotated[int, _in_words("1", "of the places of what is added", gte=1, lt=2**31)] = 1,
+    overwrite: Annotated[bool, Parameter(negative="", help="replace an earlier file")] = False,
+    debug: Debug = False,
+) -> None:
+    """Make of a structure of an archive what `run` reads.
+
+    Add what a structure lacks, by PDBFixer and OpenMM's Modeller: residues within chains, heavy atoms and hydrogens,
+    then water and ions in a periodic box. Says what was added, and names the force field in the file that it writes.
+    """
+    _execute("setup", structure, out, forcefield, shape, padding, salt, ph, leave_out, ends, seed, overwrite)
 
 
 @app.command
@@ -128,7 +189,7 @@ def plot(
     out: Annotated[
         Path | None,
         _in_words(
-            "beside the first log, with .png", "the picture, PNG or SVG, which takes the place of an earlier one"
+            "beside the first log, with .png", "the picture, PNG, SVG or HTML, which takes the place of an earlier one"
         ),
     ] = None,
     skip: Skip = None,

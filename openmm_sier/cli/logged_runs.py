@@ -156,6 +156,18 @@ class Runs(NamedTuple):
         return [(mine[0]._replace(value=over_runs([one.value for one in mine])), list(mine)) for mine in each]
 
 
+def remarks(runs: Runs) -> list[str]:
+    """Return what is to be known of the means: what they leave out, and what speaks against them."""
+    found = []
+    if runs.begin:
+        reason = f", in which {listed(runs.moving)} had not settled" if runs.moving and runs.settled else ""
+        found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
+    if not runs.settled:
+        found.append(f"warning: {listed(runs.moving)} had not settled at the end: make longer runs")
+    doubtful = [run for run in runs.runs if run.unsettled]
+    return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
+
+
 def listed(names: Sequence[str]) -> str:
     """Names in a sentence."""
     *first, last = names

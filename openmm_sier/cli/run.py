@@ -1,14 +1,14 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import results, run_checks
+from openmm_sier.cli import many, results, run_checks
 from openmm_sier.cli.config import joined, read_config, write_config
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import Misused
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.logged_runs import read_runs
 from openmm_sier.cli.pictures import drawing
@@ -18,12 +18,19 @@ from openmm_sier.cli.starting import start
 from openmm_sier.cli.stopping import StopRequests
 
 
-def execute(given: Mapping[str, Any], config: Path | None = None) -> None:
+def execute(
+    given: Mapping[str, Any],
+    config: Path | None = None,
+    seeds: Sequence[int] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> None:
     """Run `openmm-sier run`.
 
     Args:
         given: settings by name, see `RunSettings`.
         config: a TOML file with more of them.
+        seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.execute`; None for one run.
 
     Raises:
         Misused: there are no coordinates.
@@ -36,6 +43,11 @@ def execute(given: Mapping[str, Any], config: Path | None = None) -> None:
         given = joined(read_config(config), given)
     if "box" not in given and "restart" not in given:
         raise Misused("run needs BOX, the coordinates, or --restart (see openmm-sier run --help)")
+    if seeds:
+        many.execute(given, seeds, workers, scheduler)
+        return
+    if workers or scheduler:
+        raise RunError(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     with FileLocks() as locks, StopRequests() as requests:
         checkpoint = checkpoint_to_resume(given, locks)
         try:

@@ -10,7 +10,7 @@ from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import check_place
-from openmm_sier.cli.logged_runs import Runs, listed, read_runs
+from openmm_sier.cli.logged_runs import Runs, read_runs, remarks
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.results import Quantity
 from openmm_sier.version import __version__
@@ -36,7 +36,7 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
     means = runs.means()
     rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
     table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
-    for remark in _remarks(runs):
+    for remark in remarks(runs):
         note(remark)
     written = [path for path in (json, plot) if path]
     if json:
@@ -49,18 +49,6 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
 
 def _counted(runs: Runs) -> str:
     return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
-
-
-def _remarks(runs: Runs) -> list[str]:
-    """Return what is to be known of the means: what they leave out, and what speaks against them."""
-    found = []
-    if runs.begin:
-        reason = f", in which {listed(runs.moving)} had not settled" if runs.moving and runs.settled else ""
-        found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
-    if not runs.settled:
-        found.append(f"warning: {listed(runs.moving)} had not settled at the end: make longer runs")
-    doubtful = [run for run in runs.runs if run.unsettled]
-    return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
 
 
 def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:

@@ -68,8 +68,8 @@ def best_acceptance(order: int) -> float:
     acceptance of 0.65 for second order and of 0.80 for fourth, is flat, and rejected trials also reverse momenta: this
     is the shortest step with `NEARLY` of it.
 
-    >>> round(best_acceptance(2), 2), round(best_acceptance(4), 2)
-    (0.77, 0.9)
+    >>> round(best_acceptance(2), 3), round(best_acceptance(4), 3)
+    (0.771, 0.895)
     """
     spreads = [0.001 * i for i in range(1, 5000)]
     products = [spread ** (1 / order) * acceptance_at(spread) for spread in spreads]

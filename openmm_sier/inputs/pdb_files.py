@@ -44,13 +44,9 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
             places first, or a box that cannot hold its atoms.
         OSError: the file cannot be read.
     """
-    kind = kind_of(path)
-    if kind not in READERS:
-        raise ForceFieldError(f"{path} is no PDB file with atoms")
+    kind = check_records(path)
     if kind == PDB:
         _check_edges(path)
-        _check_lines(path)
-    _check_alternates(path, kind)
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:
@@ -60,6 +56,22 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
+
+
+def check_records(path: str | Path) -> str:
+    """Return the kind of a PDB or PDBx/mmCIF file, after all reasons to refuse its atoms.
+
+    Raises:
+        ForceFieldError: it is none, is cut off, or has the rarer of two alternate places first.
+        OSError: the file cannot be read.
+    """
+    kind = kind_of(path)
+    if kind not in READERS:
+        raise ForceFieldError(f"{path} is no PDB file with atoms")
+    if kind == PDB:
+        _check_lines(path)
+    _check_alternates(path, kind)
+    return kind
 
 
 def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:

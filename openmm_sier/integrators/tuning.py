@@ -118,7 +118,7 @@ def tune(
 
 
 class _Start(NamedTuple):
-    """What the integrator had.
+    """Hold what the integrator had.
 
     Attributes:
         step: ps.

@@ -98,7 +98,7 @@ class LengthFound(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """What `tune` found; print it.
+    """Hold what `tune` found; print it as tables.
 
     Attributes:
         scheme: the cheapest.

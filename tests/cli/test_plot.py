@@ -222,7 +222,7 @@ def test_a_log_that_is_being_written_is_drawn():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.csv", "--out", "a.jpg"], "a picture ends in .png or .svg, got a.jpg"),
+        (["a.csv", "--out", "a.jpg"], "a picture ends in .png, .svg, .html, got a.jpg"),
         (["a.csv", "--out", "none/a.png"], "there is no directory none for a.png"),
         (["none.csv"], "none.csv: No such file or directory"),
         (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),

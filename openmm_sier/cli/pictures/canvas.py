@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 #: Endings of names, and for each what matplotlib shall write into the file: no time, so that a log gives the same bytes
 #: again.
-FORMATS: dict[str, dict[str, Any]] = {".png": {}, ".svg": {"Date": None}}
+FORMATS: dict[str, dict[str, Any]] = {".png": {}, ".svg": {"Date": None}, ".html": {"Date": None}}
 
 #: Inches.
 WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_HEADINGS = 9.0, 2.6, 1.1
@@ -56,7 +56,7 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
         ModuleNotFoundError: there is no matplotlib; the message says how to install it.
     """
     if path.suffix.lower() not in FORMATS:
-        raise RunError(f"a picture ends in {' or '.join(FORMATS)}, got {path}")
+        raise RunError(f"a picture ends in {', '.join(FORMATS)}, got {path}")
     check_place(path, others, "" if may_replace else "--plot")
     try:
         import matplotlib.figure  # noqa: F401
@@ -67,7 +67,7 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
 
 
 @contextmanager
-def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[Axes]]:
+def panels(path: Path, number: int, title: str, caption: str, page: Callable[[str], str]) -> Iterator[list[Axes]]:
     """Panels below each other with one axis of time, which become a file after they were drawn.
 
     Args:
@@ -75,6 +75,7 @@ def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[A
         number: of panels.
         title: the finding, above all.
         caption: below all, in small letters.
+        page: makes the page of a picture in SVG, for a file that ends in .html.
 
     Raises:
         OSError: the file cannot be written. An earlier one is still there.
@@ -92,5 +93,7 @@ def panels(path: Path, number: int, title: str, caption: str) -> Iterator[list[A
         yield axes
         made.align_ylabels(axes)
         content, suffix = io.BytesIO(), path.suffix.lower()
-        made.savefig(content, format=suffix[1:], metadata=FORMATS[suffix])
-    records.replace(path, content.getbuffer())
+        is_page = suffix == ".html"
+        made.savefig(content, format="svg" if is_page else suffix[1:], metadata=FORMATS[suffix])
+    whole = page(content.getvalue().decode()).encode() if is_page else content.getbuffer()
+    records.replace(path, memoryview(whole))

@@ -6,6 +6,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,8 +14,9 @@ import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
-from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, listed, over_runs
+from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, listed, over_runs, remarks
 from openmm_sier.cli.pictures import canvas, series
+from openmm_sier.cli.pictures.page import page_of
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
 from openmm_sier.cli.results import DENSITY
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
@@ -56,7 +58,8 @@ def draw(runs: Runs, path: Path) -> None:
     """
     found = panels(runs)
     caption = textwrap.fill(caption_of(runs, found), LINE_OF_CAPTION)
-    with canvas.panels(path, len(found), textwrap.fill(title_of(runs), LINE_OF_TITLE), caption) as axes:
+    page = partial(page_of, runs, title_of(runs), [*(each.finding for each in found), *remarks(runs)])
+    with canvas.panels(path, len(found), textwrap.fill(title_of(runs), LINE_OF_TITLE), caption, page) as axes:
         for each, panel in zip(axes, found, strict=True):
             panel.draw(each)
             series.shade_unsettled(each, runs)

@@ -1,0 +1,346 @@
+"""Runs beside each other that differ in their seeds: ordinary runs of the command, on workers of Dask.
+
+A member is a process of its own, `openmm-sier run … --resume --seed N`, which a worker starts and watches. It goes on
+from its checkpoint wherever it is started again. Dask gives members to workers, and once more where a worker died.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from asyncio import CancelledError
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from openmm_sier.dynamics.backend.threads import cores
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+#: How often a member is begun again whose process or worker died.
+RETRIES = 3
+
+#: s, between two looks at a member, and at all of them.
+LOOK, REFRESH = 0.2, 0.5
+
+#: s, for a scheduler to answer, and for members that are stopped to complete their step and their files.
+PATIENCE, LAST_STEP = 30.0, 60.0
+
+#: Bytes at the end of a log in which its last row is.
+LAST_ROW = 2**13
+
+State = Literal["waiting", "running", "complete", "failed", "stopped"]
+
+#: Is given all members whenever something may have changed.
+Watch = Callable[[Sequence["Member"]], None]
+
+
+class RunsError(RuntimeError):
+    """Runs could not be begun, or not be completed."""
+
+
+@dataclass
+class Member:
+    """One of many runs.
+
+    Attributes:
+        seed: of the run.
+        out: its trajectory, after which its other files are named.
+        state: what has become of it.
+        step: the last one in its log.
+        error: what it complained of, in one line.
+        warnings: what it warned of.
+    """
+
+    seed: int
+    out: Path
+    state: State = "waiting"
+    step: int = 0
+    error: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def log(self) -> Path:
+        """Return its log."""
+        return self.out.with_suffix(".csv")
+
+
+class Ended(NamedTuple):
+    """Tell how the process of a member ended: its exit code, the last line of its complaint, and its warnings."""
+
+    code: int
+    error: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+class DiedError(RuntimeError):
+    """The process of a member was killed."""
+
+
+def run_many(
+    box: str | os.PathLike[str],
+    seeds: Sequence[int],
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    retries: int = RETRIES,
+    watch: Watch | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    **options: Any,
+) -> list[Member]:
+    """Run members that differ in their seeds, and go on with those that are not complete.
+
+    Members are `openmm-sier run box --resume --seed N` with files named after `out`, to which "-seedN" is added.
+    Without a scheduler they run beside each other on this machine. With one they run on its workers, which need this
+    package and see the same files under the same names.
+
+    Args:
+        box: coordinates.
+        seeds: of the members.
+        workers: how many run at a time on this machine; None for one on each core.
+        scheduler: address of a scheduler of Dask, such as "tcp://node7:8786".
+        retries: how often a member is begun again whose process or worker died.
+        watch: is given the members once in a while.
+        stop: is asked once in a while whether members are to be stopped. They complete a step and their files.
+        options: of `openmm-sier run` by name, with underscores; lists for options with several values.
+
+    Returns:
+        The members, with what has become of each. A member that failed does not end the others.
+
+    Raises:
+        RunsError: a seed is given twice, the scheduler does not answer, or went away, or Dask failed.
+        ModuleNotFoundError: Dask is not installed.
+    """
+    if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
+        raise RunsError(f"the seed {twice[0]} is given twice: each member has its own")
+    out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
+    members = [Member(seed, named(out, seed)) for seed in seeds]
+    lines = {member.seed: _line(box, member, options) for member in members}
+    with _telling(), _client(scheduler, workers) as client:
+        _Runs(client, members, retries, watch or (lambda _: None), stop).carry_out(lines, _threads(scheduler, workers))
+    return members
+
+
+def named(path: Path, seed: int) -> Path:
+    """Return the name of a file of one member."""
+    return path.with_name(f"{path.stem}-seed{seed}{path.suffix}")
+
+
+def _line(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
+    """Return the words of the command line of a member."""
+    line = ["run", os.fspath(box), "--seed", str(member.seed), "--out", os.fspath(member.out), "--resume"]
+    for name, value in options.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            line.append(f"--{flag}" if value else f"--no-{flag}")
+        elif value is not None:
+            line += [f"--{flag}", *map(str, value if isinstance(value, (list, tuple)) else [value])]
+    return line
+
+
+# --- the pool, which is Dask's ---
+
+
+def _dask() -> Any:
+    try:
+        import distributed
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("many runs need Dask; install it with: pip install 'openmm-sier[many]'") from error
+    return distributed
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """Return connect to a scheduler, or to one within this process, whose workers are threads that watch processes."""
+    distributed = _dask()
+    if scheduler is not None:
+        try:
+            client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise RunsError(f"the scheduler {scheduler} does not answer: {' '.join(str(error).split())}") from error
+        with _closing(client):
+            yield client
+        return
+    cluster = distributed.LocalCluster(
+        n_workers=workers or cores(),
+        threads_per_worker=1,
+        processes=False,
+        # Others may have the usual port; there is no memory to be watched.
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,
+        silence_logs=50,
+    )
+    with _closing(cluster), _closing(distributed.Client(cluster, set_as_default=False)) as client:
+        yield client
+
+
+@contextmanager
+def _closing(opened: Any) -> Iterator[Any]:
+    """Close a client or a cluster, also one whose other end is gone: runs are what they are."""
+    try:
+        yield opened
+    finally:
+        with suppress(Exception, CancelledError):
+            opened.close(timeout=PATIENCE)
+
+
+@contextmanager
+def _telling() -> Iterator[None]:
+    """Tell errors of Dask as those of runs, which lose nothing by them."""
+    try:
+        yield
+    except (RunsError, ModuleNotFoundError):
+        raise
+    except (Exception, CancelledError) as error:
+        message = " ".join(str(error).split())
+        raise RunsError(f"Dask ended the runs: {type(error).__name__} {message}".rstrip()) from error
+
+
+def _threads(scheduler: str | None, workers: int | None) -> int | None:
+    """Return how many threads each member has on this machine; workers elsewhere know for themselves."""
+    return None if scheduler else max(1, cores() // (workers or cores()))
+
+
+class _Runs:
+    """Members that are being carried out.
+
+    Attributes:
+        members: by the future of each that has not ended.
+    """
+
+    def __init__(
+        self, client: Client, members: Sequence[Member], retries: int, watch: Watch, stop: Callable[[], bool]
+    ) -> None:
+        self._client, self._all, self._retries = client, members, retries
+        self._watch, self._stop = watch, stop
+        self.members: dict[Future, Member] = {}
+
+    def carry_out(self, lines: dict[int, list[str]], threads: int | None) -> None:
+        """Carry out the command line of each seed, until all have ended or are stopped."""
+        asked = _dask().Event(f"openmm-sier-stop-{uuid.uuid4().hex}", client=self._client)
+        for member in self._all:
+            task = (lines[member.seed], os.getcwd(), threads, asked.name)
+            future = self._client.submit(carry_out, *task, pure=False, retries=self._retries)
+            self.members[future] = member
+        try:
+            self._wait(None)
+            if self.members:
+                asked.set()
+                self._wait(time.monotonic() + LAST_STEP)
+                for member in self.members.values():
+                    member.state = "stopped"
+        finally:
+            self._watch(self._all)
+
+    def _wait(self, until: float | None) -> None:
+        """Take what has ended, until nothing is left, or a time, or without one until somebody asks for a stop."""
+        while self.members:
+            for future in [future for future in self.members if future.status != "pending"]:
+                _take(future, self.members.pop(future), self._client)
+            _refuse_absence(self._client)
+            for member in self.members.values():
+                _look(member)
+            self._watch(self._all)
+            if time.monotonic() > until if until else self._stop():
+                return
+            time.sleep(REFRESH)
+
+
+def _take(future: Future, member: Member, client: Client) -> None:
+    """Take what has become of a member."""
+    if future.status in ("cancelled", "lost"):
+        raise _gone(client)
+    _look(member)
+    if future.status == "error":
+        member.state, member.error = "failed", " ".join(str(future.exception()).split())
+        return
+    ended = future.result()
+    member.error, member.warnings = ended.error, ended.warnings
+    by_signal = ended.code > 128
+    member.state = "complete" if ended.code == 0 else "stopped" if by_signal else "failed"
+
+
+def _refuse_absence(client: Client) -> None:
+    if client.status != "running":
+        raise _gone(client)
+
+
+def _gone(client: Client) -> RunsError:
+    address = client.scheduler.address if client.scheduler is not None else "of Dask"
+    return RunsError(f"the scheduler {address} went away")
+
+
+def _look(member: Member) -> None:
+    """Look how far a member is, by its log."""
+    with suppress(OSError, ValueError), open(member.log, "rb") as file:
+        file.seek(max(0, os.path.getsize(member.log) - LAST_ROW))
+        *rows, _ = file.read().split(b"\n")
+        step = int(rows[-1].split(b",")[0])
+        if member.state == "waiting" and step != member.step:
+            member.state = "running"
+        member.step = step
+
+
+# --- on a worker ---
+
+
+def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: str) -> Ended:
+    """Carry out a command line in a process of its own, which ends with the worker, and watch it.
+
+    Args:
+        line: words after `openmm-sier`.
+        directory: where the files are.
+        threads: of the process; None for OPENMM_CPU_THREADS of the worker, or one.
+        stop: name of the event that ends all members.
+
+    Raises:
+        DiedError: the process was killed, so that it is worth while to begin it again.
+        distributed.Reschedule: the worker ends before the process, which goes on elsewhere.
+    """
+    distributed = _dask()
+    if not os.path.isdir(directory):
+        return Ended(1, f"the worker on {os.uname().nodename} has no directory {directory}: it needs the same files")
+    worker, asked = distributed.get_worker(), distributed.Event(stop)
+    environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
+    with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "openmm_sier.cli.member", *line],
+            cwd=directory,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=said,
+            stderr=complained,
+            # Ctrl-C in the terminal of whoever waits for all is not for a member.
+            start_new_session=True,
+        )
+        pipe = process.stdin
+        assert pipe is not None
+        with process:
+            is_leaving = False
+            while (code := process.poll()) is None:
+                is_leaving = worker.status != distributed.core.Status.running
+                if is_leaving or asked.is_set():
+                    # The process sees that, completes its step and ends.
+                    pipe.close()
+                time.sleep(LOOK)
+        complaint, notes = _lines(complained), _lines(said)
+    if code and is_leaving:
+        raise distributed.Reschedule
+    if code < 0:
+        raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after it was begun again")
+    warnings = tuple(text for text in notes if text.startswith("warning: "))
+    return Ended(code, complaint[-1].removeprefix("openmm-sier: ") if complaint and code else "", warnings)
+
+
+def _lines(file: Any) -> list[str]:
+    file.seek(0)
+    text: str = file.read().decode(errors="replace")
+    return text.splitlines()

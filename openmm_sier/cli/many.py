@@ -1,0 +1,160 @@
+"""The command `openmm-sier run --seeds`: runs beside each other, how far they are in one table, and their means."""
+
+import logging
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import openmm
+
+from openmm_sier.analysis.many_runs import Member, RunsError, named, run_many
+from openmm_sier.cli import summary
+from openmm_sier.cli.console import note
+from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.logged_runs import FEWEST_ROWS
+from openmm_sier.cli.many_table import watching
+from openmm_sier.cli.pictures import canvas
+from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.seeds import shown
+from openmm_sier.cli.settings import RunSettings, flag
+from openmm_sier.cli.stopping import Stopped, StopRequests
+from openmm_sier.dynamics.backend.threads import cores
+
+#: Options that name a file which each member writes by itself.
+OF_MEMBERS = ("report", "pressure_tensor", "save_config")
+
+#: What a member warns of, and the table of means too.
+UNSETTLED = "not equilibrated"
+
+#: Platforms that share the cores of a machine. Of the others a machine has one or a few, which a run fills.
+ON_CORES = ("CPU", "Reference")
+
+
+def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None, scheduler: str | None) -> None:
+    """Run `openmm-sier run --seeds`.
+
+    Args:
+        given: options of a run by name, those that were given.
+        seeds: of the members.
+        workers: how many run at a time on this machine; None for as many as its platform suits.
+        scheduler: address of a scheduler of Dask; None for this machine.
+
+    Raises:
+        RunError: options contradict each other, or members failed; the message has each complaint once.
+        Stopped: a signal stopped the members.
+        ForceFieldError, RecordError, OSError, ModuleNotFoundError: as their messages say.
+    """
+    options = {name: value for name, value in given.items() if not _is_usual(name, value)}
+    picture = options.pop("plot", None)
+    _check(options, workers, scheduler)
+    settings = new_settings(options)
+    members = [named(settings.out, seed) for seed in seeds]
+    if picture:
+        canvas.check(picture, [settings.box, *members], may_replace=True)
+    _refuse_one_file(options, settings, seeds)
+    box, out = options.pop("box"), options.pop("out", None)
+    at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
+    where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
+    number = "1 run" if len(seeds) == 1 else f"{len(seeds)} runs"
+    note(f"{number} of {settings.title}, to step {settings.length(settings.steps)}, {where}")
+    with _dask_in_silence(), StopRequests() as requests, watching(settings.steps) as watch:
+        requests.defer()
+        try:
+            ended = run_many(
+                box,
+                seeds,
+                out=out,
+                workers=at_a_time,
+                scheduler=scheduler,
+                watch=watch,
+                stop=lambda: requests.received is not None,
+                **options,
+            )
+        except RunsError as error:
+            raise RunError(f"{error}. The same command goes on with what is not complete") from error
+    _tell(ended)
+    if requests.received is not None:
+        raise Stopped(requests.received, f"stopped, {_counted(ended)}; the same command goes on")
+    if any(member.state != "complete" for member in ended):
+        raise RunError(f"{_complaints(ended)}. {_counted(ended)}; the same command goes on with the others")
+    if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
+        note(f"logs of fewer than {FEWEST_ROWS} rows have no means: lower --report-every")
+        return
+    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None)
+
+
+@contextmanager
+def _dask_in_silence() -> Iterator[None]:
+    """Let Dask, which shows where its errors come from, say nothing of what is told in one line."""
+    logging.disable()
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
+    """Refuse what many runs cannot have."""
+    if options.get("restart"):
+        raise RunError("--seeds goes on where checkpoints are: leave --restart out")
+    if options.get("seed") is not None:
+        raise RunError("--seed and --seeds both say which seeds: give one of them")
+    if workers and scheduler:
+        raise RunError("--workers is for this machine: leave it out with --scheduler, which has workers of its own")
+
+
+def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
+    """Refuse files of which each member needs its own under another name."""
+    for name in OF_MEMBERS:
+        if options.get(name):
+            raise RunError(f"{flag(name)} names one file, and each member writes its own: leave it out")
+    for seed in seeds:
+        for read in (settings.box, settings.topology):
+            if read and same_file(named(settings.out, seed), read):
+                raise RunError(f"{named(settings.out, seed)} would destroy {read}: name another file with --out")
+
+
+def _is_usual(name: str, value: object) -> bool:
+    """Return whether a switch is off that is off by itself, for which a command line has no word."""
+    return value is False and RunSettings.model_fields[name].default is False
+
+
+def _usual_workers(platform: str | None) -> int:
+    """Return how many runs a machine has at a time: one for each core, or one alone on a GPU."""
+    there = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
+    fastest = max(there, key=lambda each: each.getSpeed()).getName()
+    return cores() if (platform or fastest) in ON_CORES else 1
+
+
+# --- what is told ---
+
+
+def _counted(members: Sequence[Member]) -> str:
+    complete = sum(member.state == "complete" for member in members)
+    return f"{complete} of {len(members)} runs are complete"
+
+
+def _tell(members: Sequence[Member]) -> None:
+    """Tell each warning once, with the seeds that it is of. The means say which runs were not equilibrated."""
+    told = [(text, member) for member in members for text in member.warnings if UNSETTLED not in text]
+    for text, seeds in _grouped(told):
+        note(f"{text} ({seeds})")
+
+
+def _complaints(members: Sequence[Member]) -> str:
+    """Return what members complained of, each once."""
+    failed = [(member.error or "it was stopped", member) for member in members if member.state != "complete"]
+    return "; ".join(f"{seeds}: {text}" for text, seeds in _grouped(failed))
+
+
+def _grouped(told: Sequence[tuple[str, Member]]) -> list[tuple[str, str]]:
+    """Return texts, each once though it names another file or number in each member, and the seeds that they are of."""
+    first: dict[str, str] = {}
+    seeds: dict[str, list[int]] = {}
+    for text, member in told:
+        alike = re.sub(r"\d+(\.\d+)?", "#", text)
+        first.setdefault(alike, text)
+        seeds.setdefault(alike, []).append(member.seed)
+    return [(first[alike], shown(seeds[alike])) for alike in first]

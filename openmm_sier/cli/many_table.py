@@ -1,0 +1,61 @@
+"""The table of how far many runs are: live in a terminal, otherwise a line once in a while."""
+
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+
+from openmm_sier.analysis.many_runs import Member, Watch
+from openmm_sier.cli.console import LINE_AFTER, clock
+
+
+@contextmanager
+def watching(steps: int) -> Iterator[Watch]:
+    """Show members on standard error while they run.
+
+    Args:
+        steps: of each.
+    """
+    console = Console(stderr=True)
+    started = last = clock()
+    live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+
+    def watch(members: Sequence[Member]) -> None:
+        nonlocal last
+        now = clock()
+        with suppress(OSError):
+            if live:
+                live.update(_table(members, steps), refresh=True)
+            elif now - last >= min(20 * LINE_AFTER, max(LINE_AFTER, (now - started) / 20)):
+                last = now
+                print(described(members, steps), file=sys.stderr, flush=True)
+
+    with suppress(OSError):
+        if live:
+            live.start()
+    try:
+        yield watch
+    finally:
+        with suppress(OSError):
+            if live:
+                live.stop()
+
+
+def described(members: Sequence[Member], steps: int) -> str:
+    """Return how many members are in which state, and how much of all steps is done."""
+    counts = Counter(member.state for member in members)
+    done = sum(min(member.step, steps) for member in members) / (steps * len(members))
+    return f"{', '.join(f'{count} {state}' for state, count in counts.items())}: {100 * done:.0f} % of all steps"
+
+
+def _table(members: Sequence[Member], steps: int) -> Table:
+    made = Table("seed", "", "", "state", title=described(members, steps), title_justify="left")
+    for member in members:
+        bar = ProgressBar(total=steps, completed=min(member.step, steps), width=30)
+        made.add_row(str(member.seed), bar, f"{100 * min(member.step, steps) / steps:.0f} %", member.state)
+    return made

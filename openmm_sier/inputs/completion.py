@@ -1,0 +1,307 @@
+"""Structures as archives have them, made complete by PDBFixer and put into water by OpenMM's Modeller."""
+
+from __future__ import annotations
+
+import io
+import random
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from openmm import app, unit
+
+from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, check_records, extent, refusing
+from openmm_sier.observe.conservation import density
+
+if TYPE_CHECKING:
+    from pdbfixer import PDBFixer
+
+#: The force field of a structure for which none is named.
+FILES = ("amber14-all.xml", "amber14/tip3p.xml")
+
+#: Shapes of boxes, as Modeller names them.
+SHAPES = ("cube", "octahedron", "dodecahedron")
+
+#: nm, the least distance between a solute and its images, mol/l of ions beyond those that neutralize it, and pH.
+PADDING, SALT, PH = 1.0, 0.15, 7.0
+
+#: Modeller's water by the number of its particles. It has one box for all models with as many.
+WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
+
+#: nm, above which a bond between two residues goes across a gap. The longest bonds, of sulfur, have 0.21 nm.
+LONGEST_BOND = 0.3
+
+#: Most residues that a message names.
+NAMED = 6
+
+
+class Completed(NamedTuple):
+    """A structure with all its atoms.
+
+    Attributes:
+        topology: openmm.app.Topology, without a box unless the structure is in water.
+        positions: Quantity.
+        files: of the force field.
+        changes: what was added, replaced or left out, each with how much of it.
+    """
+
+    topology: app.Topology
+    positions: unit.Quantity
+    files: tuple[str, ...]
+    changes: tuple[tuple[str, str], ...]
+
+
+def complete(
+    path: str | Path,
+    files: Sequence[str | Path] = FILES,
+    leave_out: Sequence[str] = (),
+    ends: bool = False,
+    ph: float = PH,
+    seed: int = 1,
+) -> Completed:
+    """Add what a structure lacks, by PDBFixer: residues within chains, heavy atoms and hydrogens.
+
+    Residues that are not standard, such as selenomethionine, become the standard ones that they are made from.
+
+    Args:
+        path: of a PDB or PDBx/mmCIF file, of which the first model is taken.
+        files: of the force field that the structure is for.
+        leave_out: names of residues to leave out.
+        ends: whether residues that are missing at the ends of chains are added too.
+        ph: by which the hydrogens of residues are chosen.
+        seed: of the places of what is added.
+
+    Raises:
+        ForceFieldError: the file is none, a chain has a gap that nothing tells how to fill, a name is that of no
+            residue, or a residue has no template in the force field.
+        ModuleNotFoundError: PDBFixer is not installed.
+        OSError: the file cannot be read.
+    """
+    names = tuple(map(str, files))
+    forcefield = load(names, Path(path).parent)
+    check_records(path)
+    fixer = _fixer(path)
+    changes: list[tuple[str, str]] = []
+    with refusing(f"cannot complete {path}"), _seeded(seed):
+        changes += _left_out(fixer, path, leave_out)
+        changes += _residues(fixer, ends)
+        changes += _atoms(fixer, seed)
+        _refuse_gaps(path, fixer.topology, fixer.positions)
+        before = fixer.topology.getNumAtoms()
+        fixer.addMissingHydrogens(ph)
+        changes.append(("hydrogens added", f"{fixer.topology.getNumAtoms() - before}, for pH {ph:g}"))
+    completed = Completed(fixer.topology, fixer.positions, names, tuple(changes))
+    _refuse_unknown(path, completed, forcefield)
+    return completed
+
+
+def solvate(
+    structure: Completed,
+    shape: str = "cube",
+    padding: float = PADDING,
+    salt: float = SALT,
+    seed: int = 1,
+    beside: str | Path = ".",
+) -> Completed:
+    """Put a structure into water with ions, by Modeller.
+
+    Args:
+        structure: with all its atoms.
+        shape: of the box, one of `SHAPES`.
+        padding: the least distance between the solute and its images, nm.
+        salt: concentration of ions beyond those that neutralize the solute, mol/l.
+        seed: of the places of ions.
+        beside: directory in which files of the force field are looked for too.
+
+    Raises:
+        ForceFieldError: the force field has no water, or no ions.
+    """
+    forcefield = load(structure.files, beside)
+    with refusing(f"cannot add water with the force field {' '.join(structure.files)}"), _seeded(seed):
+        modeller = app.Modeller(structure.topology, structure.positions)
+        modeller.addExtraParticles(forcefield)
+        modeller.addSolvent(
+            forcefield,
+            model=WATERS[_size_of_water(forcefield)],
+            padding=padding * unit.nanometer,
+            boxShape=shape,
+            ionicStrength=salt * unit.molar,
+        )
+        # Whoever reads the file adds them again.
+        modeller.delete([atom for atom in modeller.topology.atoms() if atom.element is None])
+    before, after = (_names(topology) for topology in (structure.topology, modeller.topology))
+    added = after - before
+    waters = added.pop("HOH", 0)
+    ions = ", ".join(f"{count} {name}" for name, count in sorted(added.items()))
+    changes = (
+        ("waters added", f"{waters}" + (f", to {before['HOH']} of the file" if before["HOH"] else "")),
+        ("ions added", ions or "none"),
+        ("box", f"{shape}, {_described_box(modeller.topology)}"),
+    )
+    return structure._replace(
+        topology=modeller.topology, positions=modeller.positions, changes=structure.changes + changes
+    )
+
+
+def as_pdb(structure: Completed) -> str:
+    """Return a PDB file that names its force field, as `openmm-sier run` reads it."""
+    file = io.StringIO()
+    file.writelines(f"{REMARK} {name}\n" for name in structure.files)
+    app.PDBFile.writeFile(structure.topology, structure.positions, file, keepIds=True)
+    return file.getvalue()
+
+
+# --- what is missing ---
+
+
+def _fixer(path: str | Path) -> PDBFixer:
+    """Return PDBFixer's view of a file."""
+    try:
+        from pdbfixer import PDBFixer
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("setup needs PDBFixer; install it with: pip install 'openmm-sier[setup]'") from error
+    with refusing(f"cannot read {path}"):
+        return PDBFixer(filename=str(path))
+
+
+@contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Return seed Python's random numbers, by which Modeller places hydrogens and ions, and put them back at the end."""
+    before = random.getstate()
+    random.seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(before)
+
+
+def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[tuple[str, str]]:
+    """Leave out residues, and return what to say of it."""
+    if not names:
+        return []
+    there = _names(fixer.topology)
+    for name in names:
+        if name not in there:
+            raise ForceFieldError(f"{path} has no residue {name} to leave out, it has {' '.join(sorted(there))}")
+    found = [residue for residue in fixer.topology.residues() if residue.name in names]
+    modeller = app.Modeller(fixer.topology, fixer.positions)
+    modeller.delete(found)
+    fixer.topology, fixer.positions = modeller.topology, modeller.positions
+    return [("residues left out", ", ".join(f"{there[name]} {name}" for name in dict.fromkeys(names)))]
+
+
+def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
+    """Find the residues that chains lack, replace those that are not standard, and return what to say of both."""
+    changes = []
+    fixer.findMissingResidues()
+    chains = list(fixer.topology.chains())
+    kept: dict[tuple[int, int], list[str]] = {}
+    for (chain, place), names in fixer.missingResidues.items():
+        residues = list(chains[chain].residues())
+        inside = 0 < place < len(residues)
+        if inside:
+            where = f"between {_named(residues[place - 1])} and {_named(residues[place])}"
+        else:
+            where = f"{'before' if place == 0 else 'after'} {_named(residues[0 if place == 0 else -1])}"
+        is_added = inside or ends
+        kept |= {(chain, place): names} if is_added else {}
+        changes.append(("residues added" if is_added else "missing at an end, left out", f"{len(names)} {where}"))
+    fixer.missingResidues = kept
+    fixer.findNonstandardResidues()
+    replaced = Counter((residue.name, by) for residue, by in fixer.nonstandardResidues)
+    changes += [("residues replaced", f"{count} {name} by {by}") for (name, by), count in replaced.items()]
+    fixer.replaceNonstandardResidues()
+    return changes
+
+
+def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
+    """Add heavy atoms, those of missing residues included, and return what to say of it."""
+    fixer.findMissingAtoms()
+    incomplete = {*fixer.missingAtoms, *fixer.missingTerminals}
+    missing = sum(map(len, (*fixer.missingAtoms.values(), *fixer.missingTerminals.values())))
+    before = fixer.topology.getNumAtoms()
+    fixer.addMissingAtoms(seed)
+    added = fixer.topology.getNumAtoms() - before
+    if not added:
+        return []
+    where = [f"{missing} to {_listed(incomplete)}"] if missing else []
+    where += [f"{added - missing} of added residues"] if added > missing else []
+    return [("heavy atoms added", ", ".join(where))]
+
+
+def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quantity) -> None:
+    """Refuse bonds across a gap in a chain, with which OpenMM joins the residues on either side."""
+    places = np.array(positions.value_in_unit(unit.nanometer))
+    for one, two in topology.bonds():
+        if one.residue is two.residue:
+            continue
+        length = float(np.linalg.norm(places[one.index] - places[two.index]))
+        if length > LONGEST_BOND:
+            raise ForceFieldError(
+                f"{path}: the chain has a gap of {length:.2g} nm between {_named(one.residue)} and "
+                f"{_named(two.residue)}, and no sequence that fits the chain (SEQRES in a PDB file, "
+                "_entity_poly_seq in a PDBx/mmCIF file) tells what is missing there: take the file as the archive has "
+                "it, or end one chain there (TER) and begin another"
+            )
+
+
+def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.ForceField) -> None:
+    """Refuse residues that have no template in the force field, even if it changes templates at the ends of chains."""
+    topology = structure.topology
+    try:
+        add_virtual_sites(topology, structure.positions, forcefield)
+    except ForceFieldError as error:
+        files = " ".join(structure.files)
+        joined = {atom.residue for bond in topology.bonds() if bond[0].residue != bond[1].residue for atom in bond}
+        alone = [residue for residue in forcefield.getUnmatchedResidues(topology) if residue not in joined]
+        if not alone:
+            raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
+        names = " ".join(dict.fromkeys(residue.name for residue in alone))
+        raise ForceFieldError(
+            f"{path}: the force field {files} has no template for {_listed(alone)}: leave them out by --leave-out "
+            f"{names} (`leave_out` in a script), or name files that have one too by --forcefield (`files`)"
+        ) from error
+
+
+# --- words ---
+
+
+def _names(topology: app.Topology) -> Counter[str]:
+    """Return how many residues of each name there are."""
+    return Counter(residue.name for residue in topology.residues())
+
+
+def _named(residue: Any) -> str:
+    return f"{residue.name} {residue.chain.id} {residue.id}"
+
+
+def _listed(residues: Any) -> str:
+    """Return the names of residues, of many the first ones and how many there are."""
+    ordered = sorted(residues, key=lambda residue: residue.index)
+    names = ", ".join(map(_named, ordered[:NAMED]))
+    return names if len(ordered) <= NAMED else f"{names} and others, {len(ordered)} in all"
+
+
+def _size_of_water(forcefield: app.ForceField) -> int:
+    """Return how many particles a water molecule of the force field has."""
+    topology = app.Topology()
+    residue = topology.addResidue("HOH", topology.addChain())
+    oxygen, *hydrogens = (
+        topology.addAtom(name, app.Element.getBySymbol(name[0]), residue) for name in ("O", "H1", "H2")
+    )
+    for hydrogen in hydrogens:
+        topology.addBond(oxygen, hydrogen)
+    modeller = app.Modeller(topology, np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]) * unit.nanometer)
+    modeller.addExtraParticles(forcefield)
+    return int(modeller.topology.getNumAtoms())
+
+
+def _described_box(topology: app.Topology) -> str:
+    vectors = box_vectors(topology)
+    assert vectors is not None
+    mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in topology.atoms())
+    return f"{extent(vectors)}, {density(mass, abs(float(np.linalg.det(vectors)))):.3g} g/ml"

@@ -1,0 +1,225 @@
+"""`run --seeds`: members beside each other, killed, stopped and refused; the same bytes as single runs."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from openmm_sier.analysis.many_runs import Member
+from openmm_sier.cli import main
+from openmm_sier.cli.many import _grouped
+from openmm_sier.cli.seeds import read_seeds, shown
+from tests.support.commands import SMALL, complaint, contents, log, run, wait_for
+
+pytest.importorskip("distributed")
+
+#: Seconds after which a test fails rather than wait. Each member takes some seconds to begin.
+LIMIT = 300
+
+MANY = [*SMALL, "--out", "a.dcd", "--time", "0.4", "--report-every", "0.02"]
+
+
+def files(place, seeds):
+    return {
+        name: (Path(place) / name).read_bytes() for seed in seeds for name in (f"a-seed{seed}{end}" for end in ENDS)
+    }
+
+
+#: Of the files whose bytes tell where a run went. Checkpoints hold the time of their making.
+ENDS = (".dcd", ".csv")
+
+
+@pytest.fixture(scope="module")
+def single_runs(box, tmp_path_factory):
+    """Directory of runs one after the other."""
+    place = tmp_path_factory.mktemp("single")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        patch.setenv("OPENMM_CPU_THREADS", "1")
+        for seed in (1, 2, 3):
+            line = ["run", box, *MANY, "--seed", seed]
+            line[line.index("a.dcd")] = f"a-seed{seed}.dcd"
+            run(*line)
+    return place
+
+
+def started(box, *options):
+    command = [sys.executable, "-m", "openmm_sier.cli", "run", box, *MANY, *options]
+    return subprocess.Popen(
+        list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    )
+
+
+def ended(process):
+    """Exit code, output and complaint of a process that is to end soon."""
+    try:
+        out, err = process.communicate(timeout=LIMIT)
+    finally:
+        process.kill()
+    return process.returncode, out, "".join(line for line in err.splitlines(True) if "% of all steps" not in line)
+
+
+def rows(seed):
+    path = Path(f"a-seed{seed}.csv")
+    return path.read_text().count("\n") - 1 if path.exists() else 0
+
+
+def process_of(seed):
+    """The process that writes a run, as its lock tells."""
+    return int(re.match(r"process (\d+) ", Path(f".a-seed{seed}.csv.lock").read_text())[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("1-3", [1, 2, 3]), ("7", [7]), ("1-2,9, 4 - 5", [1, 2, 9, 4, 5]), ("2147483647", [2147483647])],
+)
+def test_seeds_are_read(text, seeds):
+    assert read_seeds(text) == seeds
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0", "0-3", "3-1", "1,1", "1-3,2", "a", "1.5", "-3", "1-", "1-99999", "2147483648"]
+)
+def test_seeds_that_are_none(capsys, text):
+    message = complaint(capsys, "run", "box.pdb", f"--seeds={text}", code=main.MISUSED)
+    assert "expected" in message
+    assert repr(text) in message
+
+
+def test_seeds_are_shown_as_they_are_read():
+    assert shown([3, 1, 2, 9]) == "seeds 1-3,9"
+    assert shown([4]) == "seed 4"
+
+
+def test_each_complaint_is_told_once():
+    members = [Member(seed, Path(f"a-seed{seed}.dcd")) for seed in (1, 2, 5)]
+    told = [(f"a-seed{member.seed}.dcd: no space at step {10 * member.seed}", member) for member in members]
+    assert _grouped([*told, ("another", members[0])]) == [
+        ("a-seed1.dcd: no space at step 10", "seeds 1-2,5"),
+        ("another", "seed 1"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seeds", "1-2", "--seed", "3"], "--seed and --seeds both say which seeds"),
+        (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, and each member writes its own"),
+        (["--seeds", "1-2", "--pressure-tensor", "b.csv"], "--pressure-tensor names one file"),
+        (["--seeds", "1-2", "--restart", "a.chk"], "leave --restart out"),
+        (["--seeds", "1-2", "--workers", "2", "--scheduler", "tcp://a:1"], "--workers is for this machine"),
+        (["--workers", "2"], "--workers needs --seeds"),
+        (["--scheduler", "tcp://a:1"], "--scheduler needs --seeds"),
+        (["--seeds", "1-2", "--ensemble", "nvt", "--pressure", "1"], "--pressure needs --ensemble npt or hmc"),
+    ],
+)
+def test_options_that_do_not_go_together(box, capsys, options, message):
+    before = contents(Path())
+    assert message in complaint(capsys, "run", box, *options)
+    assert contents(Path()) == before
+
+
+def test_without_dask(box, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert "pip install 'openmm-sier[many]'" in complaint(capsys, "run", box, *MANY, "--seeds", "1-2")
+
+
+@pytest.mark.slow
+def test_a_killed_member_goes_on_and_all_are_as_single_runs(box, single_runs):
+    process = started(box, "--seeds", "1-3", "--workers", "2")
+    wait_for(lambda: rows(2) > 6, process, LIMIT)
+    os.kill(process_of(2), signal.SIGKILL)
+    code, out, err = ended(process)
+    assert (code, err) == (0, "")
+    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
+    assert "3 runs of SIER2, NVE, 4 fs, to step 100 (0.4 ps), 2 at a time" in out
+    assert "mean over 3 runs" in out
+    # The same command once more finds all complete, and draws them.
+    before = contents(Path())
+    code, out, err = ended(started(box, "--seeds", "1-3", "--workers", "2", "--plot", "a.png"))
+    assert (code, err) == (0, "")
+    after = contents(Path())
+    assert after.pop("a.png").startswith(b"\x89PNG")
+    assert after == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT"])
+def test_a_second_call_goes_on_after_the_first_was_ended(box, single_runs, name):
+    process = started(box, "--seeds", "1-3", "--workers", "3")
+    wait_for(lambda: max(map(rows, (1, 2, 3))) > 3, process, LIMIT)
+    running = [process_of(seed) for seed in (1, 2, 3) if Path(f".a-seed{seed}.csv.lock").exists()]
+    process.send_signal(getattr(signal, name))
+    code, _, err = ended(process)
+    if name == "SIGINT":
+        assert code == 130
+        assert re.fullmatch(r"openmm-sier: stopped, \d of 3 runs are complete; the same command goes on\n", err)
+    # Members complete a step and their files by themselves.
+    until = time.monotonic() + LIMIT
+    while any(Path(f"/proc/{number}").exists() for number in running):
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
+    assert (code, err) == (0, "")
+    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
+
+
+@pytest.mark.slow
+def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
+    Path("a-seed2.csv").write_text("mine\n")
+    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
+    assert code == 1
+    assert err.count("\n") == 1
+    assert "seed 2: a-seed2.csv exists, but there is no checkpoint a-seed2.chk to go on from" in err
+    assert "2 of 3 runs are complete; the same command goes on with the others" in err
+    assert files(".", (1, 3)) == files(single_runs, (1, 3))
+    assert Path("a-seed2.csv").read_text() == "mine\n"
+
+
+@pytest.fixture
+def scheduler():
+    """A scheduler of Dask with two workers: its address, its process and theirs."""
+    programs = []
+
+    def start(module, *options):
+        command = [sys.executable, "-m", f"distributed.cli.{module}", *options]
+        programs.append(subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL))
+        return programs[-1]
+
+    first = start(
+        "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"
+    )
+    wait_for(lambda: Path("s.json").exists() and Path("s.json").read_text().rstrip().endswith("}"), first)
+    address = re.search(r"tcp://[\d.]+:\d+", Path("s.json").read_text())[0]
+    options = ["--nthreads", "1", "--no-dashboard", "--memory-limit", "0", "--death-timeout", "60", "--no-nanny"]
+    workers = [start("dask_worker", address, *options) for _ in range(2)]
+    yield address, first, workers
+    for program in programs:
+        program.kill()
+        program.wait()
+
+
+@pytest.mark.slow
+def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
+    address, first, workers = scheduler
+    process = started(box, "--seeds", "1-3", "--scheduler", address)
+    wait_for(lambda: max(map(rows, (1, 2, 3))) > 3, process, LIMIT)
+    workers[0].kill()
+    done = sum(map(rows, (1, 2, 3)))
+    wait_for(lambda: sum(map(rows, (1, 2, 3))) > done + 6, process, LIMIT)
+    first.kill()
+    code, _, err = ended(process)
+    assert code == 1
+    assert err == (
+        f"openmm-sier: the scheduler {address} went away. The same command goes on with what is not complete\n"
+    )
+    # On this machine now.
+    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
+    assert (code, err) == (0, "")
+    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
+    assert len(log("a-seed3.csv")["Step"]) == 21
