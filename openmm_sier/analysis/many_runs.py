@@ -159,7 +159,7 @@ def _dask() -> Any:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """Return connect to a scheduler, or to one within this process, whose workers are threads that watch processes."""
+    """Connect to a scheduler, or to one within this process, whose workers are threads that watch processes."""
     distributed = _dask()
     if scheduler is not None:
         try:

@@ -170,7 +170,7 @@ def _fixer(path: str | Path) -> PDBFixer:
 
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
-    """Return seed Python's random numbers, by which Modeller places hydrogens and ions, and put them back at the end."""
+    """Seed Python's random numbers, by which Modeller places hydrogens and ions, and put them back at the end."""
     before = random.getstate()
     random.seed(seed)
     try:

@@ -72,7 +72,7 @@ class RunawayWatch:
         self._steps, self._pause = 0, FIRST_LOOK
 
     def begin(self, context: openmm.Context) -> None:
-        """Return note the temperature of a new start, before steps are made from it."""
+        """Note the temperature of a new start, before steps are made from it."""
         if self._start is None:
             self._start = self._temperature(context)
 

@@ -288,7 +288,7 @@ class Vibrations:
         return accurate_step(inner, bond.period) if bond else math.inf
 
     def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: Remedy | None = None) -> None:
-        """Return judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
+        """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
         if bond := _fastest(self._bonds, groups):
             remedy = remedy or (advice.PREPARE if bond.can_be_fast else advice.SHORTER_STEP)
             stable, accurate = _limits(scheme, bond.period)
