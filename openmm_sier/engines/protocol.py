@@ -301,7 +301,7 @@ class Engine(ABC):
 
     @cached_property
     def check_step(self) -> StepCheck:
-        """Refuses steps that are too long for what moves."""
+        """Refuse steps that are too long for what moves."""
         return StepCheck(self._context.getSystem(), self.moving)
 
     def inner_step(self, flow: Flow) -> float:
