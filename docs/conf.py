@@ -79,7 +79,7 @@ INNER = (
     "Volume",
 )
 nitpick_ignore_regex = [
-    ("py:class", r"(openmm|numpy|collections|os)\..*"),
+    ("py:class", r"(openmm|numpy|collections|os|pathlib)\..*"),
     ("py:class", rf"openmm_sier\..*\.({'|'.join(INNER)})"),
     ("py:exc", r".*(Error|Exception)"),
 ]
