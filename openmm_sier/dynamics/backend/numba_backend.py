@@ -27,7 +27,7 @@ def _rotate_far(rates: ndarray, part: slice, A: ndarray, L: ndarray, h: float, f
 
 
 class NumbaBackend(NumpyBackend):
-    """What `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
+    """Do what `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
 
     name = "Numba"
 

@@ -28,7 +28,7 @@ def copy(target, source):
 
 
 def rotate(start, stop, A, L, h, rates, out, far):
-    """Free rotation of bodies with equal moments; returns how many are beyond the formula, and sets `far` for those.
+    """Rotate bodies with equal moments freely; return how many are beyond the formula, and set `far` for those.
 
     Args:
         start, stop: range of the bodies.
@@ -61,7 +61,7 @@ def rotate(start, stop, A, L, h, rates, out, far):
 
 
 def rotate_tile(tile, rates, h):
-    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), whether it is valid.
+    """Rotate a tile of bodies freely, from its rows A (9) and L (3) to others: new A (9), and whether it is valid.
 
     There is one array with constant distances between its rows, and no branch or call that is not inlined. So the
     compiler sees that bodies are independent, and handles several with each instruction.
@@ -82,7 +82,7 @@ def rotate_tile(tile, rates, h):
 
 
 def advance(start, stop, q, p, h, inverse_masses, new_q):
-    """Centres after a time h, for a range of the bodies."""
+    """Move centres for a time h, for a range of the bodies."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
@@ -90,13 +90,13 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
 
 
 def drift(start, stop, q, p, A, L, h, rates, inverse_masses, new_q, new_A, far):
-    """`advance` and `rotate` in one call, since beside few bodies calls are what costs."""
+    """Do `advance` and `rotate` in one call, since calls cost more than a few bodies do."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
     return rotate(start, stop, A, L, h, rates, new_A, far)
 
 
 def kick(start, stop, p, L, F, torque, h, new_p, new_L):
-    """As `NumpyBackend.kick` by forces at the centres, for a range of the bodies."""
+    """Do what `NumpyBackend.kick` does by forces at the centres, for a range of the bodies."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_p[x, n] = p[x, n] + h * F[x, n]
@@ -105,7 +105,7 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
 
 
 def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
-    """As `NumpyBackend.kick` by forces at other points, for a range of the bodies."""
+    """Do what `NumpyBackend.kick` does by forces at other points, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         force = F[0, n], F[1, n], F[2, n]
         lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)
@@ -118,7 +118,7 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 def bathe(
     start, stop, p, A, L, kept, kept_turning, kicks, twists, inverse_masses, inverse_moments, new_p, new_L, gained
 ):
-    """As `NumpyBackend.bathe`, for a range of the bodies."""
+    """Do what `NumpyBackend.bathe` does, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
@@ -137,7 +137,7 @@ def bathe(
 
 
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
-    """As `RigidBodies.displaced`, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
+    """Do what `RigidBodies.displaced` does, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
     for n in range(np.uint64(start), np.uint64(stop)):
         x = (A[0, 0, n], A[0, 1, n], A[0, 2, n])
         y = (A[1, 0, n], A[1, 1, n], A[1, 2, n])
@@ -154,7 +154,7 @@ def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moment
 
 
 def columns_of(A, n):
-    """The columns of the attitude matrix of a body, to be read once for all of its sites."""
+    """Return the columns of the attitude matrix of a body, to be read once for all of its sites."""
     return (
         (A[0, 0, n], A[1, 0, n], A[2, 0, n]),
         (A[0, 1, n], A[1, 1, n], A[2, 1, n]),
@@ -163,18 +163,18 @@ def columns_of(A, n):
 
 
 def lab_frame(vector, columns):
-    """A vector of the principal frame in the lab frame."""
+    """Return a vector of the principal frame in the lab frame."""
     x, y, z = columns
     return combine(vector, x[0], x[1], x[2]), combine(vector, y[0], y[1], y[2]), combine(vector, z[0], z[1], z[2])
 
 
 def arm_of(places, j, columns):
-    """The place of a site relative to the centre of its body, in the lab frame."""
+    """Return the place of a site relative to the centre of its body, in the lab frame."""
     return lab_frame((places[0, j], places[1, j], places[2, j]), columns)
 
 
 def place(start, stop, first, q, A, places, atoms, positions):
-    """As `Sites.place`, for a range of the bodies of which `first` is the one with the first row of atoms.
+    """Do what `Sites.place` does, for a range of bodies; `first` is the body with the first row of atoms.
 
     Returns how many bodies have an atom whose position is not finite.
     """
@@ -191,7 +191,7 @@ def place(start, stop, first, q, A, places, atoms, positions):
 
 
 def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, places, atoms, velocities):
-    """As `NumpyBackend.move`, for a range of the bodies; see `place`."""
+    """Do what `NumpyBackend.move` does, for a range of the bodies; see `place`."""
     for n in range(np.uint64(start), np.uint64(stop)):
         columns, m = columns_of(A, n), inverse_masses[n]
         x, y, z = columns
@@ -209,7 +209,7 @@ def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, places, a
 
 
 def collect(start, stop, first, vectors, A, places, weights, atoms, total, moment):
-    """As `Sites.collect`, for a range of the bodies; returns how many have a sum that is not finite. See `place`."""
+    """Do what `Sites.collect` does, for a range of bodies; return how many sums are not finite. See `place`."""
     broken = 0
     for n in range(np.uint64(start), np.uint64(stop)):
         columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -226,7 +226,7 @@ def collect(start, stop, first, vectors, A, places, weights, atoms, total, momen
 
 
 def turn_groups(edges, part, m, q, at, F):
-    """As `NumpyBackend.turn_groups`."""
+    """Do what `NumpyBackend.turn_groups` does."""
     for g in range(len(edges) - 1):
         mass, centre, torque = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for k in range(edges[g], edges[g + 1]):
@@ -253,7 +253,7 @@ def turn_groups(edges, part, m, q, at, F):
 
 
 def pushed(ends, multipliers, bonds, p):
-    """As `constraint_solver.pushed`."""
+    """Do what `constraint_solver.pushed` does."""
     out = p.copy()
     for axis in range(3):
         for c in range(ends.shape[1]):
@@ -264,7 +264,7 @@ def pushed(ends, multipliers, bonds, p):
 
 
 def lengths_after(table, x, p, d):
-    """As `constraint_solver.lengths_after`."""
+    """Do what `constraint_solver.lengths_after` does."""
     ends, squares = table.ends, table.squares
     reached, lacking = x + (d * table.inverse_masses) * p, np.empty(len(squares))
     for c in range(len(squares)):
@@ -275,7 +275,7 @@ def lengths_after(table, x, p, d):
 
 
 def taken(columns, vectors):
-    """As `constraint_solver.taken`."""
+    """Do what `constraint_solver.taken` does."""
     out = np.empty((3, len(columns)))
     for axis in range(3):
         for c in range(len(columns)):
@@ -284,14 +284,14 @@ def taken(columns, vectors):
 
 
 def put(columns, values, vectors):
-    """As `constraint_solver.put`."""
+    """Do what `constraint_solver.put` does."""
     for axis in range(3):
         for c in range(len(columns)):
             vectors[axis, np.uint64(columns[c])] = values[axis, c]
 
 
 def linear_equations(table, bonds):
-    """As `constraint_solver.linear_equations`."""
+    """Do what `constraint_solver.linear_equations` does."""
     ends, inverse_masses = table.ends, table.inverse_masses
     rows, columns, weights = table.rows, table.columns, table.weights
     scale, matrix = np.empty(ends.shape[1]), np.empty(len(rows))
@@ -318,7 +318,7 @@ def multiply(rows, columns, matrix, x, image):
 
 
 def solution(table, matrix, scale, wanted, reduction):
-    """As `constraint_solver.solution`, without temporary arrays."""
+    """Do what `constraint_solver.solution` does, without temporary arrays."""
     rows, columns = table.rows, table.columns
     work = np.zeros((5, len(wanted)))
     x, residual, image, direction, along = work[0], work[1], work[2], work[3], work[4]

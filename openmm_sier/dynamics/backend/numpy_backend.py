@@ -31,14 +31,14 @@ class NumpyBackend:
     def drift(
         self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
     ) -> Pair:
-        """Centres (3, n) and attitudes (3, 3, n) after free motion for a time h, of bodies at q with momenta p, (3, n).
+        """Move bodies at q with momenta p, (3, n), freely for a time h; return centres and attitudes (3, 3, n).
 
         Args and errors: as of `rotate`; inverse masses are (n,).
         """
         return q + (h * inverse_masses) * p, self.rotate(kinds, A, L, h)
 
     def rotate(self, kinds: Kinds, A: ndarray, L: ndarray, h: float) -> ndarray:
-        """Attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
+        """Return attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
 
         Args:
             kinds: inverse moments, descending, of each kind of body, and which bodies are of it. They are (3,), or
@@ -66,7 +66,7 @@ class NumpyBackend:
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
     def kick(self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray) -> Pair:
-        """Momenta and angular momenta about q after forces at other points, and torques about these, for a time h.
+        """Return momenta and angular momenta about q after a time h of forces at other points and torques about these.
 
         All arrays are (3, n).
         """
@@ -76,7 +76,7 @@ class NumpyBackend:
     def bathe(
         self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
     ) -> tuple[ndarray, ndarray, ndarray]:
-        """Momenta and angular momenta of which a part is kept, and the kinetic energy that each body gained, (n,).
+        """Return momenta and angular momenta after a bath, and the kinetic energy that each body gained, (n,).
 
         Args:
             p, L: (3, n).
@@ -93,7 +93,7 @@ class NumpyBackend:
         return new_p, new_L, 0.5 * gained
 
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
-        """Centres and attitudes of bodies displaced by `shift` times their accelerations.
+        """Return centres and attitudes of bodies displaced by `shift` times their accelerations.
 
         Args:
             q, F, tau: centres, forces and torques, (3, n).
@@ -165,7 +165,7 @@ class NumpyBackend:
 
 
 def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[int] | ndarray) -> ndarray:
-    """New attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
+    """Return new attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
     with np.errstate(all="ignore"):
         body_L = formulas.body_frame(A, L)
         any_angle = long_steps.sine_cosine, long_steps.PHASE_CAP

@@ -29,18 +29,18 @@ class Sites:
 
     @cached_property
     def _columns(self) -> list[slice | np.ndarray]:
-        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
+        """Return for each site the index of its atoms in arrays of particles: a slice where the spacing is even."""
         return [as_slice(column) for column in self.atoms.T]
 
     def arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """For each site what picks its atoms, and their places relative to the centres, (3, m)."""
+        """Return for each site the index of its atoms, and their places relative to the centres, (3, m)."""
         x, y, z = A[:, :, self.part]
         for column, place in zip(self._columns, self.places.T, strict=True):
             yield column, combine(place, x, y, z)
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
+    """Return indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)
     step = int(indices[1] - indices[0]) if indices.size else 0

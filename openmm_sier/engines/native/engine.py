@@ -111,7 +111,7 @@ class NativeEngine(Engine):
 
     @cached_property
     def bodies(self) -> RigidBodies:
-        """The rigid and point bodies of the System.
+        """Return the rigid and point bodies of the System.
 
         Raises:
             RigidityError: the System has constraints that do not form rigid bodies.
@@ -237,7 +237,7 @@ class NativeEngine(Engine):
         """Do nothing: the Context has the state at any time."""
 
     def _settle(self) -> None:
-        """After news from outside, make what follows depend on nothing but what the Context holds."""
+        """Make the next steps depend on nothing but the Context, after a change from outside."""
         if not self._is_fresh:
             return
         refuse_what_is_not_finite(Snapshot(self._context))
