@@ -17,6 +17,7 @@ from openmm_sier.engines.choice import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, StepFound, Tuning
 from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.system import own_methods
 from openmm_sier.system.arguments import checked_scheme, group_mask, whole_number
 
 #: The schemes that are compared, beside that of the integrator.
@@ -182,7 +183,12 @@ def _context_for(context: openmm.Context, scheme: Scheme) -> openmm.Context:
     platform = context.getPlatform()
     properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
     made = openmm.Context(context.getSystem(), other, platform, properties)
-    made.setState(context.getState(positions=True, velocities=True, parameters=True))
+    state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
+    own_methods.set_box(made, *state.getPeriodicBoxVectors())
+    for name, value in state.getParameters().items():
+        made.setParameter(name, value)
+    own_methods.set_positions(made, state.getPositions(asNumpy=True))
+    own_methods.set_velocities(made, state.getVelocities(asNumpy=True))
     return made
 
 

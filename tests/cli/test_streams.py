@@ -28,8 +28,9 @@ def texts(path):
 
 
 def test_the_library_names_no_options_of_the_command():
-    named = [(path.name, text) for path in OF_THE_LIBRARY for text in texts(path) if " --" in f" {text}"]
-    assert named == []
+    # Members of many runs are carried out by the command, with its options.
+    others = [path for path in OF_THE_LIBRARY if path.name != "many_runs.py"]
+    assert [(path.name, text) for path in others for text in texts(path) if " --" in f" {text}"] == []
 
 
 def test_the_command_has_words_for_remedies_that_there_are():

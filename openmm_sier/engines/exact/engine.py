@@ -54,7 +54,7 @@ class ExactEngine(Engine):
         """
         super().__init__(task)
         context = task.context
-        self._updates = SystemUpdates(context)
+        self.updates = SystemUpdates(context)
         self._fitting = Fitting(context.getSystem())
         self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
         self._moves_volume = False
@@ -215,7 +215,7 @@ class ExactEngine(Engine):
                 # The last force of the step is that at its end.
                 forces = self.forces
                 forces.take_energy(with_evaluation=forces.evaluations + flow.scheme.force_evaluations)
-            if flow.updates_context and self._updates.act:
+            if flow.updates_context and self.updates.act:
                 self._step_after_updates(step)
             else:
                 # The Context is written to only when the steps are over.
@@ -226,7 +226,7 @@ class ExactEngine(Engine):
         """Make one step, after the System's barostats and thermostats have acted."""
         before = own_methods.get_state(self._context, positions=True)
         try:
-            point = self._with_new_box() if self._updates.are_of_barostats else self._with_new_atoms()
+            point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
             self._complete(point, step)
         except BaseException:
             own_methods.set_box(self._context, *before.getPeriodicBoxVectors())
@@ -239,7 +239,7 @@ class ExactEngine(Engine):
         flow, (time, steps), mark = self.flow, self.clock, self.ledger.mark()
         self.forces.step = steps + 1
         try:
-            if flow.updates_context and self._updates.stops_centre(steps):
+            if flow.updates_context and self.updates.stops_centre(steps):
                 point = self._stopped(point)
             point = step(point)
         except ConstraintError as error:
@@ -268,7 +268,7 @@ class ExactEngine(Engine):
             RigidityError: the positions do not form the bodies any more.
         """
         self.publish()
-        self._updates.let_act(self.flow.step)
+        self.updates.let_act(self.flow.step)
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
         self._context.setTime(self.clock.time + self.flow.step)
         bodies, point, now, before = self.moving, self.point, Snapshot(self._context), self._agreed
@@ -285,7 +285,7 @@ class ExactEngine(Engine):
         bodies, point = self.moving, self.point
         self.forces.place(point.q, point.A)
         before = self._box()
-        self._updates.let_act(self.flow.step)
+        self.updates.let_act(self.flow.step)
         if self._box() == before:
             return point
         self._is_box_new = True
