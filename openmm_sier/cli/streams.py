@@ -27,6 +27,8 @@ AS_OPTIONS = {
     "check forces": "if it drifts alike with both, look at openmm_sier.check_forces in a script",
     "this is the topology": "give coordinates, and this file by --topology {}",
     "name the topology": "name its topology by --topology, as {}",
+    "leave out": "leave them out by --leave-out {}",
+    "more templates": "name files that have one too by --forcefield",
     "name the force field": "give its files with --forcefield, such as {}",
     "name the parameters": "name all their files with --forcefield, such as --forcefield {}",
     "give a box": "give coordinates with their box, or its edges in nm by --edges",

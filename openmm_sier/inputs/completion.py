@@ -16,6 +16,7 @@ from openmm import app, unit
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, check_records, extent, refusing
 from openmm_sier.observe.conservation import density
+from openmm_sier.system.notices import Remedy
 
 if TYPE_CHECKING:
     from pdbfixer import PDBFixer
@@ -262,8 +263,9 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
             raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
         names = " ".join(dict.fromkeys(residue.name for residue in alone))
         raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(alone)}: leave them out by --leave-out "
-            f"{names} (`leave_out` in a script), or name files that have one too by --forcefield (`files`)"
+            f"{path}: the force field {files} has no template for {_listed(alone)}",
+            Remedy("leave out", f"leave them out by leave_out={names.split()}", names),
+            Remedy("more templates", "name files that have one too by `files`"),
         ) from error
 
 
