@@ -75,9 +75,8 @@ class OrnsteinUhlenbeck(Thermostat):
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
-            kept, (width, turning_width) = decay(h)
-            kicks = width * noise[:3], turning_width * noise[3:]
-            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, kicks, inverses)
+            kept, widths = decay(h)
+            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, widths, noise, inverses)
             ledger.draws += 1
             ledger.heat += float(gained.sum())
             return BodyState(state.q, p, state.A, L)

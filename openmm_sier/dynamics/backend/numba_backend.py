@@ -59,10 +59,17 @@ class NumbaBackend(NumpyBackend):
         return new_p, new_L
 
     def bathe(
-        self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
+        self,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        kept: tuple[float, float],
+        widths: Pair,
+        noise: ndarray,
+        inverses: Pair,
     ) -> tuple[ndarray, ndarray, ndarray]:
         new_p, new_L, gained, n = np.empty(p.shape), np.empty(p.shape), np.empty(p.shape[1]), p.shape[1]
-        _shared(numba_loops.bathe)(n, p, A, L, *kept, *kicks, *inverses, new_p, new_L, gained)
+        _shared(numba_loops.bathe)(n, p, A, L, *kept, *widths, noise, *inverses, new_p, new_L, gained)
         return new_p, new_L, gained
 
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:

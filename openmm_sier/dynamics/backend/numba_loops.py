@@ -140,22 +140,37 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 
 
 def bathe(
-    start, stop, p, A, L, kept, kept_turning, kicks, twists, inverse_masses, inverse_moments, new_p, new_L, gained
+    start,
+    stop,
+    p,
+    A,
+    L,
+    kept,
+    kept_turning,
+    width,
+    turning_width,
+    noise,
+    inverse_masses,
+    inverse_moments,
+    new_p,
+    new_L,
+    gained,
 ):
     """As `NumpyBackend.bathe`, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
-            new_p[x, n] = kept * p[x, n] + kicks[x, n]
+            new_p[x, n] = kept * p[x, n] + width[n] * noise[x, n]
             energy += new_p[x, n] * new_p[x, n] - p[x, n] * p[x, n]
             new_L[x, n] = kept_turning * L[x, n]
         energy *= inverse_masses[n]
         for i in range(3):
             along = A[i, 0, n] * L[0, n] + A[i, 1, n] * L[1, n] + A[i, 2, n] * L[2, n]
-            new_along = kept_turning * along + twists[i, n]
+            twist = turning_width[i, n] * noise[3 + i, n]
+            new_along = kept_turning * along + twist
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
-                new_L[x, n] += twists[i, n] * A[i, x, n]
+                new_L[x, n] += twist * A[i, x, n]
         gained[n] = 0.5 * energy
     return 0
 

@@ -86,7 +86,14 @@ class NumpyBackend:
         return p + h * F, L + h * torque
 
     def bathe(
-        self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
+        self,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        kept: tuple[float, float],
+        widths: Pair,
+        noise: ndarray,
+        inverses: Pair,
     ) -> tuple[ndarray, ndarray, ndarray]:
         """Momenta and angular momenta of which a part is kept, and the kinetic energy that each body gained, (n,).
 
@@ -94,12 +101,14 @@ class NumpyBackend:
             p, L: (3, n).
             A: attitudes, (3, 3, n).
             kept: factors of momenta and of angular momenta.
-            kicks: what momenta gain in the lab frame, and angular momenta in the principal frames, (3, n).
+            widths: standard deviations of what momenta gain, (n,), and angular momenta in the principal frames, (3, n).
+            noise: standard normal numbers for momenta and angular momenta, (6, n).
             inverses: of masses and moments.
         """
         inverse_masses, inverse_moments = inverses
-        new_p, along = kept[0] * p + kicks[0], formulas.body_frame(A, L)
-        new_L, new_along = kept[1] * L + formulas.combine(kicks[1], A[0], A[1], A[2]), kept[1] * along + kicks[1]
+        twists, along = widths[1] * noise[3:], formulas.body_frame(A, L)
+        new_p, new_along = kept[0] * p + widths[0] * noise[:3], kept[1] * along + twists
+        new_L = kept[1] * L + formulas.combine(twists, A[0], A[1], A[2])
         gained = (new_p * new_p - p * p).sum(axis=0) * inverse_masses
         gained += ((new_along * new_along - along * along) * inverse_moments).sum(axis=0)
         return new_p, new_L, 0.5 * gained
