@@ -51,17 +51,36 @@ nb_output_stderr = "remove"
 # Docstrings put code between single backquotes.
 default_role = "code"
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"
+# Types come from the signatures, and stand beside what docstrings say of arguments.
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autoclass_content = "both"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
-# Classes of other packages, of which no inventory is at hand, and errors that have no page of their own.
+# Classes of other packages, of which no inventory is at hand, classes that only signatures name, and errors that have
+# no page of their own.
+INNER = (
+    "Actions",
+    "Constraints",
+    "Mark",
+    "Memory",
+    "MoleculeCentres",
+    "Move",
+    "Program",
+    "RigidBodies",
+    "SolverTrial",
+    "Species",
+    "StepCheck",
+    "StockIntegrator",
+    "StoredLedger",
+    "Volume",
+)
 nitpick_ignore_regex = [
-    ("py:class", r"(openmm|numpy|collections)\..*"),
-    # What engines are made of has no page of its own, and bodies have theirs under the name that users import.
-    ("py:class", r"openmm_sier\..*\.(Program|RigidBodies|StepCheck|StoredLedger)"),
+    ("py:class", r"(openmm|numpy|collections|os|pathlib)\..*"),
+    ("py:class", rf"openmm_sier\..*\.({'|'.join(INNER)})"),
     ("py:exc", r".*(Error|Exception)"),
 ]
 

@@ -9,11 +9,7 @@ with any figures, and gets those of the record. The page docs/measurements/trust
 
 from __future__ import annotations
 
-import pandas as pd
-
 from studies import claim_figures as figures
-from studies import records, text, trust
-from studies.sources import DATA
 from studies.trust import ANY, ROOT, Claim
 
 README = ROOT / "README.md"
@@ -38,7 +34,6 @@ CONSTANT_ENERGY = (
         "whole-run.json",
         figures.gain(liquid="TIP5P"),
         {"gain": (3, ANY)},
-        in_readme=True,
         in_paper=True,
         command=f"{WHOLE_RUN} 1.3333333333333333 --liquids TIP5P",
     ),
@@ -47,7 +42,6 @@ CONSTANT_ENERGY = (
         "whole-run.json",
         figures.gain(time=1000.0),
         {"gain": (8, ANY)},
-        in_readme=True,
         in_paper=True,
         command=f"{WHOLE_RUN} 1.3333333333333333 --time 1000",
     ),
@@ -106,7 +100,6 @@ IN_A_HEAT_BATH = (
         "heat-bath.json",
         figures.peptide_in_a_bath,
         {"own": (-0.2, 0.2), "own_bonded": (0, 3)},
-        in_readme=True,
         in_paper=True,
     ),
     Claim(
@@ -173,7 +166,6 @@ EXACT_AVERAGES = (
         "heat-bath.json",
         figures.trials_of_dhfr,
         {"accepted": (85, 100), "trials": (100, ANY)},
-        in_readme=True,
         in_paper=True,
         command=f'{HEAT_BATH} dhfr --methods "SIER4G HMC, 9 fs" --time 4',
     ),
@@ -258,31 +250,16 @@ CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
 
 # --- what is made of the list ---
 
-#: Rows of README's table, by the names that they have in the record.
-SHOWN = {
-    "OpenMM LangevinMiddle, 5 fs": "LangevinMiddle, 5 fs",
-    "OpenMM MTSLangevin, 8 fs": "MTSLangevin, 8 fs",
-    "SIER2 in a bath, 9 fs": "SIER2, 9 fs",
-}
-
-
-def table_of_speeds() -> pd.DataFrame:
-    """Return README's table of text: simulated time over that of LangevinMiddle at 4 fs, in a heat bath."""
-    rows = records.read(DATA / "speed.json").tables["speeds"].set_index("name").loc[list(SHOWN)].reset_index()
-    boxes = rows["box"].str.replace("-", ", ").str.replace("dhfr", "DHFR")
-    named = rows.assign(name=rows["name"].map(SHOWN), box=boxes)
-    return text.table(named, {"": "{name}", "{box}": "{over_middle:.2f}"})
-
 
 def readme(written: str) -> str:
     """Return README with the figures of the records.
 
     Raises:
-        ValueError: it lacks a sentence or the table.
+        ValueError: it lacks a sentence.
     """
     for claim in CLAIMS:
         written = claim.written(written) if claim.in_readme else written
-    return trust.with_table(written, table_of_speeds())
+    return written
 
 
 def draft(written: str) -> str:

@@ -9,7 +9,7 @@ from string import Formatter
 
 import pandas as pd
 
-from studies import records, text
+from studies import records
 from studies.command import SYSTEMS
 from studies.records import Record
 from studies.sources import COMMANDS, DATA
@@ -24,9 +24,6 @@ ANY = float("inf")
 
 #: A figure in a text that is to be replaced.
 FIGURE = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?"
-
-#: A table of Markdown without a heading over its first column, as that of speeds.
-TABLE = re.compile(r"^\| +\|.*\n\|[-| ]+\n(?:\|.*\n)*", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -111,18 +108,6 @@ def listed(claims: Iterable[Claim]) -> str:
         shown = ", then ".join(f"`{command}`" for command in commands)
         parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
     return "\n".join(parts)
-
-
-def with_table(written: str, made: pd.DataFrame) -> str:
-    """Return a text in which the first table without a heading over its first column is this one.
-
-    Raises:
-        ValueError: it has no such table.
-    """
-    written, count = TABLE.subn(lambda _: text.markdown(made), written, count=1)
-    if not count:
-        raise ValueError("there should be a table whose first heading is empty")
-    return written
 
 
 def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:

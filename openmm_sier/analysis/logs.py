@@ -6,11 +6,14 @@ import numpy as np
 
 
 def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict[str, np.ndarray]:
-    """Return all rows of a log, as the command and `ConservationReporter` write them, by column.
+    """Read a log of the command or of `ConservationReporter`, by column.
+
+    >>> columns = read_log("run.csv")
+    >>> energies = columns["Conserved Energy (kJ/mole)"]
 
     Args:
-        path: of the log.
-        whole_lines: whether a last line without its end, as a killed run leaves, is left out rather than refused.
+        path: the CSV file.
+        whole_lines: True leaves out a last line without its end, as a killed run writes it; False refuses it.
 
     Returns:
         An array (rows,) for each name in the heading.

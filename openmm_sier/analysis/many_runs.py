@@ -74,7 +74,7 @@ class Member:
 
 
 class Ended(NamedTuple):
-    """How the process of a member ended: its exit code, the last line of its complaint, and its warnings."""
+    """Tell how the process of a member ended: its exit code, the last line of its complaint, and its warnings."""
 
     code: int
     error: str = ""

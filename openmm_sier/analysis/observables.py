@@ -18,7 +18,7 @@ FEWEST = 8
 
 
 def energy_error(total: np.ndarray, potential: np.ndarray) -> float:
-    """rms(H)/rms(V), the measure of energy conservation. H and V are taken about their means over the whole run.
+    """Return rms(H)/rms(V), the energy error; H and V are taken about their means over the whole run.
 
     Source: van Zon and Schofield (2007), section IV.
 
@@ -38,7 +38,7 @@ def _over_fluctuation(found: float, potential: np.ndarray) -> float:
 
 
 def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """The energy error without what accumulates: H is taken about a straight line in each block of 1 ps.
+    """Return the energy error within 1 ps: H is taken about a straight line in each block.
 
     It tells a step that is too long where H may drift or walk for good reasons, as it does with a heat bath. Blocks are
     longer where they would have fewer than `FEWEST` values.
@@ -58,13 +58,13 @@ def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
-    """Values in blocks of about `BLOCK`, each of at least `FEWEST` of them."""
+    """Return values in blocks of about `BLOCK`, each of at least `FEWEST` of them."""
     number = min(round((time[-1] - time[0]) / BLOCK), len(values) // FEWEST)
     return np.array_split(np.asarray(values, dtype=float), max(1, number))
 
 
 def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """Scatter of the means of H over 1 ps, over rms(V): what is left of the energy error when oscillations average out.
+    """Return the scatter of means of H over 1 ps, over rms(V): the energy error without the oscillations.
 
     Args:
         time: ps, (n,), evenly spaced.

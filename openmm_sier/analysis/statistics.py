@@ -34,7 +34,7 @@ UNSETTLED, FEW_SETTLED = 4.0, 10
 
 
 class Estimate(NamedTuple):
-    """A value and its standard error.
+    """Hold a value and its standard error; print it.
 
     Attributes:
         value: NaN if there is none.
@@ -49,7 +49,7 @@ class Estimate(NamedTuple):
     samples: float = math.inf
 
     def __str__(self) -> str:
-        """Two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
+        """Show two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
         if math.isnan(self.value):
             return "-"
         if not math.isfinite(self.error):
@@ -63,12 +63,12 @@ class Estimate(NamedTuple):
         return f"{self.value:.{digits}f} ± {'≥' if self.samples < FEWEST else ''}{self.error:.{digits}f}"
 
     def times(self, factor: float) -> Estimate:
-        """In another unit."""
+        """Return value and error times a factor, for another unit."""
         return self._replace(value=self.value * factor, error=self.error * abs(factor))
 
 
 def rms(values: np.ndarray) -> float:
-    """Root mean square deviation from the mean."""
+    """Return the root mean square deviation from the mean."""
     return float(np.std(values))
 
 
@@ -76,7 +76,10 @@ def rms(values: np.ndarray) -> float:
 
 
 def mean_and_error(series: np.ndarray) -> Estimate:
-    """Mean of a correlated series (n,); the error is unknown for fewer than `FEWEST` values.
+    """Return the mean of a correlated series (n,); the error is unknown for fewer than `FEWEST` values.
+
+    >>> print(mean_and_error(np.random.default_rng(1).normal(297, 5, size=10000)))
+    296.945 ± 0.050
 
     The variance of a mean of n values is that of the values over n/g, their number of independent samples. The variance
     about the mean of the series is too small by the factor 1 - g/n.
@@ -91,12 +94,19 @@ def mean_and_error(series: np.ndarray) -> Estimate:
 
 
 def of_independent(values: np.ndarray) -> Estimate:
-    """Mean of independent values (n,), n > 1; the error is from their scatter."""
+    """Return the mean of independent values (n,), n > 1; the error is from their scatter.
+
+    >>> print(of_independent(np.array([1.0, 2.0, 3.0])))
+    2.00 ± 0.58
+    """
     return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))))
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
-    """Mean over independent runs, each with the same weight.
+    """Return the mean over independent runs, each with the same weight.
+
+    >>> print(pooled([Estimate(1.0, 0.3), Estimate(2.0, 0.4)]))
+    1.50 ± 0.25
 
     The error is from their scatter if there are `ENOUGH_RUNS`, else from their errors.
     """
@@ -109,7 +119,10 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:
-    """An estimate from all of n samples, and its standard error from leaving out groups of them.
+    """Return an estimate from all of n samples, and its standard error from leaving out groups of them.
+
+    >>> values = np.random.default_rng(1).normal(size=1000)
+    >>> variance = jackknife(lambda kept: values[kept].var(), len(values))
 
     Args:
         estimate: takes the indices of samples and returns a number.
@@ -134,6 +147,11 @@ def settled_from(series: np.ndarray) -> int:
     by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled: its length is returned.
 
     Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+
+    >>> series = np.random.default_rng(1).normal(size=1000)
+    >>> series[:100] += 20
+    >>> bool(settled_from(series) >= 100)
+    True
     """
     values = np.asarray(series, dtype=float)
     n = len(values)
@@ -177,19 +195,23 @@ def _is_told(difference: float, error: float, samples: float) -> bool:
 
 
 def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
-    """Means of equal blocks of a series; a remainder that fills no block is left out at its start."""
+    """Return the means of equal blocks of a series; a remainder that fills no block is left out at its start."""
     values = np.asarray(values, dtype=float)
     length = len(values) // blocks
     return values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
 
 
 def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> Estimate:
-    """Slope of a straight line through a correlated series and its standard error, from the means of equal blocks.
+    """Return the slope of a straight line through a correlated series, and its error from the means of equal blocks.
+
+    >>> x = np.arange(100.0)
+    >>> slope = slope_and_error(x, 3 * x + np.random.default_rng(1).normal(size=100))
 
     The error is that of independent block means, so blocks must be longer than the correlation time.
 
     Args:
-        x, y: the series.
+        x: the first series, (n,).
+        y: the second series, (n,).
         blocks: how many. A series with fewer values has a slope but no error, one of two values or fewer has neither.
     """
     if len(x) < 3:

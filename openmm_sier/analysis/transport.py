@@ -39,7 +39,10 @@ class TooShortError(ValueError):
 def shear_viscosity(
     tensors: np.ndarray, interval: float, volume: float, temperature: float, last: float = MEMORY
 ) -> Estimate:
-    """Shear viscosity, mPa s, by the formula of Green and Kubo.
+    """Compute the shear viscosity, mPa s, by the formula of Green and Kubo.
+
+    >>> tensors = np.random.default_rng(1).normal(scale=500, size=(2000, 6))
+    >>> viscosity = shear_viscosity(tensors, interval=0.02, volume=15.4, temperature=297)
 
     Five components of the traceless pressure tensor are independent, and fluctuate alike in a liquid. The error is from
     the scatter of their integrals in up to eight parts of the run, each at least ten times as long as `last`. The upper
@@ -47,11 +50,11 @@ def shear_viscosity(
     trapezoidal rule, which is exact where nothing in the correlation is as fast as the interval.
 
     Args:
-        tensors: (n, 6), bar, components xx, yy, zz, xy, xz and yz.
-        interval: ps between them.
-        volume: nm^3.
+        tensors: pressure tensors, (n, 6), bar, components xx, yy, zz, xy, xz and yz.
+        interval: time between tensors, ps.
+        volume: volume of the box, nm^3.
         temperature: K.
-        last: ps, to which the correlation is integrated.
+        last: upper limit of the integral over the correlation, ps.
 
     Raises:
         TooShortError: the run is not twice as long as `last`, or the interval is longer than `COARSEST`.
@@ -77,15 +80,19 @@ def shear_viscosity(
 
 
 def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, last: float = 5.0) -> Estimate:
-    """Coefficient of self-diffusion in the periodic box, 10^-9 m^2/s, by Einstein's relation.
+    """Compute the coefficient of self-diffusion in the periodic box, 10^-9 m^2/s, by Einstein's relation.
+
+    >>> walks = np.random.default_rng(1).normal(scale=0.02, size=(300, 64, 3)).cumsum(axis=0)
+    >>> diffusion = self_diffusion(walks, interval=0.1)
 
     Each frame is an origin from which the mean square displacement gives a slope. The result is the mean of these
     slopes, its error that of a correlated series. Later displacements would add more noise than information.
 
     Args:
-        centres: (n, m, 3) of molecules, nm, see `unwrapped`.
-        interval: ps between frames.
-        first, last: ps between which the slope is taken; below, molecules rattle in their cages.
+        centres: centres of m molecules in n frames, (n, m, 3), nm, along continuous paths; see `unwrapped`.
+        interval: time between frames, ps.
+        first: shortest time for the slope, ps; before it molecules rattle in their cages.
+        last: longest time for the slope, ps.
 
     Raises:
         TooShortError: the run is not three times as long as `last`, or frames are more than `last`/5 apart.
@@ -106,7 +113,9 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Positions (n, m, 3) followed through the faces of rectangular boxes of edges (n, 3), without the mean motion.
+    """Follow positions (n, m, 3) through the faces of rectangular boxes of edges (n, 3), without the mean motion.
+
+    >>> paths = unwrapped(np.array([[[0.9, 0, 0], [0, 0, 0]], [[0.1, 0, 0], [0, 0, 0]]]), np.ones((2, 3)))
 
     Each step is the shortest one in the box at its end, which keeps diffusion correct where the box changes.
 
@@ -120,13 +129,16 @@ def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 
 def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: Estimate) -> Estimate:
-    """Coefficient of self-diffusion of an infinite liquid from that in a cubic box, both in 10^-9 m^2/s.
+    """Correct a coefficient of self-diffusion in a cubic box for the size of the box, 10^-9 m^2/s.
+
+    >>> print(without_finite_size(Estimate(2.3, 0.02), temperature=297, edge=2.5, viscosity=Estimate(0.9, 0.05)))
+    2.574 ± 0.025
 
     Args:
-        diffusion: in the box.
+        diffusion: coefficient in the box, 10^-9 m^2/s.
         temperature: K.
-        edge: of the box, nm.
-        viscosity: of the same model, mPa s; its error is propagated.
+        edge: edge of the box, nm.
+        viscosity: viscosity of the same model, mPa s; its error is propagated.
 
     Source: Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004), Eq. 12.
     """

@@ -21,13 +21,13 @@ GROUPS = dict(zip(("translation", "rotation", "flexible molecules"), TEMPERATURE
 
 
 def independent(*series: np.ndarray) -> np.ndarray:
-    """One sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
+    """Return one sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
     every = math.ceil(max(inefficiency(values) for values in series))
     return np.array(series)[:, ::every]
 
 
 def kinetic_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float) -> dict[str, Any]:
-    """Kinetic energies by group, for `physical_validation.kinetic_energy.distribution`.
+    """Return kinetic energies by group, for `physical_validation.kinetic_energy.distribution`.
 
     Degrees of freedom are those from which the temperatures of the logs were computed: the kinetic energy of all motion
     is linear in these temperatures, and its coefficients give the degrees of freedom.
@@ -61,7 +61,7 @@ def kinetic_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float) -
 
 
 def _kinetic_groups(log: Mapping[str, np.ndarray]) -> dict[str, tuple[float, np.ndarray]]:
-    """Degrees of freedom and independent kinetic energies (n,), kJ/mol, of the groups that a log has."""
+    """Return degrees of freedom and independent kinetic energies (n,), kJ/mol, of the groups that a log has."""
     names = [name for name, column in GROUPS.items() if column in log and not np.isnan(log[column]).all()]
     temperatures = np.array([log[GROUPS[name]] for name in names])
     kinetic = np.asarray(log["Kinetic Energy (kJ/mole)"])
@@ -74,7 +74,7 @@ def _kinetic_groups(log: Mapping[str, np.ndarray]) -> dict[str, tuple[float, np.
 
 
 def ensemble_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressure: float | None = None) -> Any:
-    """Potential energies, and volumes with a pressure, for `physical_validation.ensemble.check` of two state points.
+    """Return potential energies, and volumes with a pressure, for `physical_validation.ensemble.check`.
 
     Args:
         logs: columns of each run at this state point, from `openmm-sier run` or `ConservationReporter`.

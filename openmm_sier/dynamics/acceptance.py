@@ -43,7 +43,7 @@ def usual_steps(step: float) -> int:
 
 
 def is_accepted(error: float, seed: int, draw: int) -> bool:
-    """The Metropolis rule: whether the end of a trajectory is accepted; never if the error is NaN.
+    """Tell whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
 
     Args:
         error: energy at its end minus that at its start, in kT.
@@ -68,8 +68,8 @@ def best_acceptance(order: int) -> float:
     acceptance of 0.65 for second order and of 0.80 for fourth, is flat, and rejected trials also reverse momenta: this
     is the shortest step with `NEARLY` of it.
 
-    >>> round(best_acceptance(2), 2), round(best_acceptance(4), 2)
-    (0.77, 0.9)
+    >>> round(best_acceptance(2), 3), round(best_acceptance(4), 3)
+    (0.771, 0.895)
     """
     spreads = [0.001 * i for i in range(1, 5000)]
     products = [spread ** (1 / order) * acceptance_at(spread) for spread in spreads]
@@ -78,7 +78,7 @@ def best_acceptance(order: int) -> float:
 
 
 def spread_at(acceptance: float) -> float:
-    """The standard deviation of energy errors in kT at which a fraction of trials is accepted.
+    """Return the standard deviation of energy errors in kT at which a fraction of trials is accepted.
 
     >>> round(spread_at(0.5), 3)
     1.349

@@ -31,7 +31,7 @@ JUDGED = 10, 30, 70, 150, 310, 630, 1270, 2550
 
 
 class MoveSize(NamedTuple):
-    """The size of volume moves, chosen from what the first of them do.
+    """Choose the size of volume moves by the outcome of the first of them.
 
     Moves of another size between them would break detailed balance. So the size changes ever more rarely, and not at
     all where enough moves are accepted or after the last of `JUDGED`.
@@ -74,7 +74,7 @@ def _change(accepted: float) -> float:
 
 
 class MonteCarloVolumeMove(NamedTuple):
-    """A move of the volume by the method of OpenMM's MonteCarloBarostat.
+    """Describe a move of the volume by the method of OpenMM's MonteCarloBarostat.
 
     Its random numbers are a function of a seed and of the number of draws so far, so that a restart is bit-identical.
 
@@ -105,7 +105,7 @@ class MonteCarloVolumeMove(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """By which edges of the box and centres of molecules are multiplied."""
+        """Return the factor on edges of the box and centres of molecules."""
         return math.exp(self.growth / 3)
 
     def probability(self, gain: float, pressure: float, volume: float, thermal: float) -> float:
@@ -153,7 +153,7 @@ class MoleculeCentres:
         self.count = int(self._owner.max()) + 1
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
-        """Centres, (3, n), at centres of bodies (3, n)."""
+        """Return centres, (3, n), at centres of bodies (3, n)."""
         return np.stack([np.bincount(self._owner, self._weights * x)[self._owner] for x in q])
 
 

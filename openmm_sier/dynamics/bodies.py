@@ -38,7 +38,7 @@ class NotFiniteError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """A phase point of n rigid bodies. States are never changed in place: operators return new ones.
+    """Hold a phase point of n rigid bodies, as `integrator.getBodyState()` returns it. It never changes in place.
 
     Attributes:
         q: centres of mass, (3, n), nm.
@@ -54,7 +54,7 @@ class BodyState:
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
-    """For each particle the number of its molecule.
+    """Return for each particle the number of its molecule.
 
     Args:
         molecules: particle indices of each, as `Context.getMolecules()` gives them.
@@ -67,7 +67,7 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
 
 
 class RigidBodies:
-    """The rigid and point bodies of a system, and what holds them together.
+    """Hold the rigid and point bodies of a system, and the constraints between them.
 
     Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
     are left alone.
@@ -116,11 +116,11 @@ class RigidBodies:
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
-            raise ValueError(f"{self.describe(extended[0])} is linked to another body and is no point")
+            raise ValueError(f"{self.describe(extended[0])} is linked to another body, which only a point can be")
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
-        """Bodies by their numbers of atoms, and the constraints between points: `print(integrator.bodies)`."""
+        """Show bodies by their numbers of atoms, and the constraints between points: `print(integrator.bodies)`."""
         kinds: dict[int, list[int]] = {}
         for s in self.species:
             kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
@@ -137,7 +137,7 @@ class RigidBodies:
 
     @cached_property
     def constraints(self) -> Constraints:
-        """The constraints between point bodies.
+        """Return the constraints between point bodies.
 
         Raises:
             ConstraintError: they contradict each other.
@@ -146,18 +146,18 @@ class RigidBodies:
 
     @cached_property
     def dof(self) -> int:
-        """Degrees of freedom of all bodies."""
+        """Return degrees of freedom of all bodies."""
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
 
     @cached_property
     def flexible(self) -> np.ndarray:
-        """Which bodies are in a molecule with others, (n,), so that the molecule is not rigid."""
+        """Tell which bodies are in a molecule with others, (n,), so that the molecule is not rigid."""
         _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
         return (counts > 1)[place]
 
     @cached_property
     def owners(self) -> np.ndarray:
-        """For each particle the number of its body, (N,); -1 where it has none."""
+        """Return for each particle the number of its body, (N,); -1 where it has none."""
         owners = np.full(self.n_particles, -1)
         for species, part in zip(self.species, self.parts, strict=True):
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
@@ -176,14 +176,14 @@ class RigidBodies:
                 raise ValueError(f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}")
 
     def atoms_of(self, body: int) -> np.ndarray:
-        """Particle indices of one body."""
+        """Return particle indices of one body."""
         for s, part in zip(self.species, self.parts, strict=True):
             if part.start <= body < part.stop:
                 return s.atoms[body - part.start]
         raise IndexError(f"there is no body {body}, only {self.n}")
 
     def describe(self, body: int) -> str:
-        """A name for messages: residue, if known, and atoms of one body."""
+        """Return a name for messages: residue, if known, and atoms of one body."""
         return self.describe_atoms(self.atoms_of(body))
 
     def describe_atoms(self, atoms: Sequence[int] | np.ndarray) -> str:
@@ -201,7 +201,7 @@ class RigidBodies:
     # --- from atoms to bodies ---
 
     def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> backend.Pair:
-        """Centres and attitudes of the bodies that atom positions form.
+        """Return centres and attitudes of the bodies that atom positions form.
 
         Args:
             positions: (N, 3), nm.
@@ -220,7 +220,7 @@ class RigidBodies:
     def fit_with_misfit(
         self, positions: np.ndarray, previous: BodyState | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`fit`, and for each body the largest distance in nm of an atom from its place: (q, A, misfit)."""
+        """Do what `fit` does, and also return the largest distance in nm of an atom from its place: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
         for s, part in zip(self.species, self.parts, strict=True):
@@ -265,7 +265,7 @@ class RigidBodies:
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:
-        """Momenta and angular momenta that atom velocities carry: the rigid part of their motion.
+        """Return momenta and angular momenta that atom velocities carry: the rigid part of their motion.
 
         Args:
             velocities: (N, 3), nm/ps.
@@ -281,7 +281,7 @@ class RigidBodies:
         return self.masses * velocity, self.masses * moment
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> backend.Pair:
-        """Net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
+        """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
             forces: on the particles, (N, 3), kJ/mol/nm. Those on virtual sites must already be passed on to massive
@@ -320,7 +320,7 @@ class RigidBodies:
         return velocities
 
     def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> backend.Pair:
-        """Centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
+        """Return centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
 
         Args:
             q, F, tau: (3, n).
@@ -331,12 +331,12 @@ class RigidBodies:
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:
-        """(n,), 1/dalton."""
+        """Return inverse masses, (n,), 1/dalton."""
         return 1 / self.masses
 
     @cached_property
     def inverse_moments(self) -> np.ndarray:
-        """(3, n), 1/(dalton nm^2); zero where the moment is."""
+        """Return inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
 
     @cached_property
@@ -345,7 +345,7 @@ class RigidBodies:
 
     @cached_property
     def point_particles(self) -> np.ndarray:
-        """For each particle whether it is a body by itself, (N,)."""
+        """Return for each particle whether it is a body by itself, (N,)."""
         alone = np.zeros(self.n_particles, dtype=bool)
         for species in self.species:
             if species.atoms.shape[1] == 1:
@@ -355,18 +355,18 @@ class RigidBodies:
     # --- observables ---
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
-        """Translational and rotational kinetic energy, kJ/mol."""
+        """Return the translational and rotational kinetic energy, kJ/mol."""
         translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
         rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
         return translation, rotation
 
     @cached_property
     def mass(self) -> float:
-        """Of all bodies, dalton."""
+        """Return the mass of all bodies, dalton."""
         return float(self.masses.sum())
 
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Velocity of the centre of mass of all bodies, (3,), nm/ps, at momenta (3, n); zero without bodies."""
+        """Return the velocity of the common centre of mass at momenta (3, n), (3,), nm/ps; zero without bodies."""
         return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
@@ -383,5 +383,5 @@ class RigidBodies:
         return self.mass * float((centre + 0.5 * velocity) @ velocity)
 
     def total_momenta(self, state: BodyState) -> backend.Pair:
-        """Total momentum and total angular momentum about the origin, each (3,)."""
+        """Return the total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)

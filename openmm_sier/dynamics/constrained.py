@@ -55,7 +55,7 @@ def constrained_operators(
     rotation: Rotation = exact,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """The operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
+    """Return the operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
 
     Args:
         bodies: all bodies; those that are constrained are points.
@@ -88,7 +88,7 @@ def projection(constraints: Constraints) -> Operator:
 
 
 def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -> Operator:
-    """An Ornstein-Uhlenbeck process of bodies with projected noise, so that constrained momenta are exactly thermal.
+    """Return an Ornstein-Uhlenbeck process with projected noise, so that constrained momenta are exactly thermal.
 
     Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
     k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are projected too,
@@ -122,7 +122,7 @@ def bath_operator(bath: Thermostat, bodies: RigidBodies, ledger: Ledger) -> Oper
 def constrained_gradient_kick(
     bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
-    """The gradient kick of bodies some of which are constrained; see the module and `operators.gradient_kick`.
+    """Return the gradient kick of bodies some of which are constrained; see the module and `operators.gradient_kick`.
 
     The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
     """
@@ -168,7 +168,7 @@ class DisplacedForces:
         self._masses = constraints.masses[self._part]
 
     def __call__(self, q: np.ndarray, at: np.ndarray, F: np.ndarray) -> np.ndarray:
-        """The forces, (3, n), of the gradient kick on bodies at q by the forces F at displaced positions, (3, n) each.
+        """Return the forces, (3, n), of the gradient kick on bodies at q with forces F, from displaced positions.
 
         They exert the torque of the displaced forces on each group, and need be projected at q.
         """
@@ -203,7 +203,7 @@ def point_operators(
     composition: Sequence[float] = TRIPLE_JUMP,
     groups: ArrayLike | None = None,
 ) -> dict[str, Operator]:
-    """The operators of all schemes without a heat bath, for points some of which are constrained to each other.
+    """Return the operators of all schemes without a heat bath, for points some of which are constrained to each other.
 
     Attitudes and angular momenta of the states are passed on as they are.
 
@@ -237,7 +237,7 @@ Advance = Callable[[BodyState, float], BodyState]
 
 
 def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operator:
-    """The drift of all bodies, some of which do not move freely but under fast forces.
+    """Return the drift of all bodies, some of which do not move freely but under fast forces.
 
     The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
     the composite has the order of the outer scheme if the inner steps have it and are proportional to the outer ones.
@@ -272,7 +272,7 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
 
 
 def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -> Advance:
-    """Motion under fast forces by the least number of equal steps of a palindrome.
+    """Return motion under fast forces by the least number of equal steps of a palindrome.
 
     Take SIER4G as the inner scheme, with one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
     of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
@@ -308,7 +308,7 @@ def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -
 
 
 def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[str, Advance]:
-    """Motion under fast forces by leapfrog steps, in the middle of the drift of one of which is the bath.
+    """Return motion under fast forces by leapfrog steps, with the bath in the middle of one of them.
 
     The drifts to the bath and from it, together one drift, are an odd number of equal steps, each a whole kick and a
     drift. So the bath stands between two half drifts, as in `Scheme.with_bath`, and harmonic motion under fast forces
@@ -354,10 +354,10 @@ def _check_longest(longest: float) -> None:
 
 
 def inner_steps(h: float, longest: float) -> int:
-    """Number of inner steps into which a drift for the time h is divided, the same for h and -h."""
+    """Return the number of inner steps into which a drift for the time h is divided, the same for h and -h."""
     return max(1, math.ceil(abs(h) / longest * (1 - 1e-12)))
 
 
 def steps_with_bath(h: float, longest: float) -> int:
-    """The same where the bath is in the middle of a step: an odd number."""
+    """Return that number where the bath is in the middle of a step: an odd one."""
     return 2 * (inner_steps(h, longest) // 2) + 1

@@ -9,12 +9,12 @@ FEWEST_INDEPENDENT = 5
 
 
 def is_constant(values: np.ndarray) -> bool:
-    """Whether values differ by rounding alone, as does the density of a box of constant volume."""
+    """Tell whether values differ by rounding alone, as does the density of a box of constant volume."""
     return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
 
 
 def mean_products(values: np.ndarray, longest: int) -> np.ndarray:
-    """Mean over origins of the product of values (n, ...), summed over components, with those some samples later.
+    """Return products of values (n, ...) with those some samples later, summed over components, as means over origins.
 
     Args:
         values: by time.
@@ -29,7 +29,7 @@ def mean_products(values: np.ndarray, longest: int) -> np.ndarray:
 
 
 def inefficiency(values: np.ndarray) -> float:
-    """How many values of a series (n,) are worth one independent value; 1 for a constant series.
+    """Return how many values of a series (n,) are worth one independent value; 1 for a constant series.
 
     The sum of the correlation to where it first is negative, as `pymbar.timeseries.statistical_inefficiency` has it.
 
@@ -41,7 +41,7 @@ def inefficiency(values: np.ndarray) -> float:
 
 
 def inefficiency_and_error(values: np.ndarray) -> tuple[float, float]:
-    """The `inefficiency` of a series (n,) with its standard error, where a series without change is one value.
+    """Return the `inefficiency` of a series (n,) with its standard error, where a series without change is one value.
 
     Returns:
         (n, NaN) for a constant series, as of moves that are all rejected, and for one with fewer than
@@ -59,7 +59,7 @@ def inefficiency_and_error(values: np.ndarray) -> tuple[float, float]:
 
 
 def _sum_of_correlation(values: np.ndarray) -> tuple[float, int]:
-    """One and twice the sum of the correlation of a series that changes, at least 1, and the number of its lags."""
+    """Return 1 plus twice the sum of the correlation of a series that changes, at least 1, and the number of lags."""
     n = len(values)
     products = mean_products(values - np.mean(values), n - 2)
     lags = np.arange(1, n - 1)

@@ -6,6 +6,7 @@ the start of the next without any bookkeeping.
 """
 
 from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,8 +26,21 @@ AFTER_STEP = "after step"
 #: A function that makes a whole step.
 Stepper = Callable[[BodyState], BodyState]
 
-#: A free-rotation map (A, L, moments, h) -> (A, L), such as `rotation.exact`.
-Rotation = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+class Rotation(Protocol):
+    """Rotate bodies freely, as `openmm_sier.dynamics.rotation.exact` does. Any function of these arguments will do."""
+
+    def __call__(self, A: np.ndarray, L: np.ndarray, moments: Any, time: float, /) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes and angular momenta after a time.
+
+        Args:
+            A: attitude matrices, (3, 3, n).
+            L: angular momenta in the lab frame, (3, n), dalton nm^2/ps.
+            moments: principal moments, three numbers or arrays (n,), dalton nm^2.
+            time: ps; may be negative.
+        """
+        ...
+
 
 #: (state, time) -> (q, A, L).
 FreeMotion = Callable[[BodyState, float], tuple[np.ndarray, ...]]
@@ -62,7 +76,7 @@ class CachedForces:
         return self._found
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Forces and torques at other positions and attitudes, which are not kept.
+        """Return forces and torques at other positions and attitudes, which are not kept.
 
         Raises:
             ValueError: their shape is not that of the positions, (3, n).
@@ -77,17 +91,17 @@ class CachedForces:
 
 
 def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
-    """The operators of all schemes without a heat bath."""
+    """Return the operators of all schemes without a heat bath."""
     return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), **drifts(drift(bodies, rotation))}
 
 
 def drifts(operator: Operator) -> dict[str, Operator]:
-    """An operator for drifts on either side of a bath and elsewhere."""
+    """Return an operator for drifts on either side of a bath and elsewhere."""
     return dict.fromkeys((DRIFT, DRIFT_TO_BATH, DRIFT_FROM_BATH), operator)
 
 
 def kick(forces: CachedForces) -> Operator:
-    """Momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6 (U2))."""
+    """Return a kick: momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6 (U2))."""
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
@@ -98,7 +112,7 @@ def kick(forces: CachedForces) -> Operator:
 
 
 def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
-    """Momenta change by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau).
+    """Return a kick by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau).
 
     Its force F + s (grad F) M^-1 F is, to first order in s, the force at positions that are displaced by s M^-1 F, with
     bodies also turned by the lab vector s I^-1 tau. Two more terms of the torque, from rotations that do not commute
@@ -121,7 +135,7 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
 
 
 def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
-    """Free motion of the bodies (van Zon and Schofield 2007, Eq. 5 (U1)) with any free-rotation map.
+    """Return the free motion of bodies (van Zon and Schofield 2007, Eq. 5 (U1)) with any free-rotation map.
 
     The operator raises ValueError for a state with another number of bodies.
     """
@@ -160,7 +174,7 @@ def _drift_by(bodies: RigidBodies, rotation: Rotation) -> FreeMotion:
 
 
 def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-    """A function that makes a step of length h, by the scheme's stages in order. It does not change the given state.
+    """Return a function that makes a step of length h by the scheme's stages, and leaves the given state as it is.
 
     Args:
         scheme: the scheme.

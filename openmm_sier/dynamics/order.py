@@ -24,7 +24,7 @@ Word = tuple[str, ...]
 
 
 def order_of(stages: Sequence[Stage]) -> int:
-    """Largest n for which the stages of a step are the exact motion up to and including h^n."""
+    """Return the largest n for which the stages of a step are the exact motion up to and including h^n."""
     coefficients: dict[Word, float] = {(): 1.0}
     for stage in stages:
         coefficients = _product(coefficients, _exponential(_generator(stage)))
@@ -38,7 +38,7 @@ def order_of(stages: Sequence[Stage]) -> int:
 
 
 def _generator(stage: Stage) -> dict[Word, float]:
-    """What a stage is the exponential of, by words.
+    """Return the generator of a stage, whose exponential it is, by words.
 
     A gradient kick B with shift d is the exponential of B + (d/2) [B, [A, B]], with A the drift, up to the third order.
     """
@@ -52,7 +52,7 @@ def _generator(stage: Stage) -> dict[Word, float]:
 
 
 def _reduced(words: dict[Word, float]) -> dict[Word, float]:
-    """An equal sum of words, in which no word has three kicks B before a drift A.
+    """Return an equal sum of words, in which no word has three kicks B before a drift A.
 
     The operators obey [B, [B, [B, A]]] = 0, that is BBBA = 3 BBAB - 3 BABB + ABBB. No end of BBBA is also its
     beginning, so that the remaining words do not depend on the order of the replacements, and their sum vanishes only
@@ -72,7 +72,7 @@ def _reduced(words: dict[Word, float]) -> dict[Word, float]:
 
 
 def _product(left: dict[Word, float], right: dict[Word, float]) -> dict[Word, float]:
-    """The product of two sums of words, words up to `HIGHEST_ORDER` long."""
+    """Return the product of two sums of words, words up to `HIGHEST_ORDER` long."""
     product: dict[Word, float] = {}
     for first, a in left.items():
         for second, b in right.items():

@@ -18,7 +18,11 @@ from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_B
 
 @dataclass(frozen=True)
 class Scheme:
-    """One step of a symplectic integrator, the first stage first.
+    """Describe one step of a splitting integrator as a list of stages, the first one first.
+
+    >>> leapfrog = Scheme("leapfrog", (("kick", 0.5), ("drift", 1.0), ("kick", 0.5)))
+    >>> leapfrog.order, leapfrog.force_evaluations, leapfrog.is_palindrome
+    (2, 1, True)
 
     Attributes:
         name: for messages and output.
@@ -76,23 +80,23 @@ class Scheme:
 
     @property
     def operators(self) -> tuple[str, ...]:
-        """Names of the operators, in order of appearance."""
+        """Return names of the operators, in order of appearance."""
         return tuple(dict.fromkeys(stage.operator for stage in self.stages))
 
     @property
     def is_palindrome(self) -> bool:
-        """Whether the list reads the same backwards, which makes the step time-reversible."""
+        """Tell whether the list reads the same backwards, which makes the step time-reversible."""
         return self.stages == self.stages[::-1]
 
     @property
     def reuses_force(self) -> bool:
-        """Whether the force at the end of a step is the one at the start of the next."""
+        """Tell whether the force at the end of a step is the one at the start of the next."""
         ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]
         return DRIFT not in (*ends[:1], *ends[-1:])
 
     @cached_property
     def force_evaluations(self) -> int:
-        """Force evaluations per step, not counting the first step of a run.
+        """Return force evaluations per step, not counting the first step of a run.
 
         One for each kick at positions that a drift has changed, and one for the displaced force of a gradient kick.
         """
@@ -108,7 +112,7 @@ class Scheme:
         return count
 
     def with_bath(self) -> Scheme:
-        """This scheme with a heat bath, placed so that averages keep the scheme's order.
+        """Return this scheme with a heat bath, placed so that averages keep the scheme's order.
 
         SIER2, or any kick, drift, kick, becomes a whole kick, half drift, bath, half drift: the leapfrog "middle"
         scheme of Zhang et al., J. Phys. Chem. A 123, 6056 (2019), OpenMM's LangevinMiddleIntegrator. Positions visited
@@ -126,7 +130,7 @@ class Scheme:
         return replace(self, stages=(Stage(BATH, 0.5), *self.stages, Stage(BATH, 0.5)))
 
     def without_bath(self) -> Scheme:
-        """This scheme without its bath: neighbours of one kind are joined, and what `with_bath` did is undone."""
+        """Return this scheme without its bath, with neighbours of one kind joined: the inverse of `with_bath`."""
         if self.bath_divides_drift:
             return replace(self, stages=(Stage(KICK, 0.5), Stage(DRIFT, 1.0), Stage(KICK, 0.5)))
         stages: list[Stage] = []
@@ -141,16 +145,16 @@ class Scheme:
 
     @cached_property
     def bath_divides_drift(self) -> bool:
-        """Whether `with_bath` put the bath into the middle of a drift."""
+        """Tell whether `with_bath` put the bath into the middle of a drift."""
         return DRIFT_TO_BATH in self.operators
 
     @property
     def within_drifts(self) -> Scheme:
-        """The scheme of inner steps, where there are fast forces in the drifts."""
+        """Return the scheme of inner steps, where there are fast forces in the drifts."""
         return _SIER2_WITH_BATH if self.bath_divides_drift else SIER4G
 
     def inner_fraction(self, substeps: int) -> float:
-        """The longest inner step as a fraction of the step, with so many in the longest drift.
+        """Return the longest inner step as a fraction of the step, with so many in the longest drift.
 
         Where a bath divides a drift, the inner step that has it in its middle counts in the drifts on both sides.
         """
@@ -158,7 +162,7 @@ class Scheme:
 
     @cached_property
     def momentum_lag(self) -> float:
-        """The fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
+        """Return the fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
 
         It is 1/2 for Verlet's scheme with a bath in the middle of the drift, and 0 for palindromes. Where momenta lag,
         the energy at the end of steps differs in first order of the step from that which a good step conserves.
@@ -167,17 +171,17 @@ class Scheme:
 
     @cached_property
     def longest_drift(self) -> float:
-        """The largest magnitude of a drift's fraction of the step; 0 without drifts."""
+        """Return the largest magnitude of a drift's fraction of the step; 0 without drifts."""
         return max((abs(stage.fraction) for stage in self.stages if stage.flow == DRIFT), default=0.0)
 
     @property
     def stability_limit(self) -> float:
-        """Product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
+        """Return the product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
         return self._limits[0]
 
     @property
     def accuracy_limit(self) -> float:
-        """Product of angular frequency and step up to which the energies of a harmonic mode are right within 10 %."""
+        """Return the product of angular frequency and step below which energies of a mode are right within 10 %."""
         return self._limits[1]
 
     @cached_property
@@ -186,14 +190,14 @@ class Scheme:
 
     @cached_property
     def order(self) -> int:
-        """Largest n for which the step is exact up to and including h^n, see `openmm_sier.dynamics.order`."""
+        """Return the largest n for which the step is exact up to and including h^n; see `dynamics.order`."""
         return order_of(self.stages)
 
 
 def alternating(
     name: str, half: tuple[float, ...], source: str = "", first: str = KICK, **usual_steps: float
 ) -> Scheme:
-    """The palindrome of kicks and drifts that alternate.
+    """Return the palindrome of kicks and drifts that alternate.
 
     Args:
         name: of the scheme.

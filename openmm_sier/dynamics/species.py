@@ -87,7 +87,7 @@ class Species:
     def from_coordinates(
         cls, atoms: ArrayLike, masses: ArrayLike, coordinates: ArrayLike, resolution: float = 0.0
     ) -> Species:
-        """Species whose geometry is that of one set of atom positions.
+        """Return species whose geometry is that of one set of atom positions.
 
         Args:
             atoms: particle indices, (m, k).
@@ -108,7 +108,7 @@ class Species:
 
     @classmethod
     def from_sites(cls, atoms: ArrayLike, masses: np.ndarray, sites: np.ndarray) -> Species:
-        """Species whose moments depend, to the bit, on nothing but its sites (3, k) and masses."""
+        """Return species whose moments depend, to the bit, on nothing but its sites (3, k) and masses."""
         sites = np.ascontiguousarray(sites)
         squares = (masses * sites**2).sum(axis=1)
         moments = squares.sum() - squares
@@ -116,11 +116,11 @@ class Species:
         return cls(np.array(atoms, dtype=np.int64), masses, sites, moments)
 
     def of_atoms(self, atoms: ArrayLike) -> Species:
-        """Other bodies, (m, k) particle indices, of the same geometry."""
+        """Return other bodies, (m, k) particle indices, of the same geometry."""
         return replace(self, atoms=np.array(atoms, dtype=np.int64))
 
     def mirrored(self) -> Species:
-        """The mirror image, whose principal axes are the same."""
+        """Return the mirror image, whose principal axes are the same."""
         return replace(self, sites=np.array([[1.0], [1.0], [-1.0]]) * self.sites)
 
     @property
@@ -129,12 +129,12 @@ class Species:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
+        """Return degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
 
     @cached_property
     def tolerance(self) -> float:
-        """Largest distance in nm of an atom from its place at which the body is still recognized."""
+        """Return the largest distance in nm of an atom from its place at which the body is still recognized."""
         shortest = np.inf
         for i in range(1, self.sites.shape[1]):
             # One row at a time: all pairs of a large body, a rigid protein say, would take much memory.
@@ -144,11 +144,11 @@ class Species:
 
     @cached_property
     def mirror_distance(self) -> float:
-        """Largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
+        """Return the largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
         return float(self.mirrored().fit(self.sites.T[None])[1][0]) if self.sites.any(axis=1).all() else 0.0
 
     def are_mirrored(self, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
-        """Which bodies are mirror images, (m,): those whose atoms fit one, and `MIRROR_MARGIN` times better.
+        """Tell which bodies are mirror images, (m,): those whose atoms fit one, and `MIRROR_MARGIN` times better.
 
         Args:
             arms: atom positions from the centres of mass, (m, k, 3), nm.
@@ -158,7 +158,7 @@ class Species:
         return (found * MIRROR_MARGIN < misfit) & (found <= self.tolerance)
 
     def fit(self, arms: np.ndarray, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Attitudes (3, 3, m) of m bodies, and for each the largest distance of an atom from its place, (m,), nm.
+        """Return attitudes (3, 3, m) of m bodies, and the largest distance of an atom from its place, (m,), nm.
 
         The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
         Acta Cryst. A 34, 827 (1978)).

@@ -17,7 +17,7 @@ FLOWS = {GRADIENT_KICK: KICK, DRIFT_TO_BATH: DRIFT, DRIFT_FROM_BATH: DRIFT}
 
 
 class Stage(NamedTuple):
-    """One operator of a step.
+    """Describe one operator of a step.
 
     Attributes:
         operator: its name.
@@ -30,7 +30,7 @@ class Stage(NamedTuple):
     shift: float = 0.0
 
     def times(self, h: float) -> tuple[float, ...]:
-        """Arguments of the operator in a step of length h: its time, and for a gradient kick its displacement."""
+        """Return arguments of the operator in a step of length h: its time, and a gradient kick's displacement."""
         own = (self.fraction * h,)
         return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
 

@@ -23,7 +23,7 @@ ROUNDING = 1e-12
 
 
 def limits(stages: Sequence[Stage]) -> tuple[float, float]:
-    """Largest omega h below which a harmonic mode stays bounded, and below which its energies and frequency are right.
+    """Return the largest omega h for which a harmonic mode stays bounded, and for which its energies are right.
 
     The matrix [[a, b], [c, d]] has the determinant 1, so that its eigenvalues are on the unit circle where its trace is
     within 2 and -2. It conserves b (h p/m)^2 + (a - d) q (h p/m) - c q^2. So the mean of the potential energy over that
@@ -56,7 +56,7 @@ def limits(stages: Sequence[Stage]) -> tuple[float, float]:
 
 
 def nested_is_stable(stages: Sequence[Stage], angle: float, share: float) -> bool:
-    """Whether a harmonic mode stays bounded that moves exactly within drifts, and that weak forces kick.
+    """Tell whether a harmonic mode stays bounded that moves exactly within drifts, and that weak forces kick.
 
     Args:
         stages: of the scheme.

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.operators import Operator
 
 @dataclass(frozen=True)
 class Thermostat(ABC):
-    """A heat bath within the steps of a scheme: an operator that changes nothing but momenta.
+    """Describe a heat bath within the steps of a scheme: an operator that changes only momenta.
 
     Attributes:
         temperature: K.
@@ -38,7 +38,7 @@ class Thermostat(ABC):
         """
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
-        """The new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
+        """Return the new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
 
         It is evaluated for each degree of freedom by itself, and velocities are constrained before and after it.
 
@@ -52,7 +52,7 @@ class Thermostat(ABC):
 
 
 class OrnsteinUhlenbeck(Thermostat):
-    """Langevin thermostat for rigid bodies.
+    """Describe the Langevin thermostat for rigid bodies.
 
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
     or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
@@ -64,14 +64,14 @@ class OrnsteinUhlenbeck(Thermostat):
 
     def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
         thermal = GAS_CONSTANT * self.temperature
-        spreads = np.sqrt(thermal * bodies.masses), np.sqrt(thermal * bodies.moments)
+        spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
-        def decay(h: float) -> tuple[tuple[float, float], tuple[np.ndarray, np.ndarray]]:
+        def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return what momenta and angular momenta keep in a time h, and the widths of what they gain."""
             (kept, gained), (kept_turning, turning) = map(_decay, (self.friction, self.rotational_friction), (h, h))
-            return (kept, kept_turning), (gained * spreads[0], turning * spreads[1])
+            return (kept, kept_turning), np.concatenate([gained * spreads[0], turning * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
@@ -85,5 +85,5 @@ class OrnsteinUhlenbeck(Thermostat):
 
 
 def _decay(friction: float, h: float) -> tuple[float, float]:
-    """Factor that a momentum keeps in a time h, and the standard deviation it gains, relative to its thermal one."""
+    """Return the factor that a momentum keeps in a time h, and the share of its thermal deviation that it gains."""
     return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

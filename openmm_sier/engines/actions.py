@@ -12,7 +12,7 @@ from openmm_sier.system.cut_molecules import refuse_cut_molecules
 
 
 class Actions:
-    """Lets OpenMM draw velocities, satisfy constraints and minimize the energy.
+    """Let OpenMM draw velocities, satisfy constraints and minimize the energy.
 
     An engine has a subclass where OpenMM cannot do it for all constraints. In each method `by_openmm` calls the method
     of OpenMM that the user called.

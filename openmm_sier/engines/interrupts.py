@@ -15,7 +15,7 @@ _pending: list[tuple[int, FrameType | None]] = []
 
 
 def handlers_in_use() -> dict[int, Any]:
-    """The handlers of `SIGNALS` by their numbers; none outside the main thread, in which alone Python calls them."""
+    """Return the handlers of `SIGNALS` by number; none outside the main thread, where Python never calls them."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     return {number: signal.getsignal(number) for number in SIGNALS}

@@ -41,7 +41,7 @@ class Clock(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What an engine goes back to: phase point, clock, box and mark of the ledger; `more` is the engine's own."""
+    """Remember phase point, clock, box and mark of the ledger, to which an engine goes back; `more` is its own."""
 
     point: Any
     clock: Clock
@@ -51,7 +51,7 @@ class Memory(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What an engine is made for.
+    """Hold what an engine is made for.
 
     Attributes:
         context: openmm.Context, which has the integrator.
@@ -69,7 +69,7 @@ class Task(NamedTuple):
 
 
 class Engine(ABC):
-    """Moves the bodies of one Context.
+    """Move the bodies of one Context.
 
     A new engine takes over a Context, follows a flow, publishes what came of it, and gives and takes a phase point:
     those are its abstract methods. What else is here follows from them, and an engine that can do it better has its
@@ -112,12 +112,12 @@ class Engine(ABC):
 
     @property
     def _groups(self) -> int:
-        """The integration force groups, a bit mask."""
+        """Return the integration force groups, a bit mask."""
         return self._integrator.getIntegrationForceGroups()
 
     @property
     def bodies(self) -> RigidBodies:
-        """The rigid and point bodies of the System."""
+        """Return the rigid and point bodies of the System."""
         return self.moving
 
     # --- what an engine must do ---
@@ -146,7 +146,7 @@ class Engine(ABC):
     @property
     @abstractmethod
     def point(self) -> BodyState:
-        """The phase point of `moving` at the last completed step."""
+        """Return the phase point of `moving` at the last completed step."""
 
     @abstractmethod
     def change(self, operation: Callable[[BodyState], BodyState]) -> None:
@@ -192,7 +192,7 @@ class Engine(ABC):
             raise
 
     def recover(self) -> None:
-        """After an error: write the last completed step to the Context as far as the engine still has it."""
+        """Write the last completed step to the Context after an error, as far as the engine still has it."""
         self.publish()
 
     # --- what ensembles do between flows ---
@@ -227,7 +227,7 @@ class Engine(ABC):
 
     @cached_property
     def molecule_centres(self) -> MoleculeCentres:
-        """Centres of mass of the molecules, each of which moves as a whole with the volume."""
+        """Return centres of mass of the molecules, each of which moves as a whole with the volume."""
         return MoleculeCentres(self.moving, self._context.getMolecules())
 
     def scale(self, factor: float) -> None:
@@ -270,7 +270,7 @@ class Engine(ABC):
         self.ledger.go_back(memory.mark)
 
     def undo(self, memory: Memory) -> None:
-        """After an error: restore what was remembered. What follows depends on nothing that was tried since."""
+        """Restore what was remembered, after an error, so that later steps depend on nothing that was tried since."""
         self.start_anew()
         self.go_back(memory)
 
@@ -287,7 +287,7 @@ class Engine(ABC):
         return self.flow.scheme.momentum_lag
 
     def at_whole_step(self, state: BodyState) -> BodyState:
-        """The phase point of a whole step, with momenta that do not lag; it costs a force evaluation if they do."""
+        """Return the phase point of a whole step, with momenta that do not lag; it costs a force if they do."""
         if not self.momentum_lag:
             return state
         bodies, groups, fast = self.bodies, self._groups, self.flow.fast_groups
@@ -301,7 +301,7 @@ class Engine(ABC):
 
     @cached_property
     def check_step(self) -> StepCheck:
-        """Refuses steps that are too long for what moves."""
+        """Refuse steps that are too long for what moves."""
         return StepCheck(self._context.getSystem(), self.moving)
 
     def inner_step(self, flow: Flow) -> float:
@@ -318,7 +318,7 @@ class Engine(ABC):
 
     @property
     def removes_momentum(self) -> bool:
-        """Whether the System has a CMMotionRemover."""
+        """Tell whether the System has a CMMotionRemover."""
         return self._momentum.removed
 
     def conserves_momentum(self, has_friction: bool) -> bool:
@@ -349,27 +349,27 @@ class Engine(ABC):
 
     @cached_property
     def trial(self) -> SolverTrial:
-        """Finds out which constraints of the System OpenMM's solvers cannot satisfy."""
+        """Find the constraints of the System that OpenMM's solvers cannot satisfy."""
         return SolverTrial(self._context.getSystem())
 
     @cached_property
     def actions(self) -> Actions:
-        """What users let OpenMM do in the Context."""
+        """Return the actions that users ask of OpenMM in the Context."""
         return Actions(self._context)
 
     # --- news from outside; an engine may find some of it out by itself ---
 
     def atoms_moved(self) -> None:  # noqa: B027
-        """Somebody set positions or velocities."""
+        """Take note that positions or velocities were set."""
 
     def box_changed(self) -> None:  # noqa: B027
-        """Somebody set the box."""
+        """Take note that the box was set."""
 
     def forces_changed(self) -> None:  # noqa: B027
-        """Somebody changed the potential."""
+        """Take note that the potential was changed."""
 
     def groups_changed(self) -> None:
-        """Somebody changed the integration force groups."""
+        """Take note that the integration force groups were changed."""
         self.forces_changed()
 
     def start_anew(self) -> None:  # noqa: B027

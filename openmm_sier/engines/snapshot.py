@@ -67,5 +67,5 @@ class Snapshot:
         return other is not None and np.array_equal(self.velocities, other.velocities)
 
     def same_environment(self, other: Snapshot | None) -> bool:
-        """Whether box and parameters are the same. Changes of a Force itself leave no trace here."""
+        """Tell whether box and parameters are the same. Changes of a Force itself leave no trace here."""
         return other is not None and (self.box, self._parameters) == (other.box, other._parameters)

@@ -39,7 +39,7 @@ class StoredLedger:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of all variables."""
+        """Return the names of all variables."""
         return HEAT, DRAWS, SEED, *self.ledger.counts
 
     def read(self) -> None:

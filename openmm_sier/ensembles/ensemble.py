@@ -25,11 +25,11 @@ UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
 class Move(NamedTuple):
-    """What an ensemble does between steps.
+    """Describe what an ensemble does between steps.
 
     Attributes:
-        every: interval. It acts before each step whose number is a multiple of this, steps being counted from one: a
-            call of step(every) ends one step after the move.
+        every: interval. The move comes before each step whose number, from 1, is a multiple of this, so that
+            step(every) ends one step after the move.
         act: a function of the engine.
     """
 
@@ -39,7 +39,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """What an integrator holds besides its scheme. Without changes of a subclass it adds nothing to the flow.
+    """Say what happens between the steps of a scheme: this base class adds nothing.
 
     A subclass has moves, which act between steps, or another way to advance by a step, or both.
 
@@ -89,7 +89,7 @@ class Ensemble:
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """What it does between steps, in this order. Where a step cannot be completed, its moves are undone."""
+        """Return the moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
     def advance(self, engine: Engine, steps: int) -> None:
@@ -99,7 +99,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
-    """Nothing but the flow."""
+    """Add nothing to the flow, so that the energy is constant."""
 
     def flow(self, flow: Flow) -> Flow:
         return replace(flow, constant_energy=True)
@@ -107,9 +107,9 @@ class ConstantEnergy(Ensemble):
 
 @dataclass(frozen=True)
 class ConstantTemperature(Ensemble):
-    """What has a temperature and, if a pressure is given, Monte Carlo moves of the volume between its steps.
+    """Keep a temperature and, if a pressure is given, change the volume by Monte Carlo moves between steps.
 
-    Fields may be given as quantities, and are numbers in the units that are named.
+    You may give fields as quantities; they become numbers in the units below.
 
     Attributes:
         temperature: K, not negative.

@@ -10,13 +10,13 @@ from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 
 @dataclass(frozen=True)
 class Langevin(ConstantTemperature):
-    """Constant temperature by friction and noise on each momentum.
+    """Keep a constant temperature by friction and noise on each momentum, as `SIERLangevinIntegrator` does.
 
     Attributes:
         temperature: K.
         friction: of translation, 1/ps.
         rotational_friction: 1/ps; None: that of translation, also after that was changed.
-        counts_heat: whether the native engine counts the heat of the bath; None: except on GPU platforms.
+        counts_heat: tells whether the native engine counts the heat of the bath; None counts it except on GPUs.
     """
 
     friction: float
@@ -33,12 +33,12 @@ class Langevin(ConstantTemperature):
 
     @property
     def turning(self) -> float:
-        """Friction of rotation, 1/ps."""
+        """Return the friction of rotation, 1/ps."""
         return self.friction if self.rotational_friction is None else self.rotational_friction
 
     @property
     def has_friction(self) -> bool:
-        """That of rotation alone leaves the total momentum as it is."""
+        """Tell whether translation has friction; that of rotation alone leaves the total momentum as it is."""
         return self.friction > 0
 
     def scheme_for(self, scheme: Scheme) -> Scheme:

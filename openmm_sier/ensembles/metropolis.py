@@ -31,10 +31,10 @@ REVERSIBLE = 1e-4
 
 @dataclass(frozen=True)
 class Metropolis(ConstantTemperature):
-    """The canonical ensemble without time-step error.
+    """Sample the canonical ensemble without an error of the step, as `SIERHMCIntegrator` does.
 
-    The ends of trials are samples, see `dynamics.acceptance`. Everything that a step does is undone where it cannot be
-    completed, so that the Context is at a sample at any time.
+    The ends of trials are samples. A step that cannot be completed is undone, so that the Context is always at a
+    sample.
 
     Attributes:
         temperature: K.
@@ -70,12 +70,12 @@ class Metropolis(ConstantTemperature):
 
     @property
     def needs_package(self) -> bool:
-        """OpenMM alone would accept every trial."""
+        """Return True, since OpenMM alone would accept every trial."""
         return True
 
     @property
     def has_friction(self) -> bool:
-        """Momenta are drawn anew, in part or all of them."""
+        """Return True, since momenta are drawn anew, in part or all of them."""
         return True
 
     def scheme_for(self, scheme: Scheme) -> Scheme:
@@ -166,7 +166,7 @@ class Metropolis(ConstantTemperature):
 
 
 def reversal_error(engine: Engine, steps: int) -> float:
-    """Distance by which a trajectory that is followed there and back misses its start; the engine is back there then.
+    """Follow a trajectory there and back, and return the distance by which it misses its start; undo it.
 
     Returns:
         The largest distance of an atom from its place at the start, nm; infinite if it could not be followed.

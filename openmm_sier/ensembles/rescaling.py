@@ -16,19 +16,21 @@ from openmm_sier.ensembles.ensemble import ConstantTemperature, Move, make_numbe
 
 @dataclass(frozen=True)
 class VelocityRescaling(ConstantTemperature):
-    """Constant temperature by one factor on all velocities, drawn so that the kinetic energy is canonical.
+    """Keep a constant temperature by one factor on all velocities, drawn so that the kinetic energy is canonical.
 
-    Between two scalings the motion is that at constant energy, and no molecule is kicked by itself. So diffusion,
-    viscosity and relaxation times are nearly those at constant energy, and a hot or cold start comes to the temperature
-    within a few times 1/rate. Where the total momentum is conserved, the motion of the centre of mass is left alone.
-    With a rate of zero the trajectory is, bit for bit, that at constant energy.
+    >>> integrator = SIERThermostatIntegrator(VelocityRescaling(300*kelvin, 1/picosecond), 4*femtoseconds)
+
+    Between two scalings the motion is that at constant energy. So diffusion, viscosity and relaxation times are nearly
+    those at constant energy, and a hot or cold start comes to the temperature within a few times 1/rate. Where the
+    total momentum is conserved, the motion of the centre of mass stays as it is. With a rate of zero the trajectory is,
+    bit for bit, that at constant energy.
 
     Source: Bussi, Donadio and Parrinello, J. Chem. Phys. 126, 014101 (2007), whose relaxation time tau is 1/rate.
 
     Attributes:
         temperature: K.
-        rate: at which the kinetic energy comes to its mean, 1/ps.
-        every: steps from one scaling to the next.
+        rate: rate at which the kinetic energy comes to its mean, 1/ps, not negative.
+        every: number of steps from one scaling to the next, at least 1.
     """
 
     rate: float
@@ -57,7 +59,7 @@ class VelocityRescaling(ConstantTemperature):
         engine.ledger.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:
-        """By which velocities are multiplied: that of the velocities of an Ornstein-Uhlenbeck process.
+        """Draw the factor on velocities, as an Ornstein-Uhlenbeck process of each would have it.
 
         It is the ratio of two norms, after the process and before. Along the old velocities, the new ones have a part
         that is kept and one normal deviate, and across them as many deviates as there are other degrees of freedom.

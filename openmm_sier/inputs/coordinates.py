@@ -17,7 +17,7 @@ _LETTERS = "HCNOPS"
 
 
 class Coordinates(NamedTuple):
-    """What a file of coordinates holds.
+    """Hold the contents of a file of coordinates.
 
     Attributes:
         positions: Quantity of all atoms.
@@ -107,6 +107,6 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
 
 
 def _letter(name: str) -> str:
-    """The element that a name tells; empty where it does not."""
+    """Return the element that a name tells; empty where it does not."""
     first = name.lstrip("0123456789'")[:1].upper()
     return first if first in _LETTERS else ""

@@ -38,7 +38,7 @@ _LINES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """The kind of a file, one of those above.
+    """Return the kind of a file, one of those above.
 
     Raises:
         OSError: it cannot be read.
@@ -59,7 +59,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def _counted(lines: list[str]) -> str:
-    """The kind of a file that has a title, the number of atoms and then the atoms; empty for others."""
+    """Return the kind of a file that has a title, the number of atoms and then the atoms; empty for others."""
     if len(lines) < 3 or not lines[1].split() or not lines[1].split()[0].isdigit():
         return ""
     if re.match(r"( *-?\d+\.\d+){3}", lines[2]):

@@ -54,7 +54,7 @@ MOST_MESH_POINTS = 2**31
 
 
 class Interactions(NamedTuple):
-    """How the interactions of a box are cut off; None stands for what `pme_system` does by itself.
+    """Hold how interactions of a box are cut off; None leaves it to `pme_system`.
 
     Attributes:
         cutoff: of the direct sum of PME and of Lennard-Jones, nm.
@@ -73,7 +73,7 @@ USUAL = Interactions()
 
 
 def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
-    """Force-field files that a PDB file names in records "REMARK  99 FORCEFIELD file.xml", and this reason in words.
+    """Return the force-field files in records "REMARK  99 FORCEFIELD file.xml" of a PDB file, and why in words.
 
     Raises:
         ForceFieldError: there is no such record.
@@ -87,7 +87,7 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
-    """A ForceField from files, looked for as given, in the directory `beside`, among the project's own, and in OpenMM.
+    """Load a ForceField from files, sought as given, in the directory `beside`, in this project and in OpenMM.
 
     Raises:
         ForceFieldError: a file is not found, or is no force field.
@@ -97,7 +97,7 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
 
 
 def locate(name: str, beside: Path) -> str:
-    """The path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
+    """Return the path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
     places = (directory / name for directory in (Path(), beside, *SHIPPED))
     return next((str(place) for place in places if place.is_file()), name)
 
@@ -105,7 +105,7 @@ def locate(name: str, beside: Path) -> str:
 def add_virtual_sites(
     topology: app.Topology, positions: Quantity, forcefield: app.ForceField
 ) -> tuple[app.Topology, Quantity]:
-    """Topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
+    """Return topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
@@ -130,7 +130,7 @@ def pme_system(
     constraints: str | None = None,
     interactions: Interactions = USUAL,
 ) -> openmm.System:
-    """The System: rigid water, PME in a periodic box, no cut-off without one.
+    """Make the System of a box: rigid water, PME in a periodic box, no cut-off without one.
 
     In a box too small for the cut-off it is shorter. The sums of PME are balanced (`openmm_sier.balance_pme`).
     Lennard-Jones has the usual correction for its tail. The motion of the centre of mass is not removed.
@@ -154,7 +154,7 @@ def build_system(
     constraints: str | None = None,
     interactions: Interactions = USUAL,
 ) -> openmm.System:
-    """The System that a reader of OpenMM makes, as `pme_system` has it.
+    """Make a System by a reader of OpenMM, with the settings of `pme_system`.
 
     Args:
         create: the reader's createSystem.
@@ -186,10 +186,10 @@ def finish_system(system: openmm.System, interactions: Interactions) -> None:
 
 
 def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]:
-    """The arguments of createSystem that cut interactions off."""
+    """Return the arguments of createSystem that cut interactions off."""
     if box is None:
         if interactions.cutoff is not None or interactions.switch is not None:
-            raise ForceFieldError("a cut-off or switch needs a periodic box, which there is none")
+            raise ForceFieldError("a cut-off or switch needs a periodic box, and there is none")
         return {"nonbondedMethod": app.NoCutoff}
     # In OpenMM's reduced form, a is along x and b in the xy plane.
     width = float(np.diag(np.array(box.value_in_unit(unit.nanometer))).min())
@@ -224,7 +224,7 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
 
 
 class Box(NamedTuple):
-    """What is to be simulated: coordinates with their force field, molecules whole.
+    """Hold a box to simulate: coordinates with their force field, molecules whole.
 
     Attributes:
         topology: openmm.app.Topology, virtual sites included.
@@ -286,7 +286,7 @@ def read_box(
 
 
 def describe(box: Box) -> str:
-    """Size and treatment of the interactions, in words."""
+    """Return the size and treatment of the interactions, in words."""
     vectors = box_vectors(box.topology)
     residues, nonbonded = f"{box.topology.getNumResidues()} residues", _described_interactions(box.system)
     if vectors is None:

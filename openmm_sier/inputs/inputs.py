@@ -75,7 +75,7 @@ def read_input(
 
 
 def topology_kind(path: str | Path) -> str:
-    """The kind of a topology, see `openmm_sier.inputs.file_kinds`.
+    """Return the kind of a topology, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
         ForceFieldError: it is none.
@@ -90,7 +90,7 @@ def topology_kind(path: str | Path) -> str:
 
 
 def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
-    """The SHA-256 of files, by what they are for."""
+    """Return the SHA-256 of files, by purpose."""
     return {use: hashlib.sha256(path.read_bytes()).hexdigest() for use, path in sources.items()}
 
 
@@ -116,7 +116,7 @@ def _refuse_half(path: str | Path) -> None:
 
 
 def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
-    """A Box of which all particles are in the file of the coordinates; `files` are those of its force field."""
+    """Make a Box whose particles are all in the file of the coordinates; `files` are those of its force field."""
     positions = source.coordinates.positions
     check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
     try:
@@ -206,7 +206,7 @@ def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology,
 
 
 def _topology_of(system: openmm.System) -> app.Topology:
-    """A Topology of a System that is known alone: molecules are residues, and elements follow from masses.
+    """Make a Topology for a System without one: molecules are residues, and elements follow from masses.
 
     Water is HOH; residues of other kinds are M1, M2 and so on. Particles without mass have no element.
     """
@@ -227,7 +227,7 @@ def _topology_of(system: openmm.System) -> app.Topology:
 
 
 def _molecules(system: openmm.System) -> list[list[int]]:
-    """Particles of one molecule each, in their order; one whose particles are not together comes in parts."""
+    """Return the particles of each molecule, in their order; a molecule whose particles are apart comes in parts."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
     return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
@@ -237,7 +237,7 @@ def _molecules(system: openmm.System) -> list[list[int]]:
 
 
 def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
-    """A Box with the files that were read, but for OpenMM's own and GROMACS's, by what they are for."""
+    """Return a Box with the files that were read, by purpose, without OpenMM's own and GROMACS's."""
     sources, named = {"box": path}, box.files
     if topology is not None:
         sources["topology"], named = topology, box.files[1:]
@@ -247,7 +247,7 @@ def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
 
 
 def _included(topology: Path) -> Iterator[Path]:
-    """Files that a top file includes from beside it, and those that these include; relative to it."""
+    """Return files that a top file includes from beside it, and those that these include; relative to it."""
     if kind_of(topology) != TOP:
         return
     pending, seen = [Path(topology.name)], set()

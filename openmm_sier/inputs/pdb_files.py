@@ -75,7 +75,7 @@ def check_records(path: str | Path) -> str:
 
 
 def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
-    """The periodic box of a file: its own or, where it has none, a rectangular one with three edges in nm, if given.
+    """Return the periodic box of a file: its own or, if it has none, a rectangular one with given edges in nm.
 
     Raises:
         ForceFieldError: both are given.
@@ -88,13 +88,13 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
 
 
 def box_vectors(topology: app.Topology) -> np.ndarray | None:
-    """Vectors of the periodic box in rows, (3, 3), nm; None without one."""
+    """Return vectors of the periodic box in rows, (3, 3), nm; None without one."""
     vectors = topology.getPeriodicBoxVectors()
     return None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
 
 
 def extent(vectors: np.ndarray) -> str:
-    """Lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
+    """Return lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
 
     Args:
         vectors: of the box in rows, (3, 3), nm.
@@ -109,7 +109,7 @@ def extent(vectors: np.ndarray) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """An error's message on one line."""
+    """Return an error's message on one line."""
     message = " ".join(str(error).split())
     # The message of a KeyError is the key alone.
     return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
@@ -209,5 +209,5 @@ def _check_edges(path: str | Path) -> None:
 
 
 def named_atom(atom: app.topology.Atom) -> str:
-    """An atom as messages name it."""
+    """Return an atom as messages name it."""
     return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"

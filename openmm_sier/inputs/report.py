@@ -17,7 +17,7 @@ class Report:
         """Take a line of progress information."""
 
     def progress(self, description: str, total: float, ps: float | None = None) -> AbstractContextManager[Advance]:
-        """Progress of a computation, as a context manager.
+        """Show the progress of a computation, as a context manager.
 
         Args:
             description: what is being done.
@@ -31,5 +31,5 @@ SILENT = Report()
 
 
 def duration(seconds: float) -> str:
-    """A duration as text, in ms or s."""
+    """Return a duration as text, in ms or s."""
     return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"

@@ -86,7 +86,7 @@ class Equilibration(NamedTuple):
 
 
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
-    """A Context in mixed precision, where there is a choice, with no more threads than cores that this process may use.
+    """Make a Context, in mixed precision if possible, with no more threads than this process may use cores.
 
     Args:
         system, integrator: of the Context.
@@ -118,7 +118,7 @@ def prepare(
     minimize: bool | None = None,
     report: Report = SILENT,
 ) -> Equilibration:
-    """Positions and velocities of a new run: minimized, equilibrated, the centre of mass at rest, the clock at zero.
+    """Prepare a new run: minimize, equilibrate, stop the centre of mass, and set the clock to zero.
 
     A run at constant energy gets the kinetic energy that makes its total energy equal to the mean over the
     equilibration, so that its mean temperature is that of the bath. From a snapshot of the bath it would be off by
@@ -158,7 +158,7 @@ def prepare(
 
 
 def _strongest_force(context: openmm.Context) -> float:
-    """Largest net force on a molecule over the root of its size, kJ/mol/nm; infinite where one is not finite."""
+    """Return the largest net force on a molecule over the root of its size, kJ/mol/nm; infinite if not finite."""
     bodies = context.getIntegrator().bodies
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
@@ -225,7 +225,7 @@ def equilibrate(
 
 
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
-    """A copy of a Context at constant temperature, with new velocities."""
+    """Return a copy of a Context at constant temperature, with new velocities."""
     integrator, platform = context.getIntegrator(), context.getPlatform()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
     fast, step = integrator.fastForceGroups, _step_of(context, temperature)
@@ -241,7 +241,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
 
 
 def _step_of(context: openmm.Context, temperature: float) -> float:
-    """Step of an equilibration, ps: the usual one, or one short enough for the bonds and spins of a System."""
+    """Return the step of an equilibration, ps: the usual one, or one short enough for bonds and spins."""
     integrator = context.getIntegrator()
     system, bodies = context.getSystem(), integrator.bodies
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
@@ -279,7 +279,7 @@ def _are_within_bounds(means: Means, temperature: float, dof: DegreesOfFreedom) 
 
 
 def bound(temperature: float, dof: float) -> float:
-    """Largest deviation of a mean temperature, K: one canonical standard deviation of a snapshot, at least 1 K."""
+    """Return the largest deviation of a mean temperature, K: a canonical standard deviation, at least 1 K."""
     return max(temperature * math.sqrt(2 / dof), TIGHTEST)
 
 

@@ -80,7 +80,7 @@ class Binding:
 
     @property
     def engine(self) -> Engine:
-        """The engine.
+        """Return the engine.
 
         Raises:
             openmm.OpenMMException: there is no Context.
@@ -91,12 +91,12 @@ class Binding:
 
     @property
     def engine_name(self) -> str:
-        """The name of the engine or, without a Context, what was requested."""
+        """Return the name of the engine or, without a Context, what was requested."""
         return self.settings.engine if self._engine is None else self._engine.name
 
     @property
     def ensemble(self) -> Any:
-        """The ensemble of the settings."""
+        """Return the ensemble of the settings."""
         return self.settings.ensemble
 
     # --- settings, here and in what OpenMM serializes ---
@@ -120,7 +120,7 @@ class Binding:
 
     @property
     def native_steps(self) -> int:
-        """Number of OpenMM steps in one step of the scheme."""
+        """Return the number of OpenMM steps in one step of the scheme."""
         return int(self._integrator.getGlobalVariableByName(installation.PARTS)) or 1
 
     def flow(self) -> Flow:
@@ -276,13 +276,13 @@ class Binding:
     # --- news from outside ---
 
     def moved(self) -> None:
-        """Somebody set positions or velocities, which the native engine would not notice by itself."""
+        """Take note that positions or velocities were set, which the native engine would not notice by itself."""
         if self._engine is not None:
             self.watch.forget()
             self._engine.atoms_moved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
-        """Somebody asks for velocities of a temperature; see `Actions.draw_velocities`."""
+        """Draw velocities of a temperature; see `Actions.draw_velocities`."""
         if self._engine is None:
             by_openmm()
         else:
@@ -290,13 +290,13 @@ class Binding:
         self.moved()
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        """Somebody minimizes the energy; see `Actions.minimize`. Warn of bodies that still overlap."""
+        """Minimize the energy, see `Actions.minimize`, and warn of bodies that still overlap."""
         self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
         self.moved()
         tell_of_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
-        """Somebody asks for positions that satisfy constraints, or for velocities; see `Actions`."""
+        """Make positions, or velocities, satisfy the constraints; see `Actions`."""
         if self._engine is None:
             by_openmm()
         elif velocities:
@@ -305,27 +305,27 @@ class Binding:
             self._engine.actions.satisfy_positions(by_openmm)
 
     def box_changed(self) -> None:
-        """Somebody set the box."""
+        """Take note that the box was set."""
         if self._engine is not None:
             self._engine.box_changed()
 
     def forces_changed(self) -> None:
-        """Somebody changed the potential."""
+        """Take note that the potential was changed."""
         if self._engine is not None:
             self._engine.forces_changed()
 
     def groups_changed(self) -> None:
-        """Somebody changed the integration force groups."""
+        """Take note that the integration force groups were changed."""
         if self._engine is not None:
             self._engine.groups_changed()
 
     def start_anew(self) -> None:
-        """A restart point was written: the run goes on from it as a restart would, bit for bit."""
+        """Go on from a restart point that was written as a restart would, bit for bit."""
         if self._engine is not None:
             self._engine.start_anew()
 
     def take_over(self) -> None:
-        """A State or checkpoint was loaded, of whichever engine: take over what it holds.
+        """Take over a State or checkpoint that was loaded, of either engine.
 
         The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
         """

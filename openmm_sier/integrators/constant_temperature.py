@@ -16,9 +16,17 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, quantity
 
 
 class SIERThermostatIntegrator(SIERIntegrator):
-    """A `SIERIntegrator` whose ensemble has a temperature and, if a pressure is given, moves of the volume.
+    """Keep a constant temperature, and a pressure if one is given, by a thermostat that you choose.
 
-    Its noise is a function of the seed and of the number of draws so far, which both travel in checkpoints.
+    Take `VelocityRescaling` where the bath should hardly disturb the motion. `SIERLangevinIntegrator` and
+    `SIERHMCIntegrator` are subclasses with thermostats of their own.
+
+    >>> from openmm_sier.ensembles import VelocityRescaling
+    >>> integrator = SIERThermostatIntegrator(VelocityRescaling(300*kelvin, 1/picosecond), 4*femtoseconds)
+    >>> print(integrator.getTemperature())
+    300.0 K
+
+    The noise is a function of the seed and of the number of draws so far. Checkpoints hold both.
     """
 
     def __init__(
@@ -34,16 +42,18 @@ class SIERThermostatIntegrator(SIERIntegrator):
     ):
         """
         Args:
-            thermostat: what keeps the temperature and, with its `pressure`, the pressure, see `openmm_sier.ensembles`.
-                One move of the volume scales all edges of the box by the same factor, and changes ln V by up to
-                0.5/sqrt(number of molecules).
-            stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme or its name.
-            bodies, rotation, engine, substeps, fastForceGroups: see `SIERIntegrator`, also for errors.
+            thermostat: one of `openmm_sier.ensembles` with a temperature. It keeps its `pressure` too if given.
+            stepSize: the step, a time quantity or a number in ps.
+            scheme: the splitting scheme or its name.
+            bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
+            rotation: you can skip this; see `SIERIntegrator`.
+            engine: you can skip this; see `SIERIntegrator`.
+            substeps: you can skip this; see `SIERIntegrator`.
+            fastForceGroups: you can skip this; see `SIERIntegrator`.
 
         Raises:
-            ValueError: the thermostat cannot be sampled by the scheme.
-            TypeError: it keeps no temperature.
+            ValueError: the scheme cannot sample the thermostat's ensemble, or `SIERIntegrator` refuses a value.
+            TypeError: the thermostat keeps no temperature.
         """
         if not isinstance(thermostat, ConstantTemperature):
             raise TypeError(f"thermostat must be like VelocityRescaling(300*kelvin, 1/picosecond), got {thermostat!r}")
@@ -53,7 +63,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         self.binding.change(ensemble=replace(self.binding.ensemble, **changes))
 
     def getTemperature(self) -> unit.Quantity:
-        """Temperature of the bath, a quantity in K."""
+        """Return the temperature of the bath, a quantity in K."""
         return self.binding.ensemble.temperature * unit.kelvin
 
     def setTemperature(self, temp: Quantity) -> None:
@@ -61,7 +71,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         self._change_ensemble(temperature=temp)
 
     def getPressure(self) -> unit.Quantity | None:
-        """Pressure that is kept, a quantity in bar; None if the volume is kept."""
+        """Return the pressure that is kept, a quantity in bar; None if the volume is kept."""
         pressure = self.binding.ensemble.pressure
         return None if pressure is None else pressure * unit.bar
 
@@ -72,7 +82,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         self._change_ensemble(pressure=quantity_to_float("pressure", pressure, unit.bar, "bar"))
 
     def getBarostatInterval(self) -> int | None:
-        """The `barostatInterval` that the integrator was made with; None if the volume is kept."""
+        """Return the number of steps between attempts to change the volume; None if the volume is kept."""
         return None if self.binding.ensemble.pressure is None else self.binding.ensemble.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
@@ -80,10 +90,10 @@ class SIERThermostatIntegrator(SIERIntegrator):
         super().setRandomNumberSeed(whole_number("seed", seed, most=2**31 - 1))
 
     def getHeat(self) -> unit.Quantity:
-        """Energy that the bath, moves of the volume and a CMMotionRemover have given to the bodies, a quantity.
+        """Return the energy that the bath, volume moves and a CMMotionRemover gave to the bodies, a quantity.
 
-        The total energy less this heat is conserved. The work P dV is not included in the heat, nor what a thermostat
-        or barostat of OpenMM in the System gives, which nobody counts.
+        The total energy less this heat is conserved. The heat does not include the work P dV, nor the energy that a
+        thermostat or barostat of OpenMM in the System gives, which nobody counts.
 
         Raises:
             openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.

@@ -14,27 +14,33 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, step_siz
 
 
 class SIERHMCIntegrator(SIERThermostatIntegrator):
-    """Hybrid Monte Carlo: samples of the canonical ensemble without time-step error.
+    """Sample the canonical ensemble by hybrid Monte Carlo, without any error of the step.
 
-    `integrator.step(1)` makes a trial: a trajectory of `stepsPerTrial` steps of the scheme, from momenta that are drawn
-    anew, fully or in part. Its end is accepted or rejected by its true energy; after a rejection the Context is back at
-    the start of the trial, with reversed velocities. A step that is too long lowers the acceptance, but causes no bias.
-    Every state that the Context ever shows is a sample. An interrupt or an error leaves it at the last one.
+    `integrator.step(1)` makes a trial: it draws momenta, follows `stepsPerTrial` steps of the scheme, and accepts or
+    rejects the end by its true energy. After a rejection the Context is back at the start of the trial, with reversed
+    velocities. A step that is too long lowers the acceptance and causes no bias. Every state that the Context shows is
+    a sample, also after an interrupt or an error.
+
+    >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, frictionCoeff=2/picosecond)
+    >>> simulation = Simulation(topology, system, integrator)
+    >>> simulation.context.setPositions(positions)
+    >>> simulation.step(2)
+    >>> integrator.trials
+    2
 
     The usual step of SIER2V2, the default scheme, is 9 fs with heavy hydrogens, see `prepare_system`, and 6 fs
     otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
 
-    Note: the constructor takes the step of the scheme (9 fs); `getStepSize()` returns the length of a trial (153 fs
-    with 17 steps), and `setStepSize` takes that. The Context's time is that of trials. `getSchemeStepSize` and
-    `setSchemeStepSize` are for the step of the scheme.
+    Note: the constructor takes the step of the scheme (9 fs). `getStepSize` and `setStepSize` are for the length of a
+    trial (90 fs with 10 steps), and `getSchemeStepSize` and `setSchemeStepSize` for the step of the scheme. The
+    Context's time is that of trials.
 
-    A trajectory that cannot be followed to its end, because a force is not finite or constraints cannot be satisfied,
-    is rejected. As a check, the first trajectory at each step size, or of longer trials, is run backwards. If it misses
-    its start, the integrator stops; `reversalError` is the distance.
+    A trial is also rejected if its trajectory has a force that is not finite or constraints that cannot be satisfied.
+    The first trajectory at each step size, or of longer trials, is also run backwards. If it misses its start, the
+    integrator stops; `reversalError` is the distance.
 
-    With either engine, random numbers are a function of the seed and of the number of draws so far. Both travel in
-    checkpoints, and a State brings the number alone. The total energy less the heat changes only by the energy errors
-    of accepted trials.
+    Random numbers are a function of the seed and of the number of draws so far. Checkpoints hold both, and a State
+    holds the number. The total energy less the heat changes only by the energy errors of accepted trials.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.
@@ -61,14 +67,18 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         """
         Args:
             temperature: a quantity or a number in K, above zero.
-            stepSize: step of the scheme, a time quantity or a number in ps.
-            scheme: splitting scheme without a bath, or its name; it must be a palindrome.
-            stepsPerTrial: steps of the scheme in each trial; None: as many as make 0.15 ps.
-            frictionCoeff: a quantity or a number in 1/ps. Momenta keep a factor exp(-friction t) in a trial of length
-                t, and the rest is drawn anew; None draws all of them anew.
-            pressure: for constant pressure, a quantity or a number in bar; see `SIERLangevinIntegrator`.
-            barostatInterval: number of trials between attempts to change the volume.
-            bodies, rotation, engine, substeps, fastForceGroups: see `SIERIntegrator`.
+            stepSize: the step of the scheme, a time quantity or a number in ps.
+            scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
+            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 0.15 ps.
+            frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
+                of length t, and the rest is drawn anew. None draws all of them anew.
+            pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
+            barostatInterval: number of trials between attempts to change the volume, at least 1.
+            bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
+            rotation: you can skip this; see `SIERIntegrator`.
+            engine: you can skip this; see `SIERIntegrator`.
+            substeps: you can skip this; see `SIERIntegrator`.
+            fastForceGroups: you can skip this; see `SIERIntegrator`.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
@@ -81,18 +91,18 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     # --- what users ask ---
 
     def getStepsPerTrial(self) -> int:
-        """Steps of the scheme in each trial."""
+        """Return the number of steps of the scheme in each trial."""
         return self.binding.ensemble.steps_per_trial
 
     def setStepsPerTrial(self, steps: int) -> None:
-        """Set the steps of each trial; the step of the scheme stays."""
+        """Set the number of steps in each trial, at least 1; the step of the scheme stays."""
         before = self.binding.ensemble.steps_per_trial
         self._change_ensemble(steps_per_trial=steps)
         if self.binding.ensemble.steps_per_trial > before:
             self.setGlobalVariableByName(CHECKED_STEP, 0)
 
     def getSchemeStepSize(self) -> unit.Quantity:
-        """The step of the scheme, a quantity in ps."""
+        """Return the step of the scheme, a quantity in ps."""
         return self.binding.settings.step * unit.picosecond
 
     def setSchemeStepSize(self, size: Quantity) -> None:
@@ -100,7 +110,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self.binding.change(step=step_size(size))
 
     def getFriction(self) -> unit.Quantity:
-        """Friction by which momenta are drawn in part, a quantity in 1/ps; infinite where they are drawn anew."""
+        """Return the friction by which momenta are drawn in part, a quantity in 1/ps; infinite if all are drawn."""
         friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
@@ -110,22 +120,22 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def trials(self) -> int:
-        """Number of completed trials."""
+        """Return the number of completed trials."""
         return int(self.getGlobalVariableByName(TRIALS))
 
     @property
     def accepted(self) -> int:
-        """Number of accepted trials."""
+        """Return the number of accepted trials."""
         return int(self.getGlobalVariableByName(ACCEPTED))
 
     @property
     def acceptanceRate(self) -> float:
-        """The fraction of trials that were accepted; NaN before the first one."""
+        """Return the fraction of trials that were accepted; NaN before the first one."""
         return self.accepted / self.trials if self.trials else math.nan
 
     @property
     def lastEnergyError(self) -> float:
-        """Energy at the end of the last trial minus that at its start, in kT; infinite if its trajectory failed.
+        """Return the energy at the end of the last trial minus that at its start, in kT; infinite if it failed.
 
         NaN before the first trial and after `resetStatistics`.
         """
@@ -133,14 +143,14 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def reversalError(self) -> float:
-        """Largest distance in nm by which an atom missed its start when the first trajectory was followed back.
+        """Return the largest distance, nm, from an atom to its start after the first trajectory was run backwards.
 
         NaN before the first trial, and after the trials were made longer.
         """
         return self.getGlobalVariableByName(REVERSAL) if self.getGlobalVariableByName(CHECKED_STEP) else math.nan
 
     def reported(self) -> dict[str, float]:
-        """Additional columns for `ConservationReporter`: the fraction of trials accepted, and the last energy error."""
+        """Return two more columns for `ConservationReporter`: the fraction accepted, and the last energy error."""
         return {"Acceptance": self.acceptanceRate, "Energy Error (kT)": self.lastEnergyError}
 
     def resetStatistics(self) -> None:

@@ -1,7 +1,5 @@
 """The integrators that OpenMM users call."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import openmm
@@ -22,16 +20,19 @@ from openmm_sier.system.temperature import Temperatures
 
 
 class SIERIntegrator(openmm.CustomIntegrator):
-    """Integrator for rigid bodies by splitting schemes, with the exact solution of free rotation.
+    """Integrate rigid bodies by a splitting scheme that you choose.
 
-    A drop-in replacement for OpenMM's integrators: pass it to a `Simulation` or a `Context`; nothing else has to be
-    called. Rigid molecules are found in the System's constraints when the Context is created. The atoms of other
-    molecules are points, joined by their constraints. Velocities in the Context are those at the end of the step.
+    Use it like any integrator of OpenMM: give it to a `Simulation` or a `Context`. For most work take one of its
+    subclasses, which choose the scheme: `SIER4GIntegrator` at constant energy, `SIERLangevinIntegrator` in a heat bath,
+    `SIERHMCIntegrator` for exact averages.
 
-    Two engines can execute the scheme. The exact engine is a Python layer over the Context and rotates bodies exactly.
-    The native engine is the integrator's own program, which OpenMM executes on any platform. It rotates bodies by
-    RATTLE steps and moves molecules with constraints of any kind. XML carries the program, so that it also runs where
-    this package is not imported: see docs/guide/engines.md.
+    The integrator finds rigid molecules in the System's constraints when the Context is created. The atoms of other
+    molecules are points, with their constraints. Velocities in the Context are those at the end of the step.
+
+    >>> integrator = SIERIntegrator(4*femtoseconds, scheme="SIER4G")
+    >>> simulation = Simulation(topology, system, integrator)
+    >>> simulation.context.setPositions(positions)
+    >>> simulation.step(2)
 
     Source: van Zon and Schofield (2007).
     """
@@ -49,31 +50,23 @@ class SIERIntegrator(openmm.CustomIntegrator):
     ):
         """
         Args:
-            stepSize: step, a time quantity or a number in ps.
-            scheme: splitting scheme, see `openmm_sier.dynamics.schemes`, or its name, such as "SIER4G".
-            bodies: the rigid bodies; None finds them in the System's constraints. Lists of particle indices define
-                further rigid bodies, with the geometry that they have at the first step.
-            rotation: free-rotation map, such as `rotation.exact`.
-            engine: "exact", "native", or "auto": exact on the CPU and Reference platforms and native on others.
-            substeps: number of steps into which a drift is divided. Without fast forces these are RATTLE steps of the
-                native engine: 3 and 5 make the drift fourth order, and None means 3, or 5 with SIER4, SIER4V and other
-                schemes with long drifts, or 1 in each half with SIER2 and a bath. The exact engine's drifts are then
-                not divided. With fast forces they are
-                inner steps of SIER4G. None then means, with the exact engine, the least number for which they are no
-                longer than 3 fs; with the native engine, 1, or 2 for schemes with long drifts. With SIER2 and a bath
-                they are leapfrog steps, of which one has the bath in its middle and counts on both sides: n substeps
-                are 2n - 1 in a step. None then means at most 3.5 fs, or 2 with the native engine. The exact
-                engine takes more where an unconstrained harmonic bond is too fast for these.
-            fastForceGroups: force groups that act within the drifts, as a set or a bit mask: bonds, angles and torsions
-                of molecules that are not rigid. None: those of a System that `prepare_system` prepared, which are found
-                when the Context is created, and none in other Systems. The exact engine computes them in a separate
-                Context of those molecules alone.
-            ensemble: what happens between steps of the scheme, see `openmm_sier.ensembles`; None: constant energy.
+            stepSize: the step, a time quantity or a number in ps. With 0 nothing moves, for Contexts that only evaluate
+                forces.
+            scheme: the splitting scheme or its name, such as "SIER4G".
+            bodies: the rigid bodies, as `RigidBodies`. None finds them in the System's constraints. Lists of particle
+                indices name further bodies, which keep the shape that they have at the first step.
+            rotation: you can skip this. It is the free-rotation map, which can be replaced to compare it with others.
+            engine: you can skip this. "auto" takes the exact engine on the CPU and Reference platforms and the native
+                one on GPUs; "exact" and "native" ask for one of them (docs/guide/engines.md).
+            substeps: you can skip this. It divides each drift into so many inner steps, at least 1; None chooses the
+                number (docs/guide/engines.md).
+            fastForceGroups: you can skip this if you call `prepare_system`, whose fast forces are found. Otherwise the
+                force groups of fast bonded forces, as a set or a bit mask; an empty set for none.
+            ensemble: you can skip this. It is one of `openmm_sier.ensembles`, and None keeps the energy constant.
 
         Raises:
-            ValueError: the step is negative or not finite, scheme or engine are unknown, `substeps` is below 1, or a
-                force group is not from 0 to 31. A step of 0 is allowed, for Contexts that only evaluate forces: steps
-                are counted and nothing moves.
+            ValueError: the step is negative or not finite, the scheme or the engine is unknown, `substeps` is below 1,
+                or a force group is not from 0 to 31.
             TypeError: the step is not a time, `scheme` is neither a Scheme nor a name, or `bodies` or `fastForceGroups`
                 have the wrong type.
         """
@@ -96,22 +89,22 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def engine(self) -> str:
-        """The engine in use; before a Context is created, the one that was requested."""
+        """Return the name of the engine in use; before a Context is created, the one that was requested."""
         return self.binding.engine_name
 
     @property
     def substeps(self) -> int | None:
-        """Number of steps into which a drift is divided, as requested; None leaves it to the engine."""
+        """Return the number of steps in a drift that was requested; None leaves it to the engine."""
         return self.binding.settings.substeps
 
     @property
     def fastForceGroups(self) -> set[int]:
-        """The force groups that act within drifts."""
+        """Return the force groups that act within drifts."""
         return set(arguments.groups_of(self.binding.flow().fast_groups))
 
     @property
     def program(self) -> Program:
-        """The program that the native engine executes; it can be printed.
+        """Return the program that the native engine executes; print it to read it.
 
         Raises:
             ValueError: the scheme has an operator that cannot be written out.
@@ -122,27 +115,27 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def scheme(self) -> Scheme:
-        """The splitting scheme."""
+        """Return the splitting scheme."""
         return self.binding.settings.scheme
 
     @property
     def rotation(self) -> Rotation:
-        """The free-rotation map."""
+        """Return the free-rotation map."""
         return self.binding.settings.rotation
 
     @property
     def bodies(self) -> RigidBodies:
-        """The rigid bodies of the Context that this integrator is bound to."""
+        """Return the rigid bodies of the integrator's Context."""
         return self.binding.engine.bodies
 
     @property
     def forceEvaluations(self) -> int:
-        """Number of force evaluations done by this integrator since its Context was created."""
+        """Return the number of force evaluations since the Context was created."""
         return self.binding.engine.evaluations
 
     @property
     def conservesMomentum(self) -> bool:
-        """Whether the total momentum is conserved, so that three degrees of freedom hold no heat.
+        """Tell whether the total momentum is conserved, so that three degrees of freedom hold no heat.
 
         See `openmm_sier.system.temperature.MomentumConservation`.
         """
@@ -150,14 +143,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def countedHeat(self) -> float:
-        """Energy that baths, moves and a CMMotionRemover have given to the bodies, kJ/mol; NaN if it is not counted.
+        """Return the energy that baths, volume moves and a CMMotionRemover gave to the bodies, kJ/mol.
 
-        The native engine counts the heat of a bath where `SIERLangevinIntegrator` says.
+        NaN where the native engine does not count it; see `countsHeat` of `SIERLangevinIntegrator`.
         """
         return self.binding.engine.heat()
 
     def getStepSize(self) -> unit.Quantity:
-        """Time by which `step(1)` advances the Context, a quantity in ps. OpenMM's own step may be a fraction of it."""
+        """Return the time by which `step(1)` advances the Context, a quantity in ps.
+
+        OpenMM's own step may be a fraction of it.
+        """
         return self.binding.settings.step * self.binding.ensemble.steps * unit.picosecond
 
     def setStepSize(self, size: Quantity) -> None:
@@ -165,7 +161,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self.binding.change(step=arguments.step_size(size) / self.binding.ensemble.steps)
 
     def getBodyState(self) -> BodyState:
-        """The state of the rigid bodies, brought up to date with the Context.
+        """Return positions, attitudes and momenta of the bodies, up to date with the Context.
 
         Raises:
             RigidityError: the Context's positions do not form the bodies.
@@ -173,11 +169,10 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self.binding.engine.state()
 
     def getWholeStepState(self) -> BodyState:
-        """The state at which the energy less the heat is conserved, within the error of the scheme.
+        """Return the state at which the energy less the heat is conserved, within the error of the scheme.
 
-        It is that of `getBodyState`, but for SIER2 with a heat bath: its velocities at the end of a step, those after
-        the bath, lag half a kick behind, as those of OpenMM's LangevinMiddleIntegrator do. To advance them costs a
-        force evaluation.
+        It is what `getBodyState` returns, except for SIER2 in a heat bath. There velocities lag half a kick behind, as
+        with OpenMM's LangevinMiddleIntegrator, and this method advances them by a further force evaluation.
         """
         engine = self.binding.engine
         return engine.at_whole_step(engine.state())
@@ -197,34 +192,34 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self.binding.step(arguments.whole_number("steps", steps))
 
     def computeSystemTemperature(self) -> unit.Quantity:
-        """Temperature from the kinetic energy and the degrees of freedom of the bodies, a quantity in K.
+        """Return the temperature of all motion, a quantity in K.
 
         OpenMM's StateDataReporter calls it. Where the total momentum is conserved, with or without a CMMotionRemover,
-        three degrees of freedom and the kinetic energy of the centre of mass are left out. NaN if there are no degrees
-        of freedom.
+        it leaves out three degrees of freedom and the kinetic energy of the centre of mass. It is NaN if there are no
+        degrees of freedom.
         """
         return self.computeTemperatures().total
 
     def computeTemperatures(self) -> Temperatures:
-        """Temperatures of all motion, of translation, of rotation and of flexible molecules, quantities in K.
+        """Return the temperatures of all motion, of translation, of rotation and of flexible molecules.
 
-        A named tuple (total, translation, rotation, flexible), by the rule of `computeSystemTemperature`; NaN where
-        there are no degrees of freedom. `in_kelvin` gives numbers. Translation and rotation are those of all rigid
-        bodies, also of domains that linkers join; flexible is the temperature of the points of other molecules. With a
-        bath in the middle of the step, as that of SIER2 is, they are those just after the bath, which have no error of
-        the step.
+        They are a named tuple (total, translation, rotation, flexible) of quantities in K, NaN where there are no
+        degrees of freedom; `in_kelvin` gives numbers. Degrees of freedom are counted as in `computeSystemTemperature`.
+        Translation and rotation are those of all rigid bodies, also of domains that linkers join. `flexible` is the
+        temperature of the points of other molecules. With SIER2 in a bath velocities are those just after the bath,
+        whose temperatures have no error of the step.
         """
         return self.binding.engine.temperatures(self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
-        """Additional columns for `ConservationReporter`, by name."""
+        """Return additional columns for `ConservationReporter`, by name."""
         return {}
 
     def forcesChanged(self) -> None:
-        """Tell the integrator that the potential was changed by other means than a method of the Context or its Forces.
+        """Tell the integrator that something else than a method of the Context or its Forces changed the potential.
 
-        Changes of positions, velocities, box and Context parameters, and changes by `updateParametersInContext`, are
-        noticed automatically.
+        The integrator notices changes of positions, velocities, box and Context parameters, and those by
+        `updateParametersInContext`, by itself.
         """
         self.binding.engine.forces_changed()
 
@@ -235,12 +230,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     # --- copies ---
 
-    def __copy__(self) -> SIERIntegrator:
-        """An integrator with the same settings and variables, bound to no Context."""
+    def __copy__(self) -> "SIERIntegrator":
+        """Return an integrator with the same settings and variables, bound to no Context."""
         make, arguments = self.__reduce__()
         return make(*arguments)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SIERIntegrator:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "SIERIntegrator":
         return self.__copy__()
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -11,19 +11,22 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 
 
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
-    """Averages at constant temperature, or pressure, by rigid-body Langevin dynamics.
+    """Sample averages in a heat bath, at constant volume or pressure, by Langevin dynamics of rigid bodies.
 
-    Usual step: 9 fs with heavy hydrogens and a friction of 5/ps, 4 fs with light ones and 1/ps.
+    Usual steps: 9 fs with heavy hydrogens and a friction of 5/ps, or 4 fs with the masses as they are and 1/ps.
 
-    The heat bath is exact, and placed so that averages keep the scheme's order (`Scheme.with_bath`). In SIER2 it acts
-    in the middle of the step (kick, half drift, bath, half drift), as in OpenMM's LangevinMiddleIntegrator; in other
-    schemes half of it acts at either end, so that velocities at the end of a step have the bath's temperature. With
-    zero friction the trajectory of the exact engine is, bit for bit, that of the scheme without a bath.
+    >>> print(prepare_system(system, hydrogenMass=4*dalton))
+    The sums of PME are balanced.
+    ...
+    >>> integrator = SIERLangevinIntegrator(300*kelvin, 5/picosecond, 9*femtoseconds, pressure=1*bar)
+    >>> integrator.setRandomNumberSeed(1)
 
-    With the exact engine the noise is a function of the seed and of the number of bath operations done so far. Both
-    travel in checkpoints, so that a restarted run continues the same trajectory. A State holds the count alone. A run
-    restarted from it is the same if you set the same seed; noise that was used is never used again. With the native
-    engine the noise is OpenMM's, which checkpoints hold and States do not.
+    The heat bath is an exact Ornstein-Uhlenbeck process, and is placed so that averages keep the scheme's order
+    (`Scheme.with_bath`). With SIER2 it acts in the middle of the step (kick, half drift, bath, half drift), as in
+    OpenMM's LangevinMiddleIntegrator. With other schemes half of it acts at either end.
+
+    A checkpoint continues the same trajectory. With the exact engine a State does too if you set the same seed. With
+    the native engine it does not, since the noise is OpenMM's, which only checkpoints hold.
 
     With `pressure`, Monte Carlo moves change the volume of the box, and a restarted run repeats them exactly. OpenMM's
     barostats work with this integrator too, but no State holds their memory of earlier moves.
@@ -47,26 +50,26 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
     ):
         """
         Args:
-            temperature: of the bath, a quantity or a number in K.
-            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps. The weaker it is and the longer the
-                step, the warmer are rotations than translations: with 9 fs in water by 4 K at 1/ps, 2 at 5/ps.
-            stepSize: step, a time quantity or a number in ps. With SIER2 4 fs are usual for rigid water, and 9 fs on a
-                System with heavy hydrogens, `prepare_system(system, hydrogenMass=4)`.
-            scheme: splitting scheme or its name; one without a bath gets one by `Scheme.with_bath`. SIER2 takes one
-                force a step, and has the longest step for each: see `stepSize`.
-            bodies: see `SIERIntegrator`.
-            rotation: free-rotation map, such as `rotation.exact`.
-            rotationalFriction: friction of the rotation, if it differs from `frictionCoeff`.
-            pressure: for constant pressure, a quantity or a number in bar. One move scales all edges of the box by the
-                same factor, and changes ln V by up to 0.5/sqrt(number of molecules).
-            barostatInterval: number of steps between attempts to change the volume.
-            engine, substeps, fastForceGroups: see `SIERIntegrator`. The native engine uses OpenMM's noise.
-            countsHeat: whether the native engine counts the heat of the bath, for `getHeat` and the conserved energy of
-                reports. It projects velocities for this, which takes up to a fifth of a step on a GPU. None: it counts
-                except on GPU platforms. The exact engine always counts.
+            temperature: of the bath, a quantity or a number in K, not negative.
+            frictionCoeff: coupling to the bath, a quantity or a number in 1/ps, not negative. A longer step needs a
+                stronger bath: with 9 fs rotations of water are 4 K warmer than translations at 1/ps, and 2 K at 5/ps.
+            stepSize: the step, a time quantity or a number in ps.
+            scheme: the splitting scheme or its name. SIER2 is best here.
+            bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
+            rotation: you can skip this; see `SIERIntegrator`.
+            rotationalFriction: friction of the rotation, a quantity or a number in 1/ps; None takes `frictionCoeff`.
+            pressure: for constant pressure, a quantity or a number in bar; None keeps the volume. A move scales all
+                edges of the box by the same factor.
+            barostatInterval: number of steps between attempts to change the volume, at least 1.
+            engine: you can skip this; see `SIERIntegrator`.
+            substeps: you can skip this; see `SIERIntegrator`.
+            fastForceGroups: you can skip this; see `SIERIntegrator`.
+            countsHeat: you can skip this. It tells whether the native engine counts the heat of the bath, for `getHeat`
+                and the conserved energy of reports, which takes up to a fifth of a step on a GPU. None counts it except
+                on GPUs. The exact engine always counts it.
 
         Raises:
-            ValueError: a value is not finite or has the wrong sign.
+            ValueError: a value is not finite or has the wrong sign, or `SIERIntegrator` refuses one.
             TypeError: a quantity has the wrong dimension.
         """
         bath = Langevin(
@@ -80,7 +83,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         super().__init__(bath, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     def getFriction(self) -> unit.Quantity:
-        """Friction of the translation, a quantity in 1/ps."""
+        """Return the friction of the translation, a quantity in 1/ps."""
         return self.binding.ensemble.friction / unit.picosecond
 
     def setFriction(self, coeff: Quantity) -> None:
@@ -88,7 +91,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         self._change_ensemble(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
-        """Friction of the rotation, a quantity in 1/ps."""
+        """Return the friction of the rotation, a quantity in 1/ps."""
         return self.binding.ensemble.turning / unit.picosecond
 
     def setRotationalFriction(self, coeff: Quantity) -> None:

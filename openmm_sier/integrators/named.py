@@ -9,7 +9,7 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 
 
 class IntegratorWithScheme(SIERIntegrator):
-    """A `SIERIntegrator` whose class fixes its scheme.
+    """Integrate by a scheme that the class fixes.
 
     The usual steps in water are `SCHEME.constant_energy_step` and, for hybrid Monte Carlo, `SCHEME.trial_step`, in ps.
     """
@@ -26,17 +26,26 @@ class IntegratorWithScheme(SIERIntegrator):
     ):
         """
         Args:
-            stepSize: step, a time quantity or a number in ps.
-            bodies, engine, substeps, fastForceGroups: see `SIERIntegrator`.
+            stepSize: the step, a time quantity or a number in ps.
+            bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
+            engine: you can skip this; see `SIERIntegrator`.
+            substeps: you can skip this; see `SIERIntegrator`.
+            fastForceGroups: you can skip this; see `SIERIntegrator`.
+
+        Raises:
+            ValueError: `SIERIntegrator` refuses a value.
+            TypeError: the step is not a time, or `bodies` or `fastForceGroups` have the wrong type.
         """
         super().__init__(stepSize, self.SCHEME, bodies, exact, engine, substeps, fastForceGroups)
 
 
 class SIER2Integrator(IntegratorWithScheme):
-    """Second order, one force evaluation a step: the counterpart of Verlet for rigid molecules.
+    """Integrate with second order by one force evaluation a step, as Verlet does.
 
-    Usual step in water: 2 fs at constant energy, 4 fs in a heat bath (9 fs with heavy hydrogens).
-    It is stable for steps up to 2/w for a mode of angular frequency w.
+    Usual steps in water: 2 fs at constant energy, 4 fs in a heat bath (9 fs with heavy hydrogens). Steps up to 2/w are
+    stable for a mode of angular frequency w. For a heat bath take `SIERLangevinIntegrator`, which uses this scheme.
+
+    >>> integrator = SIER2Integrator(2*femtoseconds)
 
     Source: van Zon and Schofield (2007), Eq. Verlet.
     """
@@ -45,10 +54,12 @@ class SIER2Integrator(IntegratorWithScheme):
 
 
 class SIER4Integrator(IntegratorWithScheme):
-    """Fourth order, four force evaluations a step: the paper's scheme.
+    """Integrate with fourth order by four force evaluations a step, the paper's scheme.
 
-    Usual step in water: 4 fs at constant energy, 5 fs in hybrid Monte Carlo.
-    It is stable for steps up to 3.0/w for a mode of angular frequency w.
+    Usual steps in water: 4 fs at constant energy, 5 fs in hybrid Monte Carlo. Steps up to 3.0/w are stable for a mode
+    of angular frequency w.
+
+    >>> integrator = SIER4Integrator(4*femtoseconds)
 
     Source: van Zon and Schofield (2007), Eq. EFRL.
     """
@@ -57,11 +68,20 @@ class SIER4Integrator(IntegratorWithScheme):
 
 
 class SIER4GIntegrator(IntegratorWithScheme):
-    """Fourth order with a force gradient, three force evaluations a step: the choice for most work.
+    """Integrate with fourth order by three force evaluations a step: the choice at constant energy.
 
-    Usual step in water: 4 fs at constant energy, 6 fs in hybrid Monte Carlo (9 fs with heavy hydrogens).
-    It is stable for steps up to 3.46/w for a mode of angular frequency w, the longest per force evaluation of the
-    fourth-order schemes.
+    Usual steps in water: 4 fs at constant energy, 6 fs in hybrid Monte Carlo (9 fs with heavy hydrogens). Steps up to
+    3.46/w are stable for a mode of angular frequency w. It uses a force gradient, one force at displaced positions.
+
+    >>> print(prepare_system(system))
+    The sums of PME are balanced.
+    ...
+    >>> integrator = SIER4GIntegrator(4*femtoseconds)
+    >>> simulation = Simulation(topology, system, integrator)
+    >>> simulation.context.setPositions(positions)
+    >>> simulation.context.setVelocitiesToTemperature(300*kelvin)
+    >>> simulation.step(2)
+    >>> temperatures = integrator.computeTemperatures()
 
     Source: Chin, Phys. Lett. A 226, 344 (1997), algorithm A.
     """
@@ -70,10 +90,12 @@ class SIER4GIntegrator(IntegratorWithScheme):
 
 
 class SIER4PIntegrator(IntegratorWithScheme):
-    """Fourth order with a force gradient, four force evaluations a step: the most accurate below 2 fs per force.
+    """Integrate with fourth order by four force evaluations a step: the most accurate scheme below 2 fs per force.
 
-    Usual step in water: 5 fs at constant energy, 6 fs in hybrid Monte Carlo.
-    It is stable for steps up to 3.1/w for a mode of angular frequency w.
+    Usual steps in water: 5 fs at constant energy, 6 fs in hybrid Monte Carlo. Steps up to 3.1/w are stable for a mode
+    of angular frequency w. It uses a force gradient, one force at displaced positions.
+
+    >>> integrator = SIER4PIntegrator(5*femtoseconds)
 
     Source: Omelyan, Mryglod and Folk, Comput. Phys. Commun. 151, 272 (2003), Eq. 44.
     """

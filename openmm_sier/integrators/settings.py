@@ -47,7 +47,7 @@ class SettingsError(openmm.OpenMMException):
 
 @dataclass(frozen=True)
 class Settings:
-    """All that an integrator was asked for; see `SIERIntegrator`, also for errors.
+    """Hold the arguments of an integrator; see `SIERIntegrator`, also for errors.
 
     Attributes:
         kind: module and name of its class.

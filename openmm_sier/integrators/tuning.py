@@ -44,42 +44,44 @@ def tune(
 ) -> Tuning:
     """Find scheme, step and trial length for a Context's hybrid Monte Carlo, and set step and length in its integrator.
 
-    First comes the step of each scheme: energy errors are measured in trials, and the step is changed until their
-    standard deviation is that of the best acceptance. This uses the law that the deviation grows as the step to the
-    power of the scheme's order. Trajectories keep their length in time. That scheme is the best whose accepted
-    trajectories take the least time, in seconds of the processor, or on GPUs of the clock.
+    Equilibrate roughly before. Trials of the tuning are no samples, so leave them out of averages. Afterwards `trials`
+    and `accepted` count from zero.
 
-    Then it compares trial lengths with it, each with the same number of steps in all: how long does an independent
-    potential energy take? It takes the length whose time plus its error is smallest. If times differ by less than
-    their errors, take more samples.
+    >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, stepsPerTrial=4)
+    >>> simulation = Simulation(topology, system, integrator)
+    >>> simulation.context.setPositions(positions)
+    >>> tuning = tune(simulation.context, acceptance=0.8, trials=10, samples=10, schemes=["SIER2V2"])
+    >>> length = tuning.stepsPerTrial
 
-    Other schemes than the integrator's are tried in Contexts of their own. An integrator keeps its scheme: where
-    another is the best, it gets the best step for its own, and the result has the line that makes a new one.
+    First it changes the step of each scheme, at the same length in time, until the energy errors of trials have the
+    standard deviation of the best acceptance. It never tries a step that resonates with fast forces. The best scheme is
+    the one whose accepted trajectories take the least processor time, or on GPUs the least time.
 
-    No step is tried that resonates with fast forces.
+    Then it compares trial lengths with this scheme, each with the same number of steps in all, and takes the one at
+    which an independent potential energy takes the least time, with the error of that time added. If times differ by
+    less than their errors, take more samples.
 
-    All of this is part of the equilibration: while step and length depend on the outcome of trials, these are not
-    samples, and must not enter averages. Equilibrate roughly beforehand. Afterwards step and length are fixed, and
-    `trials` and `accepted` count from zero. An interrupt or error restores the step and length that the integrator had.
+    It tries other schemes than the integrator's in Contexts of their own. An integrator keeps its scheme: if another
+    one is the best, it gets the best step for its own, and the result has the line that makes a new integrator.
 
-    The same seed makes the same trials if the platform's forces are deterministic. What is chosen also depends on the
-    time that they take.
+    An interrupt or error restores the step and length that the integrator had. The same seed makes the same trials if
+    the platform's forces are deterministic, but the choice also depends on the time that they take.
 
     Args:
-        context: openmm.Context of a `SIERHMCIntegrator`, with positions. The search begins at its step and number of
-            steps.
-        acceptance: wanted value, between 0 and 1; None: where step times acceptance is nearly largest, 0.77 for a
-            scheme of second order and 0.90 for one of fourth order.
-        trials: number of trials at each step size tried, at least 10.
-        samples: number of trials of the length in time that the integrator has, at least 10; longer trials are
-            proportionally fewer. The relative error of a cost is about 3 over the square root of the number of
-            independent samples among them.
-        lengths: numbers of steps to compare; None: a half, one, two and four times the length in time that the
-            integrator has.
-        schemes: to compare, or their names; None: that of the integrator, SIER2V2, SIER2P3 and SIER4G.
+        context: the Context of a `SIERHMCIntegrator`, with positions. The search begins at the integrator's step and
+            number of steps.
+        acceptance: the wanted fraction, between 0 and 1. None takes that at which step times acceptance is nearly
+            largest: 0.77 for a scheme of second order and 0.90 for one of fourth order.
+        trials: number of trials at each step size, at least 10.
+        samples: number of trials of the integrator's length in time, at least 10; longer trials are fewer in
+            proportion. The relative error of a cost is about 3 over the square root of the number of independent
+            samples.
+        lengths: numbers of steps in a trial to compare. None compares half the integrator's length in time, that
+            length, twice and four times that.
+        schemes: schemes to compare, or their names. None compares the integrator's with SIER2V2, SIER2P3 and SIER4G.
 
     Returns:
-        What was found; `print` shows it as tables.
+        A `Tuning`; print it as tables.
 
     Raises:
         TypeError: the Context has another integrator.
@@ -116,7 +118,7 @@ def tune(
 
 
 class _Start(NamedTuple):
-    """What the integrator had.
+    """Hold what the integrator had.
 
     Attributes:
         step: ps.
@@ -135,7 +137,7 @@ class _Start(NamedTuple):
 
     @property
     def time(self) -> float:
-        """Length of a trial, ps."""
+        """Return the length of a trial, ps."""
         return self.step * self.steps
 
 
@@ -202,7 +204,7 @@ def _trial(integrator: SIERHMCIntegrator) -> float:
 
 
 def _chances(errors: Sequence[float]) -> float:
-    """Mean probability of acceptance for energy errors in kT, which may be infinite."""
+    """Return mean probability of acceptance for energy errors in kT, which may be infinite."""
     return float(np.exp(-np.maximum(errors, 0)).mean())
 
 
@@ -239,7 +241,7 @@ def _cheapest(found: Sequence[SchemeFound]) -> SchemeFound:
 
 
 def _longest_step(context: openmm.Context) -> float:
-    """The longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
+    """Return the longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
     integrator = context.getIntegrator()
     vibrations = Vibrations(context.getSystem(), integrator.bodies)
     vibrations.measure(context)
@@ -249,7 +251,7 @@ def _longest_step(context: openmm.Context) -> float:
 def _find_step(
     context: openmm.Context, first: float, time: float, wanted: float, trials: int
 ) -> tuple[list[StepFound], float]:
-    """The steps that were tried, and the one with the wanted acceptance, or the longest allowed if that is less."""
+    """Return the steps that were tried, and the one with the wanted acceptance, or the longest allowed one."""
     order, most = context.getIntegrator().scheme.order, _longest_step(context)
     tried: list[StepFound] = []
     longest, refusal, step = math.inf, None, min(first, most)

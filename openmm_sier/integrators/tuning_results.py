@@ -43,7 +43,7 @@ class SchemeFound(NamedTuple):
     refused: str = ""
 
     def __str__(self) -> str:
-        """Every step that was tried, and the best one."""
+        """Return every step that was tried, and the best one."""
         if self.refused:
             return f"{self.scheme.name:>8}  {self.refused}"
         lines = [
@@ -76,18 +76,18 @@ class LengthFound(NamedTuple):
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Force evaluations per independent sample of the potential energy, with the standard error."""
+        """Return force evaluations per independent sample of the potential energy, with the standard error."""
         value, error = self.inefficiency
         return value * self.forces, error * self.forces
 
     @property
     def duration(self) -> tuple[float, float]:
-        """Seconds per independent sample of the potential energy, with the standard error."""
+        """Return seconds per independent sample of the potential energy, with the standard error."""
         value, error = self.inefficiency
         return value * self.seconds, error * self.seconds
 
     def __str__(self) -> str:
-        """Trials, forces and seconds for an independent potential energy; ? marks an unknown error."""
+        """Return trials, forces and seconds for an independent potential energy; ? marks an unknown error."""
         if self.refused:
             return f"{self.steps:10}  {self.refused}"
         (trials, error), (forces, uncertain), (seconds, beside) = self.inefficiency, self.cost, self.duration
@@ -98,7 +98,7 @@ class LengthFound(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """What `tune` found; print it.
+    """Hold what `tune` found; print it as tables.
 
     Attributes:
         scheme: the cheapest.

@@ -49,7 +49,7 @@ CHUNK = 8192
 
 
 def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = True) -> dict[str, np.ndarray]:
-    """The bodies of a Context at its last completed step, by the names of the datasets over frames.
+    """Return the bodies of a Context at its last completed step, by the names of the datasets over frames.
 
     Args:
         context: of an integrator of this package, or of a `StockIntegrator`.
@@ -155,7 +155,7 @@ def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
 
 
 def _constants(bodies: RigidBodies) -> dict[str, np.ndarray]:
-    """What does not change, by the names of datasets."""
+    """Return the constants of all frames, by the names of datasets."""
     sizes = [len(species.atoms) for species in bodies.species]
     found = {"species": np.repeat(np.arange(len(sizes)), sizes), "masses": bodies.masses, "moments": bodies.moments.T}
     for number, species in enumerate(bodies.species):

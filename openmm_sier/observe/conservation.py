@@ -41,12 +41,12 @@ Volume = TypeVar("Volume", float, np.ndarray)
 
 
 def density(mass: float, volume: Volume) -> Volume:
-    """Density in g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
+    """Return the density in g/ml of a mass in dalton in a volume, or an array of volumes, in nm^3."""
     return mass / volume / GRAM_PER_CM3
 
 
 def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator:
-    """The integrator of a Context, one of this package or a `StockIntegrator`.
+    """Return the integrator of a Context, one of this package or a `StockIntegrator`.
 
     Raises:
         TypeError: it is of another kind.
@@ -58,12 +58,12 @@ def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator
 
 
 def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
-    """`COLUMNS`, and the additional columns of an integrator of this package."""
+    """Return `COLUMNS`, and the additional columns of an integrator of this package."""
     return (*COLUMNS, *integrator.reported()) if isinstance(integrator, SIERIntegrator) else COLUMNS
 
 
 def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
-    """Values of `columns` at the last completed step.
+    """Return values of `columns` at the last completed step.
 
     The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
     thermostat and volume moves of this package gave, with velocities of whole steps
@@ -114,5 +114,5 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
 
 
 def csv_line(values: Iterable[str | float]) -> str:
-    """A line of a CSV file: numbers in the fewest digits that give back the same number, and names without commas."""
+    """Return a line of a CSV file: names without commas, numbers in the fewest digits that restore them exactly."""
     return ",".join(map(str, values)) + "\n"

@@ -29,16 +29,16 @@ NAMED = 12
 
 @dataclass(frozen=True)
 class ForceFault:
-    """A Force whose forces are not the gradient of its energy.
+    """Describe a Force whose forces are not the gradient of its energy.
 
     Attributes:
         force: its name and class.
         number: of the Force in the System.
         atoms: particle indices of the body on which it is most wrong.
         body: the name of that body.
-        turns: whether it is the torque on the body that is wrong, or the force.
-        size: by how much it is wrong, kJ/mol/nm; of a torque, kJ/mol.
-        of: its own size, in the same unit.
+        turns: True if the torque on the body is wrong, False if the force is.
+        size: the error, kJ/mol/nm; of a torque, kJ/mol.
+        of: the size of the force or torque itself, in the same unit.
     """
 
     force: str
@@ -60,7 +60,7 @@ class ForceFault:
 
 @dataclass(frozen=True)
 class ForceCheck:
-    """What `check_forces` found; print it.
+    """Hold what `check_forces` found; print it.
 
     Attributes:
         faults: one for each Force that is not the gradient of its energy; empty if all are.
@@ -80,34 +80,29 @@ class ForceCheck:
 
 
 def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1) -> ForceCheck:
-    """Find Forces that are not the gradient of their energy, where a drift of the energy has no other reason.
+    """Find Forces that are not the gradient of their energy. Use it when the energy drifts and you do not know why.
 
-    Bodies are moved from where they are by some hundredths of an Angstrom, in random directions. Along that the work of
-    each Force is compared with the change of its energy, each Force alone, on the Context's platform and in its
-    precision. This takes some 350 evaluations of all forces. The Context is not changed.
+    >>> print(check_forces(simulation.context))
+    All Forces are the gradients of their energies within 1 %: HarmonicBondForce, NonbondedForce...
 
-    Faults that are smaller than the rounding of energies in single precision are not seen, nor is a jump of the energy
-    at a cut-off, of which `prepare_system` tells.
+    It moves bodies by some hundredths of an Angstrom in random directions, and compares the work of each Force with the
+    change of its energy, on the Context's platform and in its precision. This takes some 350 evaluations of all forces.
+    The Context stays as it is.
 
-    >>> system = openmm.System()
-    >>> system.addParticle(1.0)
-    0
-    >>> context = openmm.Context(system, openmm.VerletIntegrator(0.001))
-    >>> context.setPositions([[0, 0, 0]])
-    >>> print(check_forces(context))
-    All Forces are the gradients of their energies within 1 %: none.
+    It cannot see faults that are smaller than the rounding of energies in single precision, nor a jump of the energy at
+    a cut-off. `prepare_system` tells you of such jumps.
 
     Args:
-        context: with positions, of any integrator. Bodies are those of a SIER integrator, and for others those of the
+        context: a Context with positions and any integrator. Without a SIER integrator, bodies are those of the
             System's constraints.
-        tolerance: fraction of the forces on an eighth of all bodies that may be wrong.
-        seed: of the random directions.
+        tolerance: fraction of the forces on an eighth of all bodies that may be wrong, between 0 and 1.
+        seed: seed of the random directions.
 
     Returns:
         The faults, with names, atoms and sizes; print it.
 
     Raises:
-        TypeError: it is no Context, such as a Simulation.
+        TypeError: `context` is no Context, such as a Simulation.
         ValueError: the tolerance is not between 0 and 1.
         openmm.OpenMMException: an energy or a force is not finite, as where there are no positions, or atoms overlap.
     """
@@ -133,7 +128,7 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
 
 
 class _Place(NamedTuple):
-    """Some bodies, by their numbers, and how they move; and what is wrong with a Force there, see `_errors`."""
+    """Hold the numbers of some bodies, how they move, and the error of a Force there; see `_errors`."""
 
     bodies: np.ndarray
     turns: bool

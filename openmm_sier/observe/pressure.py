@@ -29,17 +29,20 @@ COLUMNS = ("Step", "Time (ps)", *(f"Pressure {'xyz'[i]}{'xyz'[j]} (bar)" for i, 
 
 
 class MolecularPressure:
-    """Instantaneous molecular pressure tensors of the simulation in one Context.
+    """Compute the molecular pressure tensor of the simulation in one Context.
 
-    Energies are computed in a second Context of the same System on the same Platform, so that the first is left
-    untouched. A tensor costs 12 energy evaluations. Changes of global parameters and of the integrator's force groups
-    are followed; changes by `updateParametersInContext` after this object was made are not.
+    >>> pressure = MolecularPressure(simulation.context)
+    >>> components = pressure.components(simulation.context.getState(positions=True, velocities=True))
+
+    It computes energies in a second Context of the same System on the same Platform, so that the first stays as it is.
+    A tensor costs 12 energy evaluations. It follows changes of global parameters and of the integrator's force groups,
+    but not those by `updateParametersInContext` after it was made.
     """
 
     def __init__(self, context: openmm.Context) -> None:
         """
         Args:
-            context: of a periodic System.
+            context: a Context of a periodic System.
 
         Raises:
             ValueError: the System is not periodic, has molecules without mass, or a force that holds particles to
@@ -57,11 +60,11 @@ class MolecularPressure:
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]
 
     def components(self, state: openmm.State) -> np.ndarray:
-        """The pressure in bar as its components xx, yy, zz, xy, xz and yz, the last three symmetrized, (6,).
+        """Return the components xx, yy, zz, xy, xz and yz of the pressure in bar, the last three symmetrized, (6,).
 
         Args:
-            state: of the Context, with positions and velocities. Velocities are taken to be simultaneous with the
-                positions; those of OpenMM's leapfrog integrators are half a step earlier.
+            state: a State of the Context with positions and velocities at the same time. Velocities of OpenMM's
+                leapfrog integrators are half a step earlier.
         """
         box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
@@ -72,17 +75,17 @@ class MolecularPressure:
         return np.array([kinetic[axes] for axes in COMPONENTS] - slopes) / volume / BAR
 
     def row(self, state: openmm.State) -> tuple[float, ...]:
-        """Values of `COLUMNS`; the arguments are those of `components`."""
+        """Return values of `COLUMNS`; the arguments are those of `components`."""
         time = state.getTime().value_in_unit(unit.picosecond)
         volume = state.getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
         return (state.getStepCount(), time, *self.components(state).tolist(), volume)
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
-        """Sums (M, 3) over the atoms of each molecule of values (N, 3)."""
+        """Return sums (M, 3) over the atoms of each molecule of values (N, 3)."""
         return np.stack([np.bincount(self._owners, column) for column in values.T], axis=1)
 
     def _slopes(self, positions: np.ndarray, box: np.ndarray) -> np.ndarray:
-        """Derivatives of the potential energy by the strains, (6,), kJ/mol."""
+        """Return derivatives of the potential energy by the strains, (6,), kJ/mol."""
         centres = self._sums(self._masses[:, None] * positions) / self._molecule_masses[:, None]
         arms = positions - centres[self._owners]
         centres = wrapped(centres, box)
@@ -124,7 +127,7 @@ def _check(system: openmm.System) -> None:
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The molecule (N,) of each particle, and the masses (M,) of molecules.
+    """Return the molecule (N,) of each particle, and the masses (M,) of molecules.
 
     Atoms of one rigid body are in one molecule, even if nothing in the System joins them.
     """
@@ -141,7 +144,7 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
 
 
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:
-    """The stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
+    """Return the stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
 
     OpenMM's boxes have upper triangular deformations only, so that the strained box is turned into that form. Turning
     everything, molecules included, does not change the energy.
@@ -155,7 +158,7 @@ def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def _reduced(box: np.ndarray) -> np.ndarray:
-    """The same lattice in OpenMM's reduced form; box vectors are rows, lower triangular, nm."""
+    """Return the same lattice in OpenMM's reduced form; box vectors are rows, lower triangular, nm."""
     a, b, c = box
     c = c - b * np.round(c[1] / b[1])
     c = c - a * np.round(c[0] / a[0])

@@ -19,13 +19,13 @@ class _Reporter:
         self._interval = whole_number("reportInterval", reportInterval, least=1)
 
     def describeNextReport(self, simulation: app.Simulation) -> dict:
-        """Steps to the next report, for OpenMM's Simulation."""
+        """Return the number of steps to the next report, for OpenMM's Simulation."""
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": list(self.INCLUDE)}
 
 
 class _TableReporter(_Reporter):
-    """Writes rows of numbers, the first of which counts steps, as CSV."""
+    """Write rows of numbers, the first of which counts steps, as CSV."""
 
     #: The first columns of a file.
     COLUMNS: tuple[str, ...]
@@ -34,11 +34,12 @@ class _TableReporter(_Reporter):
         """
         Args:
             file: path of the CSV file.
-            reportInterval: steps between two rows.
-            append: continue an existing file; its header is not written again.
+            reportInterval: number of steps between two rows, at least 1.
+            append: True continues an existing file without a second header; False replaces it.
 
         Raises:
-            ValueError: the interval is no whole number from 1 on, or the file to be continued has other columns.
+            ValueError: the interval is not a whole number of at least 1, or the file to be continued has other columns.
+            OSError: the file cannot be opened.
         """
         super().__init__(reportInterval)
         self._path = Path(file)
@@ -75,10 +76,13 @@ class _TableReporter(_Reporter):
 
 
 class ConservationReporter(_TableReporter):
-    """Writes conserved quantities and the temperatures of translation and rotation as CSV.
+    """Write conserved quantities and the temperatures of translation and rotation as CSV.
+
+    >>> simulation.reporters.append(ConservationReporter("run.csv", 10))
 
     The columns are those of the log of `openmm-sier run`, `openmm_sier.observe.conservation.COLUMNS`, and those that
-    the integrator adds, such as the acceptance of hybrid Monte Carlo; `row` in that module describes them.
+    the integrator adds, such as the acceptance of hybrid Monte Carlo. `openmm_sier.observe.conservation.row` describes
+    them, and `openmm_sier.analysis.read_log` reads the file.
 
     At constant energy the conserved and the total energy may differ by a constant, 3/2 kT on average: `createSystem`
     adds a CMMotionRemover, which stops the drift of the whole box in the first step, and that energy counts as heat.
@@ -97,7 +101,9 @@ class ConservationReporter(_TableReporter):
 
 
 class PressureReporter(_TableReporter):
-    """Writes the molecular pressure tensor of a periodic box, in bar, as CSV; for any integrator and any molecules.
+    """Write the molecular pressure tensor of a periodic box, in bar, as CSV; for any integrator and any molecules.
+
+    >>> simulation.reporters.append(PressureReporter("pressure.csv", 5))
 
     `openmm_sier.observe.pressure` says how it is computed. A row costs 12 energy evaluations, in a separate Context:
     the run is bit-identical to one without this reporter. The columns are `openmm_sier.observe.pressure.COLUMNS`.
@@ -120,7 +126,9 @@ class PressureReporter(_TableReporter):
 
 
 class BodyStateReporter(_Reporter):
-    """Writes the bodies' phase points to an HDF5 file. Needs h5py, an extra (`openmm-sier[hdf5]`).
+    """Write the bodies' centres, attitudes and momenta to an HDF5 file. Needs the extra `openmm-sier[hdf5]`.
+
+    >>> simulation.reporters.append(BodyStateReporter("run.h5", 10))
 
     `openmm_sier.observe.body_states` says what the file holds. Every frame is flushed, so that the file of a run that
     was killed can be read.
@@ -137,18 +145,17 @@ class BodyStateReporter(_Reporter):
         """
         Args:
             file: path of the HDF5 file, which is replaced unless `append` is true.
-            reportInterval: steps between two frames.
-            append: continue after the last frame of the file, which must be of the same bodies; a missing file is
-                created, and so is one without a frame, which a run leaves that ended before its first report.
-            unwrapped: write centres as they are in the Context, along continuous paths. Otherwise each centre is moved
-                into the periodic box, as molecules are in OpenMM's trajectories by default (`enforcePeriodicBox`) and
-                in those of `openmm-sier run`.
-            names: of bodies, which the file then has: what `select_bodies` gave, or a mapping of names to the particle
+            reportInterval: number of steps between two frames, at least 1.
+            append: True continues after the last frame of the file, which must have the same bodies. A file that is
+                missing or has no frame is begun.
+            unwrapped: True writes centres as they are in the Context, along continuous paths. False moves each centre
+                into the periodic box, as OpenMM's trajectories do by default (`enforcePeriodicBox`).
+            names: names of bodies for the file, as `select_bodies` returned them, or a mapping of names to the particle
                 indices of a body each. Other bodies have an empty name.
 
         Raises:
-            ValueError: the interval is no whole number from 1 on; at the first report, the file to be continued is of
-                other bodies, or a name is not that of one body.
+            ValueError: the interval is not a whole number of at least 1; at the first report, the file to be continued
+                has other bodies, or a name is not that of one body.
             ModuleNotFoundError: h5py is missing.
         """
         super().__init__(reportInterval)

@@ -31,7 +31,7 @@ BAROSTAT_INTERVAL = 25
 
 
 class StockIntegrator(openmm.Integrator):
-    """Gives OpenMM's integrators the interface of this package's. Call `bind` before anything else.
+    """Give OpenMM's integrators the interface of this package's. Call `bind` before anything else.
 
     Attributes:
         bodies: the rigid bodies of the Context.
@@ -56,7 +56,7 @@ class StockIntegrator(openmm.Integrator):
 
     @property
     def conservesMomentum(self) -> bool:
-        """Whether the total momentum is conserved, see `MomentumConservation`."""
+        """Tell whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self.getIntegrationForceGroups(), self._has_friction())
 
     def _has_friction(self) -> bool:
@@ -80,11 +80,11 @@ class StockIntegrator(openmm.Integrator):
         return math.nan if self._bathed else 0.0
 
     def computeTemperatures(self) -> Temperatures:
-        """Temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
+        """Return temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
         return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
-        """No further columns of the log."""
+        """Return no further columns of the log."""
         return {}
 
 
@@ -107,7 +107,7 @@ def make_stock(
     friction: float = 1.0,
     pressure: float | None = None,
 ) -> tuple[openmm.System, StockIntegrator]:
-    """One of OpenMM's integrators, and a copy of a System with the Forces that keep temperature and pressure for it.
+    """Make an integrator of OpenMM, and a copy of a System with its thermostat and barostat.
 
     Args:
         system: to be simulated.
@@ -152,7 +152,7 @@ def go_on_as_a_restart(context: openmm.Context, seed: int) -> None:
 
 
 def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
-    """The state of the bodies at a whole step, from atoms that one of OpenMM's integrators moves.
+    """Return the state of the bodies at a whole step, from atoms that one of OpenMM's integrators moves.
 
     Raises:
         NotFiniteError, RigidityError: the positions do not form the bodies.

@@ -46,7 +46,7 @@ class Added:
 
     @property
     def before(self) -> list[int]:
-        """All particles before."""
+        """Return the number of particles before."""
         return list(range(len(self.masses)))
 
 
@@ -69,7 +69,7 @@ def carry_forces(system: openmm.System, added: Added) -> None:
         if carry is not None:
             carry(part, force, added)
         elif not isinstance(force, UNCHANGED):
-            raise _refusal(part, "nobody knows here how to leave the particles of frames out of it")
+            raise _refusal(part, "this package does not know how to leave the particles of frames out of it")
 
 
 def _refusal(part: Part, why: str, remedy: str = "") -> ValueError:

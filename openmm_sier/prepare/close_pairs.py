@@ -37,12 +37,12 @@ ENERGY = "coulomb*u + (repulsion*u6 - attraction)*u6; u6 = u^6; u = 1/r"
 
 
 def own_forces(system: openmm.System) -> list[int]:
-    """Numbers of the Forces that preparation added to a System."""
+    """Return numbers of the Forces that preparation added to a System."""
     return [i for i, force in enumerate(system.getForces()) if force.getName() in (NAME, OPPOSITE, BODIES)]
 
 
 def fast_force_groups(system: openmm.System) -> int:
-    """Bit mask of the fast force groups of a prepared System; 0 for any other System."""
+    """Return the bit mask of the fast force groups of a prepared System; 0 for any other System."""
     return sum({1 << force.getForceGroup() for force in system.getForces() if force.getName() == NAME})
 
 
@@ -90,7 +90,7 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
 
 
 def _interactions(force: openmm.Force, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """The close pairs that a Force lets interact: both atoms, and charge product, sigma and epsilon."""
+    """Return the close pairs that a Force lets interact: both atoms, and charge product, sigma and epsilon."""
     if isinstance(force, openmm.ConstantPotentialForce):
         force = _of_charges(force)
     offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
@@ -125,7 +125,7 @@ def _of_charges(force: openmm.ConstantPotentialForce) -> openmm.NonbondedForce:
 
 
 def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[int, np.ndarray]:
-    """What global parameters, at their defaults, add to the parameters of particles or exceptions."""
+    """Return the offsets of the parameters of particles or exceptions at defaults of global parameters."""
     names = range(force.getNumGlobalParameters())
     defaults = {force.getGlobalParameterName(i): force.getGlobalParameterDefaultValue(i) for i in names}
     found: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(3))
@@ -135,7 +135,7 @@ def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[in
 
 
 def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:
-    """Pairs (smaller, larger) of so many particles that are up to `REACH` edges (b, 2) apart, in ascending order."""
+    """Find pairs (smaller, larger) of n particles that are up to `REACH` edges (b, 2) apart, in ascending order."""
     # Most systems have no solute, and need not import this.
     from scipy import sparse
 

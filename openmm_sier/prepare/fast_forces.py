@@ -47,11 +47,11 @@ class FastForces:
         self.inner = [part.name for part, between in inner if len(between) and self.points[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:
-        """The Forces of a group that cannot be fast."""
+        """Return the Forces of a group that cannot be fast."""
         return [force for i, force in self.acting.items() if group in _groups(force) and i not in self.fast]
 
     def free_group(self) -> int:
-        """A group for the fast forces: 1 or, if that has other forces, the first that has none.
+        """Return a group for the fast forces: 1 or, if that has other forces, the first that has none.
 
         Raises:
             ValueError: all groups have other forces.
@@ -63,7 +63,7 @@ class FastForces:
 
 
 def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) -> int:
-    """Bit mask of the fast force groups of a System; 0 if it is not prepared.
+    """Return the bit mask of the fast force groups of a System; 0 if it is not prepared.
 
     They are those of the preparation. If somebody has regrouped the Forces since, they are all groups that hold only
     what the preparation made fast. Forces that were added later stay in the kicks.
@@ -94,7 +94,7 @@ def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) 
 
 
 def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:
-    """Whether a Force before the number `end` is bonded and not in a marked group, or in one and not bonded.
+    """Tell whether a Force before the number `end` is bonded and not in a marked group, or in one and not bonded.
 
     Most often no Force is, and then nobody has to know the bodies.
     """
@@ -109,7 +109,7 @@ def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:
 
 
 def _groups(force: openmm.Force) -> set[int]:
-    """The force groups of a Force, with that of its reciprocal space."""
+    """Return the force groups of a Force, with that of its reciprocal space."""
     found = {force.getForceGroup()}
     if isinstance(force, openmm.NonbondedForce) and (reciprocal := force.getReciprocalSpaceForceGroup()) >= 0:
         found.add(reciprocal)
@@ -117,7 +117,7 @@ def _groups(force: openmm.Force) -> set[int]:
 
 
 def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> tuple[np.ndarray, np.ndarray]:
-    """For each particle the number of its body, and whether that is a point."""
+    """Return for each particle the number of its body, and whether that is a point."""
     if isinstance(bodies, RigidBodies):
         found = linked(system, bodies)
         return found.owners.copy(), found.point_particles

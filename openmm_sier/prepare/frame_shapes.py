@@ -43,7 +43,7 @@ FACTORS = (1.0, 0.9, 0.8, 0.7, 0.6)
 
 @dataclass(frozen=True, eq=False)
 class FrameShape:
-    """The frame of a rigid body.
+    """Describe the frame of a rigid body.
 
     Attributes:
         masses: (f,), dalton; f is 2 for a body on a line, 3 for a flat one and 4 otherwise.

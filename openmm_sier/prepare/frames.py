@@ -19,7 +19,7 @@ from openmm_sier.prepare.carried_forces import Added, carry_forces
 from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.prepare.frame_topology import with_frame_atoms
 from openmm_sier.system import checks, tables
-from openmm_sier.system.arguments import checked_positions, checked_system
+from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import MAKE_WHOLE
 from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
 from openmm_sier.system.molecules import Bonds
@@ -30,7 +30,7 @@ MOST_HELD = 4
 
 
 class Frame(NamedTuple):
-    """The frame of one body.
+    """Describe the frame of one body.
 
     Attributes:
         body: its number.
@@ -49,7 +49,7 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FramedSystem:
-    """What `with_frames` made.
+    """Hold what `with_frames` made: a System with frames, and methods that give atoms back.
 
     Atoms have the numbers that they had, and the particles of frames come after them.
 
@@ -58,7 +58,7 @@ class FramedSystem:
         topology: openmm.app.Topology of it, with a last chain of a residue FRM for each frame; None if none was given.
         positions: of all particles, (P, 3), nm.
         bodies: the bodies of the original System.
-        frames: for each body that got a frame what belongs to it.
+        frames: one for each body that got a frame.
     """
 
     system: openmm.System
@@ -69,10 +69,10 @@ class FramedSystem:
 
     @property
     def numAtoms(self) -> int:
-        """The number of particles of the original System, N."""
+        """Return the number of particles of the original System, N."""
         return self.bodies.n_particles
 
-    def getAtomPositions(self, positions: Any) -> np.ndarray:
+    def getAtomPositions(self, positions: Positions | openmm.State) -> np.ndarray:
         """Return the positions of the original System's particles.
 
         Args:
@@ -105,7 +105,7 @@ class FramedSystem:
             velocities[frame.atoms] = turned.velocities(number, frame.places)
         return velocities
 
-    def addFramePositions(self, positions: Any) -> np.ndarray:
+    def addFramePositions(self, positions: Positions) -> np.ndarray:
         """Return positions of all particles of the copy, to set in its Context.
 
         Args:
@@ -129,7 +129,7 @@ class FramedSystem:
             found[frame.particles] = centre + frame.shape.corners.T @ attitude
         return found
 
-    def addFrameVelocities(self, positions: Any, velocities: Any) -> np.ndarray:
+    def addFrameVelocities(self, positions: Positions, velocities: Positions) -> np.ndarray:
         """Return velocities of all particles of the copy, to set in its Context.
 
         Args:
@@ -163,7 +163,7 @@ class FramedSystem:
 
     @property
     def _moving(self) -> dynamics.RigidBodies:
-        """The frames as bodies of the copy."""
+        """Return the frames as bodies of the copy."""
         species = [
             Species.from_sites(frame.particles[None], frame.shape.masses, frame.shape.corners) for frame in self.frames
         ]
@@ -191,42 +191,45 @@ class _Turned(NamedTuple):
 
 def with_frames(
     system: openmm.System,
-    positions: Any,
+    positions: Positions,
     bodies: RigidBodies | Rigid = None,
     topology: app.Topology | None = None,
 ) -> FramedSystem:
     """Copy a System with a frame for each rigid body, so that OpenMM's own integrators keep bodies of any size rigid.
 
-    OpenMM holds bodies by constraints, and its solvers bear those of a few atoms. In the copy a frame of four particles
-    moves for the body, three if it is flat and two if it is a line, and has its mass, its centre and its moments of
-    inertia, all of them exactly. Six constraints hold it, three or one. The atoms of the body become virtual sites of
-    the frame, without mass, and their forces act on it. So any integrator, barostat and platform of OpenMM moves them
-    as a rigid body, with six degrees of freedom, and those of this package do too.
+    >>> framed = with_frames(system, positions, [[0, 1, 2, 3, 4, 5]], topology)
+    >>> integrator = openmm.LangevinMiddleIntegrator(300*kelvin, 1/picosecond, 4*femtoseconds)
+    >>> simulation = Simulation(framed.topology, framed.system, integrator)
+    >>> simulation.context.setPositions(framed.positions)
+    >>> simulation.step(2)
+    >>> atoms = framed.getAtomPositions(simulation.context.getState(positions=True))
 
-    >>> framed = with_frames(system, positions, [[0, 1, 2, 3, 4]])              # doctest: +SKIP
-    >>> simulation = Simulation(topology, framed.system, integrator)            # doctest: +SKIP
-    >>> simulation.context.setPositions(framed.positions)                       # doctest: +SKIP
+    OpenMM holds bodies by constraints, and its solvers can handle those of a few atoms. In the copy a frame of four
+    particles moves in place of the body, three if it is flat and two if it is a line. It has exactly the body's mass,
+    centre and moments of inertia, and six constraints hold it, or three, or one. The atoms of the body become virtual
+    sites of the frame, without mass, and their forces act on it. So any integrator, barostat and platform of OpenMM
+    moves them as a rigid body with six degrees of freedom, and the integrators of this package do too.
 
-    Bodies that constraints define already, and that OpenMM can solve, such as water, stay as they are. Constraints
-    within the others are left out. Particles of frames interact with nothing: each Force that wants parameters for them
-    gets some, with which energies and forces stay what they were. In custom Forces these are a factor in the
-    expression. Long-range corrections alone depend on the number of particles N, as N/(N + 1).
+    Bodies that constraints define already and that OpenMM can solve, such as water, stay as they are. The others lose
+    the constraints inside them. Particles of frames interact with nothing: each Force gets parameters for them with
+    which energies and forces stay what they were. Only long-range corrections depend on the number of particles N, as
+    N/(N + 1).
 
-    Call it before `prepare_system`, which the copy is given to like any other System. Where `prepare_system(system,
-    bodies)` of the original excluded interactions within bodies, the copy has none either.
+    Call it before `prepare_system`, to which you give the copy like any other System. Interactions that
+    `prepare_system(system, bodies)` excluded in the original are excluded in the copy too.
 
     Args:
-        system: openmm.System; it stays as it is.
-        positions: of its particles, (N, 3), nm or a Quantity, with bodies whole.
-        bodies: the bodies, as RigidBodies, or as `rigid` of `RigidBodies.from_system` has them, such as lists of
-            particle indices; None: those of the System's constraints.
-        topology: openmm.app.Topology; the copy of it has the frames in a chain of their own.
+        system: the System, which stays as it is.
+        positions: positions of its particles, (N, 3), nm or a Quantity, with bodies whole.
+        bodies: the bodies, as `RigidBodies` or as `rigid` of `RigidBodies.from_system`, such as lists of particle
+            indices. None takes those of the System's constraints.
+        topology: the topology, of which the copy has the frames in a chain of their own.
 
     Returns:
         The copy with its topology and positions, and with methods that give atoms back.
 
     Raises:
-        TypeError: it is no System, such as a Simulation.
+        TypeError: `system` is no System, such as a Simulation.
         ValueError: no body needs a frame, or a Force cannot be carried over: multipoles of AMOEBA and HIPPO, plugins, a
             GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a

@@ -17,7 +17,7 @@ from openmm import unit
 from openmm_sier.dynamics.names import as_ranges
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import checked_positions, checked_system, quantity_to_float
+from openmm_sier.system.arguments import Positions, Quantity, checked_positions, checked_system, quantity_to_float
 
 #: The least mass of an atom over the mean one: an atom without mass would be frozen.
 LEAST = 1e-3
@@ -32,20 +32,24 @@ _MOMENT = unit.dalton * unit.nanometer**2
 
 
 def set_inertia(
-    system: openmm.System, positions: Any, bodies: Sequence[Sequence[int]], mass: Any, moments: Any
+    system: openmm.System,
+    positions: Positions,
+    bodies: Sequence[Sequence[int]],
+    mass: Quantity,
+    moments: Sequence[Quantity] | Quantity,
 ) -> None:
     """Give bodies a mass and moments of inertia, by the masses of their atoms.
 
-    The centre and the principal axes of each body stay where its masses have them now. Call it before the bodies are
-    made, and before `prepare_system`.
+    Call it before the bodies are made, and before `prepare_system`. The centre and the principal axes of each body stay
+    where they are.
 
-    >>> set_inertia(system, positions, domains, 5000*dalton, [900, 1000, 1100])       # doctest: +SKIP
+    >>> set_inertia(system, positions, [range(60)], 500*dalton, [80, 120, 150])
 
     Args:
-        system: openmm.System; masses of the bodies' atoms are changed.
-        positions: of its particles, (N, 3), nm or a Quantity, with bodies whole.
-        bodies: particle indices of each, such as `select_bodies` gives them. Virtual sites among them are left out.
-        mass: of each body, a quantity or a number in dalton.
+        system: the System, in which the masses of the bodies' atoms change.
+        positions: positions of its particles, (N, 3), nm or a Quantity, with bodies whole.
+        bodies: particle indices of each body, as `select_bodies` returns them. Virtual sites among them are left out.
+        mass: mass of each body, a quantity or a number in dalton.
         moments: principal moments of each body, in ascending order, three quantities or numbers in dalton nm^2.
 
     Raises:

@@ -57,7 +57,7 @@ DIRECT = (
 
 @dataclass
 class Excluded:
-    """What `exclude_inside_bodies` did.
+    """Hold what `exclude_inside_bodies` did.
 
     Attributes:
         pairs: how many pairs of atoms were excluded.

@@ -30,7 +30,7 @@ LIGHTEST_HYDROGEN = 1.0
 
 
 def checked_mass(mass: Any) -> float:
-    """A mass of hydrogens in dalton, from a quantity or a number.
+    """Return a mass of hydrogens in dalton, from a quantity or a number.
 
     Raises:
         ValueError: it is not from `LIGHTEST_HYDROGEN` to `HEAVIEST_HYDROGEN`.

@@ -37,19 +37,22 @@ MULTIPOLES = (openmm.AmoebaMultipoleForce, openmm.HippoNonbondedForce)
 def balance_pme(system: openmm.System) -> None:
     """Split electrostatics between the two sums of PME better than OpenMM does, with a mesh a tenth finer.
 
-    At the cut-off the energy jumps and the forces do not know it. By OpenMM's rule for `ewaldErrorTolerance` this
-    limits how well energy holds, and most of the error is in the direct sum. A larger Ewald parameter makes the jump
-    two hundred times smaller. In return the error of the mesh, and the small net force of PME on the box, are two to
-    three times larger. Forces in water take as long and are four to seven times as accurate (cut-off of 0.9 nm,
-    tolerances from 1e-5 to 5e-4).
+    `prepare_system` calls it. Call it yourself only if you want nothing else of the preparation, and do so after box,
+    cut-off and tolerance of the System are set and before a Context is created.
 
-    Call it after box, cut-off and tolerance of the System are set and before a Context is created, and again if they
-    change. It calls `setPMEParameters` of each Force with PME, which replaces earlier parameters: of NonbondedForces,
-    ConstantPotentialForces, AmoebaMultipoleForces and HippoNonbondedForces, also within an ATMForce or a CustomCVForce.
-    The dispersion of LJPME and of a HippoNonbondedForce stays as it is.
+    >>> balance_pme(system)
+
+    At the cut-off the energy jumps, and the forces do not account for it. With OpenMM's rule for `ewaldErrorTolerance`
+    this jump limits how well energy holds. A larger Ewald parameter makes it two hundred times smaller. In return the
+    error of the mesh, and the small net force of PME on the box, are two to three times larger. Forces in water take as
+    long and are four to seven times as accurate (cut-off of 0.9 nm, tolerances from 1e-5 to 5e-4).
+
+    It calls `setPMEParameters` of each NonbondedForce, ConstantPotentialForce, AmoebaMultipoleForce and
+    HippoNonbondedForce with PME, also inside an ATMForce or a CustomCVForce, and replaces earlier parameters. The
+    dispersion of LJPME and of a HippoNonbondedForce stays as it is.
 
     Args:
-        system: openmm.System.
+        system: the System, which changes.
 
     Raises:
         ValueError: no Force of the System uses PME or LJPME, or one has a cut-off that is not positive or a
@@ -91,7 +94,7 @@ def _has_mesh(force: openmm.Force) -> bool:
 
 
 def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[int]]:
-    """Ewald parameter in 1/nm and mesh."""
+    """Return the Ewald parameter in 1/nm and mesh."""
     tolerance = force.getEwaldErrorTolerance()
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
     least, largest = TOLERANCES

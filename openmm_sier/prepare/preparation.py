@@ -1,7 +1,6 @@
 """Preparation of a System for long steps: fast forces in their own group, and balanced PME sums."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import openmm
@@ -17,21 +16,21 @@ from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.split_terms import points_divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
-from openmm_sier.system.arguments import GROUPS, Bodies, checked_bodies, checked_system, whole_number
+from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
 
 
 @dataclass(frozen=True)
 class Preparation:
-    """What `prepare_system` did; print it.
+    """Hold what `prepare_system` did; print it.
 
     Attributes:
         fastForceGroups: the fast force groups, which integrators find in the System; empty if no force is fast.
         done: a sentence for each thing that was done or left as it was.
         limits: a sentence for each thing that still limits how well energy is conserved, with its remedy.
-        excludedPairs: how many pairs of atoms within rigid bodies do not interact any more.
-        excludedEnergy: their energy, which is a constant, and by which the potential energy is lower. It is that of
-            default values of global parameters, and of the bodies' shapes.
+        excludedPairs: number of pairs of atoms within rigid bodies that do not interact any more.
+        excludedEnergy: their energy, kJ/mol, a constant by which the potential energy is lower. It holds for the
+            bodies' shapes and for default values of global parameters.
     """
 
     fastForceGroups: frozenset[int]
@@ -45,56 +44,57 @@ class Preparation:
 
 
 def prepare_system(
-    system: openmm.System, bodies: Bodies = None, fastForceGroup: int | None = None, hydrogenMass: Any = None
+    system: openmm.System,
+    bodies: Bodies = None,
+    fastForceGroup: int | None = None,
+    hydrogenMass: Quantity | None = None,
 ) -> Preparation:
     """Prepare a System, of water alone or with solutes, for long steps.
 
-    Forces on bodies stay what they are, and so does the potential energy, but for a constant and the accuracy of PME:
+    Call it before the Context is created: an integrator refuses to step if its System changed since then. To prepare a
+    System again for the same bodies renews everything; for other bodies prepare a new System.
 
-    - The sums of PME are balanced, also of Forces within an ATMForce or a CustomCVForce, see `balance_pme`.
-    - Bonds, angles and torsions of molecules that are not rigid get a force group of their own, in which every SIER
-      integrator finds them. Fast forces may move only atoms outside rigid bodies. So terms between a rigid body and
-      something else, or on a virtual site, stay slow: a Force that has such terms is divided, by a new Force with those
-      on points alone, which lose their strength in the old one. A Force whose energy is an expression stays slow as a
-      whole then, and so does a Force within another one.
-    - In a periodic System, bodies that consist of several molecules are joined by bonds without strength, so that
-      OpenMM keeps their atoms together in trajectories and with barostats.
-    - Where all bonds and angles are slow, as those of beads that stand for residues, no force is fast, unless
-      `fastForceGroup` asks for it. Inner steps would cost time alone. What limits the step then is told.
-    - If there are such forces, nonbonded interactions between atoms of these molecules up to four bonds apart are added
-      to that group by one CustomBondForce and subtracted in the group of the NonbondedForce by another one. The
-      NonbondedForce is not changed. Whatever is done to charges, exceptions and other Forces afterwards, the sum of all
-      forces is that of the System without preparation.
-    - Interactions between atoms of one rigid body do no work and cost time. Where `bodies` tell its shape, those of
-      NonbondedForces, CustomNonbondedForces and GayBerneForces are excluded, and their energy, a constant, is told.
-      With PME they stay, since excluded pairs would take longer. Bonded terms within bodies are told of.
-
-    Preparing a System again for the same bodies renews all of this; for other bodies prepare a new System. A Context
-    must be created after the preparation: the integrator refuses the next step if its System was changed.
-
-    >>> system = openmm.System()
     >>> print(prepare_system(system))
+    The sums of PME are balanced.
     All molecules with bonded forces are rigid, so no force is fast.
+    ...
+
+    The forces on bodies stay what they are. The potential energy does too, apart from a constant and the accuracy of
+    PME. In detail:
+
+    - It balances the two sums of PME, also in an ATMForce or a CustomCVForce; see `balance_pme`.
+    - It puts bonds, angles and torsions of molecules that are not rigid into a force group of their own, where every
+      SIER integrator finds them. Terms that act on a rigid body or a virtual site stay slow. A Force that has such
+      terms is divided into two, unless its energy is an expression or it is inside another Force; then it stays slow as
+      a whole.
+    - In a periodic System it joins bodies that consist of several molecules by bonds without strength, so that OpenMM
+      keeps their atoms together in trajectories and with barostats.
+    - Where all bonds and angles are slow, as between beads that stand for residues, no force becomes fast unless you
+      give a `fastForceGroup`, since inner steps would only cost time.
+    - It counts nonbonded interactions between atoms up to four bonds apart as fast too. One CustomBondForce adds them
+      to the fast group, and another one subtracts them from the group of the NonbondedForce, which stays as it is. The
+      sum of all forces is that of the System without preparation, even if charges or exceptions change later.
+    - It excludes interactions between atoms of one rigid body, which do no work, where `bodies` have a shape and there
+      is no PME, with which excluded pairs would take longer. Their energy is `excludedEnergy` of the result.
 
     Args:
-        system: openmm.System; its force groups, PME parameters and exclusions are changed, and Forces may be
-            added.
-        bodies: the bodies that the integrator will be given, as it takes them; None: those of the System's constraints.
-        fastForceGroup: force group for the fast forces, from 0 to 31. None: 1 or, if that has other forces, the first
-            that has none.
-        hydrogenMass: of all hydrogens, in water too, a quantity or a number in dalton, see `set_hydrogen_masses`; None
-            leaves them as they are. With four dalton take 9 fs in place of 4 in a heat bath, and 9 in place of 6 by
-            hybrid Monte Carlo. Averages of positions do not change, but motion does: diffusion and relaxation of water
-            are some 10 to 20 % slower. Do not use it where dynamics is what you want, as at constant energy.
+        system: the System. Its force groups, PME parameters and exclusions change, and Forces may be added.
+        bodies: the bodies, as you give them to the integrator; None takes those of the System's constraints.
+        fastForceGroup: you can skip this. It is the force group for the fast forces, from 0 to 31. None takes 1 or, if
+            that has other forces, the first empty one.
+        hydrogenMass: mass of all hydrogens, in water too, a quantity or a number in dalton from 1 to 4.5; None leaves
+            masses as they are. With 4 take a step of 9 fs in a heat bath or by hybrid Monte Carlo. Averages of
+            positions stay the same, but motion slows down: water diffuses 10 to 20 % slower. So do not use it at
+            constant energy.
 
     Returns:
         The fast force groups, what was done, and what still limits the energy; print it.
 
     Raises:
-        TypeError: it is no System, such as a Simulation, or `bodies` have the wrong type.
-        ValueError: the group is out of range or already has other forces, `hydrogenMass` is out of range or given with
-            bodies that have masses already, or `balance_pme` refuses. The System is unchanged then.
-        RigidityError: see `RigidBodies.from_system`; the System is unchanged then too.
+        TypeError: `system` is no System, such as a Simulation, or `bodies` have the wrong type.
+        ValueError: the group is out of range or has other forces, `hydrogenMass` is out of range or comes with
+            `RigidBodies`, which have masses already, or `balance_pme` refuses. The System is unchanged then.
+        RigidityError: `RigidBodies.from_system` refuses the bodies. The System is unchanged then too.
     """
     system = checked_system(system)
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
@@ -104,8 +104,8 @@ def prepare_system(
         group = known.free_group()
     for force in known.others_in(group):
         raise ValueError(
-            f"{force.getName()} is in force group {group}, which is to be that of the fast forces: give another "
-            "fastForceGroup or none, to have a free one, or, if it was prepared for other bodies, prepare a new System"
+            f"{force.getName()} is in force group {group}, which the fast forces need: give another fastForceGroup, or "
+            "none to take an empty one; if the System was prepared for other bodies, prepare a new System"
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
@@ -137,8 +137,8 @@ def prepare_system(
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Where that does "
-            "not change them, add them to the System itself: then they are fast."
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. If that does "
+            "not change what they do, add them to the System itself: then they are fast."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
     done += _inside_bodies(system, found, excluded, known.owner)
@@ -180,7 +180,7 @@ def _inside_bodies(
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
                 f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
-                "particles do not tell which are near. Give prepare_system the bodies of RigidBodies.from_system("
+                "particles have no shape. Give prepare_system the bodies of RigidBodies.from_system("
                 "system, topology, lists, positions): then they are excluded."
             )
     elif excluded.refusal:

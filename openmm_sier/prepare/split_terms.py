@@ -20,7 +20,7 @@ OF_POINTS = " of points"
 
 
 class Terms(NamedTuple):
-    """How terms of a kind of Force are read and written.
+    """Read and write the terms of a kind of Force.
 
     Attributes:
         get: (Force, number) -> particles and parameters.

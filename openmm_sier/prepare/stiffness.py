@@ -38,7 +38,7 @@ class Stiffest(NamedTuple):
 
     @property
     def is_coarse(self) -> bool:
-        """Whether it is so slow that kicks can follow it."""
+        """Tell whether it is so slow that kicks can follow it."""
         return self.period >= COARSE
 
 

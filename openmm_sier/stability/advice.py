@@ -66,10 +66,10 @@ LIGHT = 2.0
 
 
 class Remedies:
-    """Finds what helps a System's motions, by their atoms."""
+    """Find remedies for a System's fast motions, by their atoms."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """From a System and what moves in it."""
+        """Take a System and its bodies."""
         self._owner, self._points = bodies.owners.copy(), bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]

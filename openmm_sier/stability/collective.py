@@ -46,7 +46,7 @@ def is_collective(force: openmm.Force) -> bool:
 
 
 def fastest_motion(force: openmm.Force, context: openmm.Context, bodies: RigidBodies) -> Vibration | None:
-    """The fastest motion that a Force causes where the atoms are; None if there is none.
+    """Return the fastest motion that a Force causes where the atoms are; None if there is none.
 
     As with `curvature.fastest_vibration`, what is far from its minimum is no vibration. Motions are those that bodies
     and constraints leave.
@@ -86,7 +86,7 @@ class _Alone:
         self._q, self._A = bodies.fit(self._x)
 
     def stiffest(self) -> tuple[float, Direction]:
-        """The largest eigenvalue of the second derivatives over masses, 1/ps^2, and its direction."""
+        """Return the largest eigenvalue of the second derivatives over masses, 1/ps^2, and its direction."""
         rng = np.random.default_rng(1)
         shape = self._q.shape
         start = self._curved(self._allowed((rng.normal(size=shape), np.zeros(shape))))
@@ -109,16 +109,16 @@ class _Alone:
         return float(squares[-1]), _sum(found, modes[:, -1])
 
     def slope(self, direction: Direction) -> float:
-        """The first derivative of the energy along a direction."""
+        """Return the first derivative of the energy along a direction."""
         return -self._product(self._generalized(self._forces(self._x)), direction)
 
     def velocities(self, direction: Direction) -> np.ndarray:
-        """Velocities of all atoms, (N, 3)."""
+        """Return velocities of all atoms, (N, 3)."""
         p, L = direction
         return self._bodies.move(BodyState(self._q, p, self._A, L), np.zeros_like(self._x))
 
     def _curved(self, direction: Direction) -> Direction:
-        """Second derivatives of the energy times a direction over masses."""
+        """Return second derivatives of the energy times a direction over masses."""
         velocities = self.velocities(direction)
         largest = np.abs(velocities).max(initial=0)
         if largest == 0:
@@ -136,7 +136,7 @@ class _Alone:
         return self._allowed(self._bodies.forces_and_torques(forces, self._A))
 
     def _allowed(self, direction: Direction) -> Direction:
-        """The part that constraints between points leave."""
+        """Return the part that constraints between points leave."""
         return self._bodies.constraints.project(self._q, direction[0]), direction[1]
 
     def _product(self, one: Direction, other: Direction) -> float:

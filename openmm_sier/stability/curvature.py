@@ -53,7 +53,7 @@ def fastest_vibration(
     mobility: np.ndarray,
     held: Collection[tuple[int, int]],
 ) -> Vibration | None:
-    """The fastest motion that one term of a Force of `EXPRESSIONS` causes; None if there is none.
+    """Return the fastest motion that one term of a Force of `EXPRESSIONS` causes; None if there is none.
 
     Args:
         force: of the Context's System, or within a Force of it.
@@ -87,7 +87,7 @@ def fastest_vibration(
 
 
 def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarray, openmm.Context]:
-    """Particles of each term, (t, k), and a Context of copies of all terms, each on k particles of its own."""
+    """Return particles of each term, (t, k), and a Context of copies of all terms, each on k particles of its own."""
     root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
     rows: list[list[int]] = []
     for term in (*root.iter("Bond"), *root.iter("Particle")):
@@ -109,7 +109,7 @@ def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarr
 
 
 def _derivatives(alone: openmm.Context, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First, (t, 3k), and second, (t, 3k, 3k), derivatives of the terms' energies at x (t, k, 3), kJ/mol and nm."""
+    """Return first (t, 3k) and second (t, 3k, 3k) derivatives of the terms' energies at x (t, k, 3), kJ/mol, nm."""
     terms, k, _ = x.shape
 
     def forces(places: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ def _derivatives(alone: openmm.Context, x: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _held_pairs(atoms: np.ndarray, owner: np.ndarray, held: Collection[tuple[int, int]]) -> HeldPairs:
-    """Pairs of places in the terms, with the terms (t,) in which their distance is fixed, by a constraint or a body."""
+    """Find pairs of places whose distance a constraint or a body fixes, with the terms (t,) where that is so."""
     found = []
     for i, j in combinations(range(atoms.shape[1]), 2):
         pairs = np.sort(atoms[:, [i, j]], axis=1)
@@ -137,7 +137,7 @@ def _held_pairs(atoms: np.ndarray, owner: np.ndarray, held: Collection[tuple[int
 
 
 def _without_held(curvature: np.ndarray, x: np.ndarray, weights: np.ndarray, pairs: HeldPairs) -> np.ndarray:
-    """Second derivatives (t, 3k, 3k) by motions that leave the distances of pairs as they are; all mass-weighted."""
+    """Return mass-weighted second derivatives (t, 3k, 3k) by motions that keep the distances of pairs."""
     if not pairs:
         return curvature
     terms, k, _ = x.shape

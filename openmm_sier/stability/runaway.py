@@ -36,7 +36,7 @@ GROWTH = 2.0
 
 
 def hottest(temperature: float, freedoms: float) -> float:
-    """A temperature in K that so many degrees of freedom do not exceed unless a run has broken down.
+    """Return a temperature in K that so many degrees of freedom do not exceed unless a run has broken down.
 
     It is `HOTTEST`, or more where a few of them may be so hot by chance: Laurent and Massart, Ann. Statist. 28, 1302
     (2000), Lemma 1, for the chi-squared distribution. It is also `GROWTH` times what the user asked for.
@@ -54,7 +54,7 @@ class RunawayError(openmm.OpenMMException):
 
 
 class RunawayWatch:
-    """Stops if steps have made a System hotter than rigid molecules are meant for, or velocities no numbers.
+    """Stop if steps have made a System far too hot, or velocities no numbers.
 
     It looks at the velocities in the Context every `INTERVAL` steps, and more often after a start, at the end of a call
     of `step`. The Context keeps what the steps have made of it.
@@ -67,7 +67,7 @@ class RunawayWatch:
         self.forget()
 
     def forget(self) -> None:
-        """Positions or velocities were set: what they are then is a new start."""
+        """Forget the start, since positions or velocities were set; the next ones are a new start."""
         self._start: float | None = None
         self._steps, self._pause = 0, FIRST_LOOK
 
@@ -112,7 +112,7 @@ class RunawayWatch:
             )
 
     def _temperature(self, context: openmm.Context) -> float:
-        """Of all atoms, K. Bodies that no constraint holds have fewer degrees of freedom, and are hotter by that."""
+        """Return the temperature of all atoms, K. Bodies that no constraint holds look colder than they are."""
         state = own_methods.get_state(context, velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
@@ -120,7 +120,7 @@ class RunawayWatch:
 
 
 def _held(system: openmm.System) -> int:
-    """Number of degrees of freedom that constraints take: of a cluster no more than leave it rigid."""
+    """Return the number of degrees of freedom that constraints take: of a cluster no more than leave it rigid."""
     pairs, particles = tables.constraints(system).pairs, system.getNumParticles()
     component = joined(particles, pairs)
     counts = np.bincount(component[pairs[:, 0]], minlength=particles)

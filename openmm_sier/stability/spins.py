@@ -36,7 +36,7 @@ ALIASED = math.pi
 
 
 class Spins:
-    """The fastest spin of a System's rigid bodies, and whether a step is short enough for it."""
+    """Judge steps by the fastest spin of a System's rigid bodies."""
 
     def __init__(self, system: openmm.System, species: Sequence[Species], describe: Callable):
         """
@@ -52,7 +52,7 @@ class Spins:
         self._told = False
 
     def longest_step(self, scheme: Scheme, groups: int, temperature: float) -> float:
-        """The longest step without a warning, ps; infinite where nothing turns bodies. For arguments see `check`."""
+        """Return the longest step without a warning, ps, with the arguments of `check`; infinite if nothing turns."""
         if not groups & self._groups or not temperature:
             return math.inf
         return scheme.accuracy_limit / (FAST * math.sqrt(GAS_CONSTANT * temperature / self._moment))
@@ -87,7 +87,7 @@ class Spins:
 
 
 def _field_groups(system: openmm.System, atoms: int) -> int:
-    """Bit mask of the groups of Forces that may turn a body of so many atoms: an external one, where it is alone."""
+    """Return a bit mask of groups that may turn a body of so many atoms; if it is alone, of external Forces."""
     particles = sum(not system.isVirtualSite(i) for i in range(system.getNumParticles()))
     acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES) and not _is_empty(force)]
     if particles == atoms:
@@ -99,7 +99,7 @@ def _field_groups(system: openmm.System, atoms: int) -> int:
 
 
 def _is_empty(force: openmm.Force) -> bool:
-    """Whether a Force is a NonbondedForce between particles without charges and van der Waals interactions."""
+    """Tell whether a Force is a NonbondedForce between particles without charges and van der Waals interactions."""
     if not isinstance(force, openmm.NonbondedForce):
         return False
     parameters = (

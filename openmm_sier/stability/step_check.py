@@ -12,7 +12,7 @@ from openmm_sier.stability.vibrations import Vibrations
 
 
 class StepCheck:
-    """Refuses steps that are too long for bonds, librations and spins; speaks of those at which the energy walks."""
+    """Refuse steps that are too long for bonds, librations and spins; warn of those at which the energy walks."""
 
     def __init__(
         self,

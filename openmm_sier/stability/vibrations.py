@@ -112,7 +112,7 @@ class Motion(NamedTuple):
 
 
 class Vibrations:
-    """The fastest unconstrained bonds and librations of a System, and whether a step is short enough for them.
+    """Judge steps by the fastest unconstrained bonds and librations of a System.
 
     Bonds inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
     from the System, as it is when the Context is created. Those of the terms of CustomBondForces,
@@ -201,7 +201,7 @@ class Vibrations:
         self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described, remedies)
 
     def check_nested(self, scheme: Scheme, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
-        """The same for fast forces within drifts, which must also not resonate with the kicks.
+        """Check the step for fast forces within drifts, which must also not resonate with the kicks.
 
         Kicks excite a bond if they come once or twice a period: schemes are unstable for steps in windows around half a
         period and a whole one. The width of these windows is the share of the slow forces in the stiffness of the bond.
@@ -271,7 +271,7 @@ class Vibrations:
         self._tell_once(advice.StepWarning(wanders, advice.up_to(_fs(good)), remark=longer))
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
-        """The longest step without a warning, ps, with inner steps that are short enough for the fast groups.
+        """Return the longest step without a warning, ps, with inner steps that are short enough for the fast groups.
 
         Its kicks do not resonate with those. Infinite where no bond vibrates. Both groups are bit masks.
         """
@@ -280,7 +280,7 @@ class Vibrations:
         return min(accurate, RESONANCE * within.period if within else math.inf)
 
     def longest_inner_step(self, inner: Scheme, groups: int) -> float:
-        """The longest step of an inner scheme without a warning, ps, for the harmonic bonds of fast groups, a bit mask.
+        """Return the longest step, ps, of an inner scheme without a warning for harmonic bonds of a mask of groups.
 
         Expressions do not count: how stiff they are depends on where atoms are, and a restart must find the same.
         """
@@ -338,12 +338,12 @@ class Vibrations:
 
 
 def accurate_step(scheme: Scheme, period: float) -> float:
-    """The step up to which a scheme has the energies of a motion right within a tenth; both times in ps."""
+    """Return the step up to which a scheme has the energies of a motion right within a tenth; both times in ps."""
     return _limits(scheme, period)[1]
 
 
 def _limits(scheme: Scheme, period: float) -> tuple[float, float]:
-    """Steps in ps at which a motion becomes unstable, and up to which its energies are right within a tenth."""
+    """Return steps in ps at which a motion becomes unstable, and up to which its energies are right within a tenth."""
     return scheme.stability_limit * period / (2 * math.pi), scheme.accuracy_limit * period / (2 * math.pi)
 
 
@@ -352,7 +352,7 @@ def _fs(time: float) -> str:
 
 
 def _percent(fraction: float) -> str:
-    """One digit, without an exponent: 20 % and not 2e+01 %."""
+    """Write one digit, without an exponent: 20 % and not 2e+01 %."""
     return f"{float(f'{100 * fraction:.1g}'):g} %"
 
 
@@ -381,7 +381,7 @@ def _unknown(system: openmm.System) -> Iterator[Part]:
 
 
 def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
-    """The motion of shortest period in force groups, a bit mask; None if there is none."""
+    """Return the motion of shortest period in force groups, a bit mask; None if there is none."""
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
 
 
@@ -392,7 +392,7 @@ def _fastest_bonds(
     mobility: np.ndarray,
     remedies: advice.Remedies,
 ) -> Iterator[Motion]:
-    """Of each HarmonicBondForce the bond of shortest period between two bodies that no constraint holds."""
+    """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
     for part in parts(system):
         if not isinstance(part.force, openmm.HarmonicBondForce) or not part.force.getNumBonds():
             continue

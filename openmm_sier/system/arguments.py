@@ -22,12 +22,15 @@ ForceGroups = Iterable[int] | int
 #: A quantity of OpenMM, or a number in the unit that the argument names.
 Quantity = unit.Quantity | float
 
+#: Positions (N, 3) in nm, such as OpenMM's lists of Vec3, or a quantity of these.
+Positions = unit.Quantity | np.ndarray | Sequence[Sequence[float]]
+
 #: OpenMM has this many force groups.
 GROUPS = 32
 
 
 def checked_bodies(bodies: Bodies) -> Bodies:
-    """Bodies as `RigidBodies`, lists of integers, or None.
+    """Return bodies as `RigidBodies`, lists of integers, or None.
 
     Raises:
         TypeError: they are none of these, or a mask of booleans.
@@ -45,7 +48,7 @@ def checked_bodies(bodies: Bodies) -> Bodies:
 
 
 def checked_system(system: Any) -> openmm.System:
-    """An openmm.System.
+    """Return an openmm.System as it is, and refuse anything else.
 
     Raises:
         TypeError: it is something else, such as a Simulation.
@@ -59,7 +62,7 @@ def checked_system(system: Any) -> openmm.System:
 
 
 def checked_positions(positions: Any, n: int) -> np.ndarray:
-    """Positions, a quantity or numbers in nm, as an array of shape (n, 3) of their own.
+    """Return positions, a quantity or numbers in nm, as an array of shape (n, 3) of their own.
 
     Raises:
         ValueError: they have another shape.
@@ -73,7 +76,7 @@ def checked_positions(positions: Any, n: int) -> np.ndarray:
 
 
 def checked_scheme(scheme: Any) -> Scheme:
-    """A scheme, from itself or from its name, in letters of any case.
+    """Return a scheme from itself or from its name in letters of any case.
 
     Raises:
         ValueError: no scheme has that name.
@@ -90,7 +93,7 @@ def checked_scheme(scheme: Any) -> Scheme:
 
 
 def step_size(size: Any) -> float:
-    """A step in ps, from a quantity or a number; see `quantity_to_float`."""
+    """Return a step in ps, from a quantity or a number; see `quantity_to_float`."""
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
     if size < 0:
         raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
@@ -98,7 +101,7 @@ def step_size(size: Any) -> float:
 
 
 def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> float:
-    """A finite number in a unit, from a quantity or a plain number."""
+    """Return a finite number in a unit, from a quantity or a plain number."""
     if unit.is_quantity(value):
         if not value.unit.is_compatible(of):
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
@@ -135,7 +138,7 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
 
 
 def group_mask(name: str, groups: ForceGroups | None) -> int:
-    """Force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
+    """Return force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
 
     Raises:
         ValueError: a group is not from 0 to 31.
@@ -157,5 +160,5 @@ def group_mask(name: str, groups: ForceGroups | None) -> int:
 
 
 def groups_of(mask: int) -> list[int]:
-    """The force groups of a bit mask, ascending."""
+    """Return the force groups of a bit mask, ascending."""
     return [group for group in range(GROUPS) if mask >> group & 1]

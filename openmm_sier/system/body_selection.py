@@ -36,7 +36,7 @@ _STOPPED = re.compile(r"\(at char (\d+)\)")
 
 @dataclass(frozen=True)
 class SelectedBodies(Sequence[tuple[int, ...]]):
-    """Bodies as sequences of particle indices, with a name for each. Print it to see what each of them is.
+    """Hold bodies as sequences of particle indices, with a name for each; print it to see them.
 
     It is taken wherever lists of particle indices are: as `bodies` of integrators and of `prepare_system`, and as
     `rigid` of `RigidBodies.from_system`.
@@ -75,28 +75,31 @@ class SelectedBodies(Sequence[tuple[int, ...]]):
 
 
 def select_bodies(topology: app.Topology, description: Description) -> SelectedBodies:
-    """Find the atoms of bodies that are described by residues, by chains or by a selection.
+    """Find the atoms of bodies that you describe by residues, by chains or by a selection.
 
-    >>> domains = select_bodies(topology, {"N": "A:1-36", "C": "A:80-120"})     # doctest: +SKIP
-    >>> bodies = RigidBodies.from_system(system, topology, domains, positions)  # doctest: +SKIP
+    >>> domains = select_bodies(topology, {"first": "A:1-2", "second": "A:4,6"})
+    >>> print(domains)
+    first: A:1-2 (atoms 0-5)
+    second: A:4,6 (atoms 9-11,15-17)
+    >>> bodies = RigidBodies.from_system(system, topology, domains, positions)
 
     A description in words is one of these:
 
-    - `A:1-36` or `A:1-36,50-60`: residues of the chain A by the numbers that the topology has, both ends included, as
-      one body. `:1-36` is one body in each chain that has these residues, `A:1-36 B:4-9` one body of both.
-    - `chain A`: all of a chain.
+    - `A:1-36` or `A:1-36,50-60`: residues of the chain A as one body, by the topology's numbers, both ends included.
+      `:1-36` is one body in each chain that has these residues, and `A:1-36 B:4-9` is one body of both.
+    - `chain A`: a whole chain.
     - `atoms 0-35,40`: atoms by their index, from 0, as OpenMM counts them.
     - the name of a residue: each residue of that name is one body.
-    - any other words are a selection in the language of MDTraj, which must be installed, such as
-      `name CA and resSeq 1 to 36`. What it selects in one chain is one body.
+    - anything else is a selection in the language of MDTraj, which must be installed, such as
+      `name CA and resSeq 1 to 36`. The atoms that it selects in one chain are one body.
 
     Where chains share a name there is one body in each of them. A name may come before, as in `head = A:1-36`.
 
     Args:
-        topology: openmm.app.Topology.
+        topology: the topology.
         description: words; the indices of one body's particles; a list of several of these; a mapping of names to
-            these; or the name of a file. A file has words in each line, and what follows # is a comment. One that ends
-            in .json has a list, or an object with names.
+            these; or the name of a file. A file has words in each line, and comments after #. A file that ends in .json
+            has a list, or an object with names.
 
     Returns:
         The bodies, in the order of their descriptions.
@@ -219,7 +222,7 @@ def _refuse_shared(found: Sequence[_Body]) -> None:
 
 
 class _Reader:
-    """Finds the atoms that words describe."""
+    """Find the atoms that words describe."""
 
     def __init__(self, topology: app.Topology):
         self._topology = topology

@@ -37,19 +37,19 @@ WITHOUT_FORCES = (openmm.CMMotionRemover, *OF_ENSEMBLES)
 
 
 def bonded_kind(force: openmm.Force) -> type | None:
-    """The class among `TERMS` that a Force is of; None if it is not a bonded one."""
+    """Return the class among `TERMS` that a Force is of; None if it is not a bonded one."""
     return next((kind for kind in TERMS if isinstance(force, kind)), None)
 
 
 def bonded_terms(force: openmm.Force) -> np.ndarray:
-    """Particles of each term of a Force that has a `bonded_kind`, (t, k)."""
+    """Return particles of each term of a Force that has a `bonded_kind`, (t, k)."""
     _, attributes = TERMS[bonded_kind(force)]
     found = [[int(term.attrib[name]) for name in attributes] for term in _elements(force)]
     return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
 def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
-    """The terms of a Force that do not lie in one body, (t, k); none if it is not a bonded one.
+    """Return the terms of a Force that do not lie in one body, (t, k); none if it is not a bonded one.
 
     Args:
         force: openmm.Force.
@@ -63,7 +63,7 @@ def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
 
 
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
+    """Return particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
     parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in _elements(force)]
     lengths, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
     return bonded_terms(force), lengths, strengths

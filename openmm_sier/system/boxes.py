@@ -6,7 +6,7 @@ import numpy as np
 
 
 def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -> np.ndarray:
-    """Points (n, 3) moved by box vectors into the box.
+    """Return points (n, 3) moved by box vectors into the box.
 
     Args:
         points: (n, 3), nm.

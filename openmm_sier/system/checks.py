@@ -26,14 +26,14 @@ PASSIVE_FORCES = (
 
 
 def is_passive(force: openmm.Force) -> bool:
-    """Whether a Force only gives forces and does not depend on the time."""
+    """Tell whether a Force only gives forces and does not depend on the time."""
     if isinstance(force, openmm.CustomCVForce):
         return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
     return isinstance(force, PASSIVE_FORCES)
 
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
-    """The barostats of OpenMM that a System has."""
+    """Return the barostats of OpenMM that a System has."""
     return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
 
 
@@ -113,8 +113,8 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
     for barostat in barostats(system):
         if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
             raise RigidityError(
-                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and which constraints "
-                "do not bear: create it with scaleMoleculesAsRigid=True"
+                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and breaks "
+                "constraints: create it with scaleMoleculesAsRigid=True"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import openmm
@@ -15,7 +15,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies, checked_positions, checked_system
+from openmm_sier.system.arguments import Bodies, Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.inner_forces import parts
@@ -37,7 +37,14 @@ Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 
 class RigidBodies(dynamics.RigidBodies):
-    """The rigid and point bodies of an OpenMM System."""
+    """Hold the rigid and point bodies of an OpenMM System; `from_system` finds them.
+
+    >>> bodies = RigidBodies.from_system(system, topology)
+    >>> print(bodies)
+    <RigidBodies: 59 rigid of 3 atoms>
+    >>> bodies.dof
+    354
+    """
 
     @classmethod
     def from_system(
@@ -45,26 +52,29 @@ class RigidBodies(dynamics.RigidBodies):
         system: openmm.System,
         topology: openmm.app.Topology | None = None,
         rigid: Rigid = None,
-        positions: Any = None,
+        positions: Positions | None = None,
     ) -> RigidBodies:
         """Find the bodies of a System.
 
-        (1) What you name is rigid, in the shape of the given positions. (2) Molecules with all distances constrained,
-        such as water, are rigid too, in the shape of the constraints. (3) All other atoms are points with their
+        Bodies that you name are rigid, in the shape of the given positions. Molecules with all distances constrained,
+        such as water, are rigid too, in the shape of the constraints. All other atoms are points with their
         constraints. Virtual sites follow their atoms. Massless particles that are not virtual sites are frozen: they
         stay where they are, and constraints between them are ignored.
+
+        >>> named = RigidBodies.from_system(system, topology, [[0, 1, 2, 3, 4, 5]], positions)
+        >>> integrator = SIER4GIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry. A warning says so where they differ by more than a PDB file rounds.
 
         Args:
-            system: openmm.System.
-            topology: openmm.app.Topology, for the names of residues in messages, and for some choices of `rigid`.
-            rigid: rigid bodies in addition to those that constraints define. Lists of particle indices, such as
-                `select_bodies` gives them; or a mapping
-                {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each heavy atom and the hydrogens
-                bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles, and leaves all torsions free.
-            positions: (N, 3), nm or a Quantity, from which the geometry of `rigid` is taken.
+            system: the System.
+            topology: the topology, for the names of residues in messages, and for some choices of `rigid`.
+            rigid: rigid bodies in addition to those that constraints define: lists of particle indices, as
+                `select_bodies` returns them; or a mapping {residue name: "rigid"}; or "heavy atoms with hydrogens",
+                which makes each heavy atom and the hydrogens bonded to it one body. The last fixes bonds to hydrogen
+                and H-X-H angles, and leaves all torsions free.
+            positions: (N, 3), nm or a Quantity, with the shapes of the bodies in `rigid`.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
@@ -79,7 +89,7 @@ class RigidBodies(dynamics.RigidBodies):
 
 
 class BodyPlan:
-    """Which particles of a System form rigid bodies; see `RigidBodies.from_system` for arguments, rules and errors.
+    """Plan the rigid bodies of a System; see `RigidBodies.from_system` for arguments, rules and errors.
 
     Attributes:
         kinds: the kinds of body.
@@ -98,16 +108,16 @@ class BodyPlan:
 
     @property
     def species(self) -> tuple[Species, ...]:
-        """The kinds of body whose geometry constraints define, of some of which there may also be mirror images."""
+        """Return the kinds of body whose geometry constraints define; some may also have mirror images."""
         return tuple(kind.model for kind in self.kinds if kind.model is not None)
 
     @property
     def needs_positions(self) -> bool:
-        """Whether the geometry of some body is known from positions only."""
+        """Tell whether the geometry of some body is known from positions only."""
         return any(kind.needs_positions for kind in self.kinds)
 
     def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> RigidBodies:
-        """The bodies.
+        """Return all bodies.
 
         Args:
             positions: (N, 3), nm.
@@ -154,7 +164,7 @@ class BodyPlan:
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
-        """Named bodies without their virtual sites; those that are frozen entirely are none."""
+        """Return named bodies without their virtual sites, and without those that are frozen entirely."""
         clusters: list[Cluster] = []
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
@@ -178,7 +188,7 @@ class BodyPlan:
         return clusters
 
     def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
-        """All bodies, with the constraints inside them.
+        """Return all bodies, with the constraints inside them.
 
         Raises:
             RigidityError: a constraint joins a body to another particle.
@@ -207,13 +217,13 @@ class BodyPlan:
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
                 raise RigidityError(
-                    f"{self._describe(cluster)}: its atoms lie on one point, where positions must tell its geometry. "
+                    f"{self._describe(cluster)}: its atoms lie on one point, but its shape comes from positions. "
                     "Set the positions first"
                 )
 
 
 def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodies | BodyPlan:
-    """A System's bodies from what a user gave; their plan if only positions can tell the geometry.
+    """Return a System's bodies from what a user gave; their plan if only positions can tell the geometry.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
@@ -251,7 +261,7 @@ def _named(
 
 
 def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
-    """Each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
+    """Return each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
     molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
@@ -281,7 +291,7 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 
 
 def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
-    """Clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
+    """Return clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
 
     A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
     """
@@ -296,7 +306,7 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
 
 
 def linked(system: openmm.System, bodies: Linked) -> Linked:
-    """Bodies that a user gave, with a System's constraints between them and its molecules.
+    """Return bodies that a user gave, with a System's constraints between them and its molecules.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
@@ -343,7 +353,7 @@ class Links:
         self.custom = _pairs(system, openmm.CustomBondForce)
 
     def covalent(self) -> np.ndarray:
-        """Constraints and bonds, (b, 2), without restraints within molecules.
+        """Return constraints and bonds, (b, 2), without restraints within molecules.
 
         A harmonic bond longer than `LONGEST_COVALENT`, as of an elastic network, and a term of a CustomBondForce are
         restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
@@ -356,7 +366,7 @@ class Links:
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
-        """For each cluster of particles whether a bond joins it to a particle outside."""
+        """Return for each cluster of particles whether a bond joins it to a particle outside."""
         owner = np.full(self.n_particles, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
@@ -366,7 +376,7 @@ class Links:
         return leaving[:-1]
 
     def link(self, bodies: Linked) -> Linked:
-        """The bodies with the constraints between them, and with their molecules.
+        """Return the bodies with the constraints between them, and with their molecules.
 
         Raises:
             RigidityError: a constraint joins a body to a particle of no body, or a body of several atoms to another
@@ -386,7 +396,7 @@ class Links:
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:
-    """The error for a constraint between two particles, one of which is in a rigid body without the other."""
+    """Return the error for a constraint that joins a rigid body to a particle outside."""
     return RigidityError(
         f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
         "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "
@@ -395,7 +405,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
 
 
 def _pairs(system: openmm.System, kinds: type | tuple[type, ...]) -> np.ndarray:
-    """Distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
+    """Return distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
     terms = [bonded_terms(part.force) for part in parts(system) if isinstance(part.force, kinds)]
     pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
     return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)

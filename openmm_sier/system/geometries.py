@@ -70,12 +70,12 @@ class Kind(NamedTuple):
 
     @property
     def needs_positions(self) -> bool:
-        """Whether constraints leave the geometry or the choice between two mirror images open."""
+        """Tell whether constraints leave the geometry or the choice between two mirror images open."""
         return self.model is None or self.model.mirror_distance > 0
 
 
 def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
-    """Clusters of particles sorted into kinds, in the order in which the first of each kind comes.
+    """Return clusters of particles sorted into kinds, in the order in which the first of each kind comes.
 
     Args:
         clusters: particle indices, and the constraints between them.
@@ -112,7 +112,7 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
 
 
 def _embedded(kind: Kind, describe: Callable) -> Species:
-    """Bodies of the geometry that a length for every pair of atoms defines, up to a reflection."""
+    """Return bodies of the geometry that a length for every pair of atoms defines, up to a reflection."""
     coordinates, excess = embed(len(kind.masses), kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(
@@ -124,7 +124,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
 
 
 def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
-    """Coordinates (k, 3) of points with given distances, and the largest distance error.
+    """Return coordinates (k, 3) of points with given distances, and the largest distance error.
 
     Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.
     """
@@ -155,7 +155,7 @@ def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
 
 
 def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tuple[list[Species], list[Sharing]]:
-    """Bodies of the geometries found in positions (N, 3) in nm, as few as `SHARING_TOLERANCE` allows.
+    """Return bodies of the geometries found in positions (N, 3) in nm, as few as `SHARING_TOLERANCE` allows.
 
     A geometry is the mean over the superimposed bodies that share it, and satisfies their constraints.
 
@@ -174,7 +174,7 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
 
 
 def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray, np.ndarray]:
-    """The geometry of the first body and those like it, how far all are from it, (m,), and which share it, (m,)."""
+    """Return the geometry of the first body and its like, how far all are from it, (m,), and which share it, (m,)."""
     shape = arms[0]
     # The first may be as far from the mean as any other: others can be near the mean but not near the first. The mean
     # of bodies turned onto a mean would change only in second order of their deviations.
@@ -197,7 +197,7 @@ def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Spe
 
 
 def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
-    """A shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest remaining error."""
+    """Return a shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest error left."""
     shape, largest, masses = shape.copy(), 0.0, kind.masses
     # It converges in some ten rounds for the hydrogens of one atom, and more slowly the more constraints share atoms.
     for _ in range(500):
@@ -215,7 +215,7 @@ def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
 
 
 def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
-    """Bodies from atom positions in principal frames, (N, 3) in nm; none if these frames are not principal.
+    """Return bodies from atom positions in principal frames, (N, 3) in nm; none if these frames are not principal.
 
     Bodies whose sites are bit-identical form one species.
     """
@@ -237,5 +237,5 @@ def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
 
 
 def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Positions (m, k, 3) relative to the centres of mass."""
+    """Return positions (m, k, 3) relative to the centres of mass."""
     return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]

@@ -14,7 +14,7 @@ LONGEST_TO_HYDROGEN = 0.17
 
 
 def hydrogens(system: openmm.System) -> dict[int, list[int]]:
-    """Hydrogens of a System, which knows no elements, by the atom that each is bonded to.
+    """Return hydrogens of a System, which knows no elements, by the atom that each is bonded to.
 
     A hydrogen is an atom of no more than `HEAVIEST_HYDROGEN`. Of the atoms that bonds and constraints of up to
     `LONGEST_TO_HYDROGEN` join to it, the nearest is heavier or is joined to more atoms than it is, and all the others
@@ -26,7 +26,7 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
 
 
 def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, float]]) -> dict[int, list[int]]:
-    """`hydrogens` by masses, (N,), dalton, and what `partners_of` gives."""
+    """Find hydrogens, as `hydrogens` does, from masses, (N,), dalton, and the result of `partners_of`."""
     found: dict[int, list[int]] = {}
     for atom in sorted(atom for atom in partners if masses[atom] <= HEAVIEST_HYDROGEN):
         lengths = partners[atom]
@@ -42,7 +42,7 @@ def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, floa
 
 
 def partners_of(system: openmm.System) -> dict[int, dict[int, float]]:
-    """What bonds and constraints join to each particle that moves, with distances in nm; that of custom bonds is 0."""
+    """Find the partners of each moving particle by bonds and constraints, with distances in nm, 0 if custom."""
     masses, links = tables.masses(system), Links(system)
     lengths = dict(zip(map(tuple, np.sort(links.bonds).tolist()), links.lengths.tolist(), strict=True))
     lengths |= links.constraints.by_pair()

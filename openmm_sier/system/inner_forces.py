@@ -39,12 +39,12 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Its name, and of what it is a part."""
+        """Return its name, and the name of the Force that contains it."""
         return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.within))])
 
     @property
     def weight(self) -> float | None:
-        """The factor of its energy in that of the System; None where that is no constant.
+        """Return the factor of its energy in that of the System; None where that is no constant.
 
         An ATMForce divides an energy between two states, and energies that these share count once. A CustomCVForce
         multiplies it by the derivative of its expression, where that is constant, with global parameters at their

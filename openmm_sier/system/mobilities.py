@@ -11,7 +11,7 @@ COARSE = 0.2
 
 
 def mobilities(bodies: RigidBodies) -> np.ndarray:
-    """For each particle its largest inverse effective mass in any direction, 1/dalton; 0 for particles of no body.
+    """Return the largest inverse effective mass of each particle in any direction, 1/dalton; 0 without a body.
 
     A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.
     """

@@ -11,7 +11,7 @@ from openmm import app, unit
 
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import checked_positions, checked_system
+from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
 from openmm_sier.system.inner_forces import parts
@@ -27,7 +27,7 @@ LONGEST_BOND = 0.4
 
 
 class Bonds(NamedTuple):
-    """What holds the atoms of molecules together.
+    """Hold the bonds that keep molecules together.
 
     Attributes:
         pairs: particle indices, (b, 2).
@@ -43,19 +43,19 @@ class Bonds(NamedTuple):
 
     @classmethod
     def joined(cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: bool = False) -> Bonds:
-        """Bonds of one kind; numbers count for all."""
+        """Make bonds of one kind; numbers count for all."""
         pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         each = np.broadcast_to(np.array(lengths, dtype=float), len(pairs))
         return cls(pairs, each, np.broadcast_to(longest, len(pairs)), np.broadcast_to(periodic, len(pairs)))
 
     @classmethod
     def of_topology(cls, topology: app.Topology) -> Bonds:
-        """Those of an openmm.app.Topology."""
+        """Read the bonds of an openmm.app.Topology."""
         return cls.joined([(bond[0].index, bond[1].index) for bond in topology.bonds()])
 
     @classmethod
     def guessed(cls, topology: app.Topology) -> Bonds:
-        """Those of a topology, and of the first atom of each residue to its atoms without bonds, as virtual sites."""
+        """Read the bonds of a topology, and join atoms without bonds to the first atom of their residue."""
         bonds = cls.of_topology(topology)
         known, pairs = set(bonds.pairs.ravel().tolist()), []
         for residue in topology.residues():
@@ -65,7 +65,7 @@ class Bonds(NamedTuple):
 
     @classmethod
     def of_system(cls, system: openmm.System) -> Bonds:
-        """Constraints, HarmonicBondForces that do work, and those of virtual sites to the first of their particles."""
+        """Read constraints, harmonic bonds that do work, and bonds of virtual sites to their first particles."""
         pairs, lengths = tables.constraints(system)
         found = [cls.joined(pairs, lengths, lengths + STRETCH)]
         for force in (part.force for part in parts(system)):
@@ -80,32 +80,35 @@ class Bonds(NamedTuple):
 
     @classmethod
     def together(cls, *parts: Bonds) -> Bonds:
-        """All bonds of several parts. Of two that join the same atoms it is that of the earlier part."""
+        """Join the bonds of several parts. Where two parts join the same atoms, the earlier one counts."""
         pairs, *others = map(np.concatenate, zip(*parts, strict=True))
         pairs = np.sort(pairs, axis=1)
         _, first = np.unique(pairs, axis=0, return_index=True)
         return cls(*(column[np.sort(first)] for column in (pairs, *others)))
 
     def measured(self, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
-        """Lengths at positions (N, 3) in nm, (b,), nm."""
+        """Return lengths at positions (N, 3) in nm, (b,), nm."""
         arms = positions[self.pairs[:, 1]] - positions[self.pairs[:, 0]]
         if box is not None:
             arms[self.periodic] = wrapped(arms[self.periodic], box, np.round)
         return np.linalg.norm(arms, axis=1)
 
 
-def make_whole(system: openmm.System, positions: Any, topology: app.Topology | None = None) -> np.ndarray:
-    """Positions at which the molecules of a System are whole.
+def make_whole(system: openmm.System, positions: Positions, topology: app.Topology | None = None) -> np.ndarray:
+    """Return positions at which the periodic boundary cuts no molecule.
 
-    Where a bond or a constraint is far longer than the force field has it, its atoms are moved by box vectors next to
-    each other, and with them what is bonded to them. Molecules that are whole already keep their positions to the last
-    bit. OpenMM's constraints, and most bonds, know nothing of the box.
+    Call it where a file has molecules that the box has cut: OpenMM's constraints, and most bonds, ignore the box.
+
+    >>> whole = make_whole(system, positions, topology)
+
+    Where a bond or a constraint is far too long, its atoms move next to each other by box vectors, together with the
+    atoms bonded to them. Molecules that are whole already keep their positions to the last bit.
 
     Args:
-        system: openmm.System, with the periodic box, if any, as its default.
+        system: the System, with the periodic box, if any, as its default.
         positions: (N, 3), nm or a Quantity.
-        topology: openmm.app.Topology of all its particles, for the names of residues in messages, and for bonds of
-            which the System knows nothing or only an expression (CustomBondForce).
+        topology: the topology of all particles, for the names of residues in messages, and for bonds that the System
+            does not have or has only as an expression (CustomBondForce).
 
     Returns:
         (N, 3), nm.
@@ -127,7 +130,7 @@ def make_whole(system: openmm.System, positions: Any, topology: app.Topology | N
 
 
 def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
-    """Positions (N, 3) in nm at which atoms are next to those that they are bonded to, in a box of vectors (3, 3).
+    """Move atoms next to those that they are bonded to, at positions (N, 3) in nm, in a box of vectors (3, 3).
 
     What is not broken stays as it is, even if another image is nearer.
     """
@@ -147,7 +150,7 @@ def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np
 
 
 def _tree(bonds: Bonds, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each of n particles the next one on the way to the first of its molecule, and the number of their bond.
+    """Return for n particles the next one on the way to the first of the molecule, and the number of their bond.
 
     The first of each molecule has the particle n next, and no bond, -1; and so has the particle n. What is held most
     closely is joined first: a restraint between two molecules tells less than their bonds.

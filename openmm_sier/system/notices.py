@@ -17,7 +17,7 @@ _PACKAGES = (*(f"{folder}{os.sep}" for folder in _FOLDERS), contextlib.__file__)
 
 
 class Remedy(NamedTuple):
-    """What helps against a fault.
+    """Describe what helps against a fault.
 
     Attributes:
         kind: by which others than scripts have words of their own.

@@ -93,9 +93,10 @@ class ResidueRanges:
         for chain, span in parts:
             found = self._in_each(chain, [span])
             if len(found) > 1:
+                chains = f"chains {chain}" if chain else "chains"
                 raise ValueError(
-                    f"{words!r} is to be one body, and {len(found)} chains are {chain or 'meant'}: give a line to each "
-                    "chain, or atoms, as in 'atoms 0-35'"
+                    f"{words!r} must be one body, but there are {len(found)} {chains}: give each chain a line, or name "
+                    "atoms, as in 'atoms 0-35'"
                 )
             body += found[0]
         return [body]

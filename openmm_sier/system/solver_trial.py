@@ -62,7 +62,7 @@ class Unsolved(NamedTuple):
     is_line: bool = False
 
     def __str__(self) -> str:
-        """The constraints and why, for messages."""
+        """Return the constraints and why, for messages."""
         shown = ", ".join(map(str, self.atoms[:NAMED])) + (", …" if len(self.atoms) > NAMED else "")
         return f"those of atoms {shown} ({self.why})"
 
@@ -83,7 +83,7 @@ class Cluster(NamedTuple):
     lengths: np.ndarray
 
     def places(self) -> np.ndarray | None:
-        """Positions (k, 3) that the constraints define, up to a reflection; None where they leave them open."""
+        """Return positions (k, 3) that the constraints define, up to a reflection; None where they leave them open."""
         k = len(self.atoms)
         if len(self.pairs) < k * (k - 1) // 2:
             return None
@@ -93,13 +93,13 @@ class Cluster(NamedTuple):
         return found if excess <= EMBEDDING_TOLERANCE else None
 
     def errors(self, places: np.ndarray) -> np.ndarray:
-        """By how much distances of places (k, 3) differ from the lengths, (c,), nm."""
+        """Return errors of the distances of places (k, 3) from the lengths, (c,), nm."""
         first, second = self.pairs.T
         return np.abs(np.linalg.norm(places[second] - places[first], axis=1) - self.lengths)
 
 
 class SolverTrial:
-    """Finds constraints of a System that OpenMM's solvers cannot satisfy."""
+    """Find constraints of a System that OpenMM's solvers cannot satisfy."""
 
     def __init__(self, system: openmm.System):
         """
@@ -123,7 +123,7 @@ class SolverTrial:
                 self._open.append(cluster)
 
     def unsolved(self, positions: Callable[[], np.ndarray] | None = None) -> Unsolved | None:
-        """The first constraints that OpenMM cannot satisfy; None if there are none.
+        """Return the first constraints that OpenMM cannot satisfy; None if there are none.
 
         Args:
             positions: gives (N, 3), nm, by which clusters are tried whose geometry constraints leave open; None leaves
@@ -150,7 +150,7 @@ class SolverTrial:
 
 
 def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
-    """Whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
+    """Tell whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
     arms = places - masses @ places / masses.sum()
     _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
     return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
@@ -161,7 +161,7 @@ def _atoms(cluster: Cluster) -> tuple[int, ...]:
 
 
 def _clusters(system: openmm.System) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Clusters in which constraints form rings, those of as many atoms and constraints together.
+    """Return clusters in which constraints form rings, those of as many atoms and constraints together.
 
     Yields:
         For m clusters the fields of `Cluster` as arrays (m, k), (m, k), (m, c, 2) and (m, c).
@@ -185,7 +185,7 @@ def _clusters(system: openmm.System) -> Iterator[tuple[np.ndarray, np.ndarray, n
 
 
 def _kinds(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, lengths: np.ndarray) -> Iterator[Cluster]:
-    """One cluster of each kind."""
+    """Return one cluster of each kind."""
     rows = np.concatenate([masses, pairs.reshape(len(pairs), -1), np.round(lengths / SAME_LENGTH)], axis=1)
     _, first = np.unique(rows, axis=0, return_index=True)
     for i in np.sort(first).tolist():
@@ -193,7 +193,7 @@ def _kinds(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, lengths: np
 
 
 def _mixed_triangle(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, lengths: np.ndarray) -> Unsolved | None:
-    """The first triangle that OpenMM gives to SETTLE although two atoms that should weigh the same do not."""
+    """Return the first triangle that OpenMM gives to SETTLE although two atoms that should weigh the same do not."""
     if atoms.shape[1] != 3 or lengths.shape[1] != 3:
         return None
     opposite = np.empty(lengths.shape, dtype=np.float32)
@@ -215,7 +215,7 @@ def _mixed_triangle(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, le
 
 
 def _surplus(cluster: Cluster) -> Unsolved | None:
-    """A cluster of more constraints than any geometry of it needs."""
+    """Return a cluster of more constraints than any geometry of it needs."""
     given, enough = len(cluster.lengths), 3 * len(cluster.atoms) - 6
     if given <= enough:
         return None
@@ -223,7 +223,7 @@ def _surplus(cluster: Cluster) -> Unsolved | None:
 
 
 def _is_solved(system: openmm.System, cluster: Cluster, places: np.ndarray) -> bool:
-    """Whether OpenMM brings atoms near their places (k, 3), and their velocities, onto the constraints."""
+    """Tell whether OpenMM brings atoms near their places (k, 3), and their velocities, onto the constraints."""
     context = _alone(system, cluster)
     random = np.random.default_rng(0)
     own_methods.set_positions(context, places + DISPLACEMENT * random.standard_normal(places.shape))
@@ -242,7 +242,7 @@ def _is_solved(system: openmm.System, cluster: Cluster, places: np.ndarray) -> b
 
 
 def _alone(system: openmm.System, cluster: Cluster) -> openmm.Context:
-    """A Context of a cluster alone, with the angles from which OpenMM makes its matrix."""
+    """Return a Context of a cluster alone, with the angles from which OpenMM makes its matrix."""
     number = {int(atom): i for i, atom in enumerate(cluster.atoms)}
     copy, angles = openmm.System(), openmm.HarmonicAngleForce()
     for mass in cluster.masses.tolist():

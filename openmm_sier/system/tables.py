@@ -31,11 +31,11 @@ class Constraints(NamedTuple):
     lengths: np.ndarray
 
     def by_pair(self) -> dict[tuple[int, int], float]:
-        """Lengths in nm by pairs of particles, the smaller first."""
+        """Return lengths in nm by pairs of particles, the smaller first."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
     def hold(self, clusters: np.ndarray) -> np.ndarray:
-        """For each cluster of particles, (m, k), whether every distance in it is fixed, (m,)."""
+        """Return for each cluster of particles, (m, k), whether every distance in it is fixed, (m,)."""
         held = self.by_pair()
         return np.array([all(pair in held for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool)
 
@@ -49,7 +49,7 @@ PAIR_UNITS = (unit.elementary_charge**2, unit.nanometer, unit.kilojoule_per_mole
 
 
 def numbers(quantities: Iterable[unit.Quantity], units: Iterable[unit.Unit]) -> np.ndarray:
-    """Quantities as numbers of units, one for each."""
+    """Return quantities as numbers of units, one for each."""
     return np.array([quantity.value_in_unit(one) for quantity, one in zip(quantities, units, strict=True)])
 
 
@@ -88,7 +88,7 @@ def _once(read: Callable[[openmm.System], Table]) -> Callable[[openmm.System], T
 
 @_once
 def masses(system: openmm.System) -> np.ndarray:
-    """Masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
+    """Return masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
     found = (system.getParticleMass(i) for i in range(system.getNumParticles()))
     return np.fromiter((mass.value_in_unit(unit.dalton) for mass in found), float)
 
@@ -103,7 +103,7 @@ def constraint_rows(system: openmm.System) -> np.ndarray:
 
 @_once
 def constraints(system: openmm.System) -> Constraints:
-    """The constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
+    """Return the constraints that act, in the System's order: those between two frozen atoms do not, as in OpenMM.
 
     Raises:
         RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
@@ -116,8 +116,8 @@ def constraints(system: openmm.System) -> Constraints:
         row = int(wrong[0])
         still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
         raise RigidityError(
-            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses such: give both "
-            "a mass, or freeze both by the mass 0, or remove the constraint, which a virtual site needs none of"
+            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses that: give both "
+            "a mass, freeze both with the mass 0, or remove the constraint, which a virtual site does not need"
         )
     acting = ~frozen.any(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
@@ -135,5 +135,5 @@ def constraints(system: openmm.System) -> Constraints:
 
 @_once
 def frozen_atoms(system: openmm.System) -> np.ndarray:
-    """Particles without mass that are no virtual sites, (f,): they exert forces and do not move."""
+    """Return particles without mass that are no virtual sites, (f,): they exert forces and do not move."""
     return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)

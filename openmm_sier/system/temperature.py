@@ -49,9 +49,7 @@ class DegreesOfFreedom(NamedTuple):
 
 
 class Temperatures(NamedTuple):
-    """Temperatures; NaN where there are no degrees of freedom.
-
-    Engines have numbers in K. Users get quantities, as from OpenMM.
+    """Hold temperatures: quantities in K for users, numbers in K inside. NaN means no degrees of freedom.
 
     Attributes:
         total: of all motion.
@@ -66,16 +64,16 @@ class Temperatures(NamedTuple):
     flexible: Any = math.nan
 
     def in_kelvin(self) -> "Temperatures":
-        """Numbers in K, from quantities."""
+        """Return numbers in K, from quantities."""
         return Temperatures(*(found.value_in_unit(unit.kelvin) for found in self))
 
     def as_quantities(self) -> "Temperatures":
-        """Quantities, from numbers in K."""
+        """Return quantities, from numbers in K."""
         return Temperatures(*(found * unit.kelvin for found in self))
 
 
 class MomentumConservation:
-    """Whether the total momentum of a System is conserved.
+    """Tell whether the total momentum of a System is conserved.
 
     A CMMotionRemover keeps it at zero, even with a Langevin bath: what the bath adds within one interval is left out
     with the motion of the centre of mass. Otherwise it is conserved unless one of these changes it: a heat bath of
@@ -89,7 +87,7 @@ class MomentumConservation:
     """
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """From a System and the choice of bodies; a particle that belongs to no body is fixed."""
+        """Read a System with its bodies; a particle that belongs to no body is fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
         self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
@@ -109,7 +107,7 @@ class MomentumConservation:
 
 
 def _is_external(force: openmm.Force) -> bool:
-    """Whether the energy of a Force changes when all particles are shifted together."""
+    """Tell whether the energy of a Force changes when all particles are shifted together."""
     if isinstance(force, openmm.CustomExternalForce):
         return force.getNumParticles() > 0
     if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
@@ -118,7 +116,7 @@ def _is_external(force: openmm.Force) -> bool:
 
 
 def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
-    """Degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
+    """Return degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
     apart = _counted_apart(bodies)
     count = int(apart.sum())
     share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
@@ -138,7 +136,7 @@ def _counted_apart(bodies: RigidBodies) -> np.ndarray:
 
 
 def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
-    """Kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
+    """Return kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
 
     Where the total momentum is `conserved`, the motion with the centre of mass is left out.
     """
@@ -152,12 +150,12 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
 
 
 def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
-    """Temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
+    """Return temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)
     return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))
 
 
 def temperature(energy: float, dof: float) -> float:
-    """Temperature in K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
+    """Return the temperature in K of a kinetic energy in kJ/mol; NaN without degrees of freedom."""
     return 2 * energy / (dof * GAS_CONSTANT) if dof > 0 else math.nan

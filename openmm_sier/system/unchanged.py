@@ -11,7 +11,7 @@ from openmm_sier.system.inner_forces import Part, parts, pme_parameters
 
 
 class Outline(NamedTuple):
-    """What is compared of a System.
+    """Hold the properties by which Systems are compared.
 
     Attributes:
         sizes: numbers of particles, constraints and Forces.

@@ -3,10 +3,9 @@
 import re
 from dataclasses import replace
 
-import pandas as pd
 import pytest
 
-from studies import claims, text, trust
+from studies import claims, trust
 
 ROOT = claims.ROOT
 NAMED = pytest.mark.parametrize("claim", claims.CLAIMS, ids=lambda claim: claim.text[:40])
@@ -61,9 +60,8 @@ def test_the_page_lists_every_claim():
 
 
 def test_readme_is_up_to_date():
-    """Word for word, and cell for cell; `python -m studies.claims` writes the figures."""
+    """Word for word; `python -m studies.claims` writes the figures."""
     assert claims.readme(claims.README.read_text()) == claims.README.read_text()
-    assert text.markdown(claims.table_of_speeds()) in claims.README.read_text()
 
 
 def test_the_draft_of_the_paper_is_up_to_date():
@@ -89,5 +87,3 @@ def test_figures_are_written_into_a_sentence_and_nothing_else():
     assert claim.written(text) == f"At 4 fs.\n{claim.sentence()} In TIP4P it is 1 times smaller.\n"
     with pytest.raises(ValueError, match="there should be this sentence, with any figures: In TIP5P"):
         claim.written("In TIP5P it is a few times smaller.")
-    with pytest.raises(ValueError, match="there should be a table"):
-        trust.with_table("| a | b |\n|---|---|\n| 1 | 2 |\n", pd.DataFrame({"": ["1"], "b": ["3"]}))

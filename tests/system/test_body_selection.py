@@ -135,7 +135,7 @@ def test_wrong_descriptions_are_named(description, named):
 
 
 def test_one_body_of_chains_that_share_a_name_is_refused():
-    with pytest.raises(ValueError, match="2 chains are A"):
+    with pytest.raises(ValueError, match="there are 2 chains A: give each chain a line"):
         select_bodies(chains("AAB"), "A:1 B:1")
 
 

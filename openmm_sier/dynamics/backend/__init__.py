@@ -26,7 +26,7 @@ _active: Backend | None = None
 
 
 def active() -> Backend:
-    """The backend in use."""
+    """Return the backend in use."""
     global _active
     if _active is None:
         wanted = os.environ.get("OPENMM_SIER_NUMBA", "1") != "0" and util.find_spec("numba") is not None

@@ -52,12 +52,12 @@ class ConstraintTable(NamedTuple):
 
 
 def differences(ends, x):
-    """Vectors (3, c) from the second to the first end of each constraint."""
+    """Return vectors (3, c) from the second to the first end of each constraint."""
     return taken(ends[0], x) - taken(ends[1], x)
 
 
 def pushed(ends, multipliers, bonds, p):
-    """Momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, and oppositely on second."""
+    """Return momenta (3, atoms) after multipliers (c,) along bonds (3, c) act on first ends, oppositely on second."""
     first, second = ends
     atoms = p.shape[1]
     forces = multipliers * bonds
@@ -65,12 +65,12 @@ def pushed(ends, multipliers, bonds, p):
 
 
 def multiplied(rows, columns, matrix, x):
-    """The product with a sparse matrix that has an element in each row."""
+    """Return the product with a sparse matrix that has an element in each row."""
     return np.bincount(rows, matrix * x[columns])
 
 
 def taken(columns, vectors):
-    """Some columns of vectors (3, n)."""
+    """Return some columns of vectors (3, n)."""
     return vectors[:, columns]
 
 
@@ -80,12 +80,12 @@ def put(columns, values, vectors):
 
 
 def dots(a, b):
-    """Scalar products (c,) of vectors (3, c)."""
+    """Return scalar products (c,) of vectors (3, c)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def linear_equations(table, bonds):
-    """Elements of G M^-1 G^T with a diagonal of ones, and what scales its rows and columns to that."""
+    """Return elements of G M^-1 G^T scaled to a diagonal of ones, and the factors of its rows and columns."""
     first, second = table.inverse_masses[table.ends[0]], table.inverse_masses[table.ends[1]]
     scale = 1 / np.sqrt(dots(bonds, bonds) * (first + second))
     rows = scale * bonds
@@ -93,7 +93,7 @@ def linear_equations(table, bonds):
 
 
 def solution(table, matrix, scale, wanted, reduction):
-    """Multipliers that change rates along the bonds as wanted, up to a share `reduction` of them."""
+    """Return multipliers that change rates along the bonds as wanted, up to a share `reduction` of them."""
     residual = scale * wanted
     x = np.zeros(len(residual))
     image = multiplied(table.rows, table.columns, matrix, residual)
@@ -115,14 +115,14 @@ def solution(table, matrix, scale, wanted, reduction):
 
 
 def lengths_after(table, x, p, d):
-    """Positions x + d M^-1 p, and what their squared lengths lack, (c,)."""
+    """Return positions x + d M^-1 p, and the errors of their squared lengths, (c,)."""
     reached = x + (d * table.inverse_masses) * p
     bonds = differences(table.ends, reached)
     return reached, table.squares - dots(bonds, bonds)
 
 
 def constrain(table, x, p, d, guess):
-    """Momenta with which x + d M^-1 p satisfies the constraints, changed along their gradients at x.
+    """Return momenta with which x + d M^-1 p satisfies the constraints, changed along their gradients at x.
 
     Args:
         guess: multipliers to begin with, (c,).
@@ -153,12 +153,12 @@ def constrain(table, x, p, d, guess):
 
 
 def relative(table, q):
-    """Positions (3, atoms) from the first atom of each component, of bodies at q (3, n)."""
+    """Return positions (3, atoms) from the first atom of each component, of bodies at q (3, n)."""
     return taken(table.members, q) - taken(table.first, q)
 
 
 def tangent(table, x, p):
-    """Momenta (3, atoms) without what acts along the constraints."""
+    """Return momenta (3, atoms) without their part along the constraints."""
     bonds = differences(table.ends, x)
     matrix, scale = linear_equations(table, bonds)
     for _ in range(2):

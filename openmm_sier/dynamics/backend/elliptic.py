@@ -13,7 +13,7 @@ SHORT_SERIES_LIMIT = 0.00125
 
 
 def short_sn_coefficients(p, q):
-    """Coefficients of t^3, t^5, t^7 and t^9 in the odd function S with S'^2 = (1 - p S^2)(1 - q S^2), S'(0) = 1.
+    """Return coefficients of t^3, t^5, t^7 and t^9 in the odd function S with S'^2 = (1 - p S^2)(1 - q S^2), S'(0) = 1.
 
     S(t) = sn(sqrt(p) t | q/p) / sqrt(p) is symmetric in p and q, so that its coefficients are polynomials in
     their sum and product; they follow from S'' = -(p + q) S + 2 p q S^3.
@@ -30,7 +30,7 @@ def short_sn_coefficients(p, q):
 
 
 def sn_coefficients(p, q):
-    """Coefficients of t^3, t^5, ..., t^13, see `short_sn_coefficients`."""
+    """Return coefficients of t^3, t^5, ..., t^13, see `short_sn_coefficients`."""
     s = p + q
     r = p * q
     s2 = s * s
@@ -41,7 +41,7 @@ def sn_coefficients(p, q):
 
 
 def sn_increment(coefficients, p, q, t):
-    """S(t) and its companions S^2, C = sqrt(1 - p S^2) and D = sqrt(1 - q S^2).
+    """Return S(t), S^2, C = sqrt(1 - p S^2) and D = sqrt(1 - q S^2).
 
     Args:
         coefficients: those of t^3, t^5, ...
@@ -75,19 +75,19 @@ SHORT_TIMES, SHORT_WEIGHTS = (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90)
 
 
 def long_series(p, q):
-    """Coefficients of S, and the quadrature, for all steps that a series reaches."""
+    """Return coefficients of S, and the quadrature, for all steps that a series reaches."""
     return sn_coefficients(p, q), TIMES, WEIGHTS
 
 
 def shortest_series(p, q):
-    """The same for arrays of p and q, as short as all of them allow."""
+    """Return the same for arrays of p and q, as short as all of them allow."""
     if max(p.max(), q.max()) <= SHORT:
         return short_sn_coefficients(p, q), SHORT_TIMES, SHORT_WEIGHTS
     return long_series(p, q)
 
 
 def complete_integrals(kc, nu):
-    """The complete elliptic integrals that fix the period of a free top and its turn in one period.
+    """Return the complete elliptic integrals that fix the period of a free top and its turn in one period.
 
     Both come from one arithmetic-geometric mean (DLMF 19.8.5 and 19.8.7, valid for every nu > 0).
 

@@ -15,17 +15,17 @@ LINE = 1e-8
 
 
 def plus(a, b):
-    """The sum of two vectors."""
+    """Return the sum of two vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def combine(weights, x, y, z):
-    """The sum of x, y and z with weights."""
+    """Return the sum of x, y and z with weights."""
     return weights[0] * x + weights[1] * y + weights[2] * z
 
 
 def cross(a, b):
-    """The vector product.
+    """Return the vector product.
 
     >>> cross((1, 0, 0), (0, 1, 0))
     (0, 0, 1)
@@ -34,22 +34,22 @@ def cross(a, b):
 
 
 def body_frame(A, L):
-    """L~ = A L, from the lab to the principal frame, of arrays A (3, 3, n) and L (3, n)."""
+    """Return L~ = A L in the principal frame, of arrays A (3, 3, n) and L (3, n)."""
     return combine(L, A[:, 0], A[:, 1], A[:, 2])
 
 
 def angular_velocity(A, L, inverse_moments):
-    """Angular velocities in the lab frame, (3, n); zero about the axis of a line and for a point."""
+    """Return angular velocities in the lab frame, (3, n); zero about the axis of a line and for a point."""
     return combine(body_frame(A, L) * inverse_moments, A[0], A[1], A[2])
 
 
 def turned(rows, A):
-    """Attitudes A (3, 3, n) after rotations in the body frames, given by rows; a new array."""
+    """Return attitudes A (3, 3, n) after rotations in the body frames, given by rows; a new array."""
     return np.stack([combine(row, *A) for row in rows])
 
 
 def small_sine_cosine(x):
-    """Sine and cosine of an angle up to `SMALL_ANGLE`, from their series at half of it."""
+    """Return sine and cosine of an angle up to `SMALL_ANGLE`, from their series at half of it."""
     y = 0.5 * x
     u = y * y
     s = y * (
@@ -60,7 +60,7 @@ def small_sine_cosine(x):
 
 
 def rotation_matrix(w, i, j, k):
-    """Rows of the matrix of a quaternion.
+    """Return rows of the matrix of a quaternion.
 
     >>> rotation_matrix(1.0, 0.0, 0.0, 1.0)[0]
     (0.0, -1.0, 0.0)
@@ -78,7 +78,7 @@ def rotation_matrix(w, i, j, k):
 
 
 def displacing_rotation(x, y, z, torque, inverses, shift):
-    """Rows of the rotation that displaces bodies by `shift` times their angular accelerations, in the body frame.
+    """Return rows of the rotation by `shift` times the angular accelerations of bodies, in the body frame.
 
     The Cayley form differs from the rotation by a third of the cube of the angle.
 
@@ -96,7 +96,7 @@ def displacing_rotation(x, y, z, torque, inverses, shift):
 
 
 def spin(moments, torque):
-    """Angular acceleration of points as one rigid body, times the determinant, by Cramer's rule; and the determinant.
+    """Return the angular acceleration of points as one body times a determinant, by Cramer's rule, and that.
 
     The third result is half the trace: about axes across a line both moments have that value. No moment of points is
     larger than the other two together, so that the determinant over the cube of this tells how small the smallest is.

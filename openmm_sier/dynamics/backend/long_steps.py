@@ -14,7 +14,7 @@ PHASE_CAP = 1e100
 
 
 def turn(body_L, rates, h):
-    """The free rotation of any bodies over any time.
+    """Rotate any bodies freely over any time.
 
     Whole periods of L~ are turns about L. The rest is cut into sub-steps, which compose exactly.
 
@@ -55,12 +55,12 @@ def turn(body_L, rates, h):
 
 
 def sine_cosine(x):
-    """Sine and cosine of any angles, arrays."""
+    """Return sine and cosine of any angles, arrays."""
     return np.sin(x), np.cos(x)
 
 
 def _direction(body_L, h):
-    """Direction of L~ and |L| h, whether or not the square of L~ is a double; a body at rest has any direction."""
+    """Return the direction of L~ and |L| h, also where the square of L~ overflows; a body at rest has any direction."""
     scale = np.abs(body_L).max(axis=0)
     scaled = body_L / np.where(scale > 0, scale, 1.0)
     norm = np.sqrt((scaled * scaled).sum(axis=0))
@@ -70,7 +70,7 @@ def _direction(body_L, h):
 
 
 def _whole_periods(rates, u, k):
-    """The fraction of a step that is left after whole periods of L~, and the turn in those."""
+    """Return the fraction of a step that is left after whole periods of L~, and the turn in those."""
     a, b, c = rates
     alpha, beta, gamma, p, q = euler_rates(rates, u, k)
     larger = np.maximum(p, q)
@@ -90,13 +90,13 @@ def _whole_periods(rates, u, k):
 
 
 def _about(u, angle):
-    """Quaternion of the body frame's rotation when the body turns about L~ by an angle."""
+    """Return the quaternion of the body frame's rotation when the body turns about L~ by an angle."""
     s = -np.sin(0.5 * angle)
     return np.cos(0.5 * angle), s * u[0], s * u[1], s * u[2]
 
 
 def _product(p, q):
-    """Quaternion product: the rotation q followed by p."""
+    """Return the product of two quaternions, the rotation q followed by p."""
     (a, b, c, d), (e, f, g, h) = p, q
     return np.stack(
         [

@@ -29,7 +29,7 @@ def _rotate_far(kinds: Kinds, A: ndarray, L: ndarray, h: float, far: ndarray, ne
 
 
 class NumbaBackend(NumpyBackend):
-    """What `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
+    """Do what `NumpyBackend` does, compiled. Bodies that turn too far for the series in a step are left to NumPy."""
 
     name = "Numba"
 
@@ -64,12 +64,12 @@ class NumbaBackend(NumpyBackend):
         A: ndarray,
         L: ndarray,
         kept: tuple[float, float],
-        widths: Pair,
+        widths: ndarray,
         noise: ndarray,
         inverses: Pair,
     ) -> tuple[ndarray, ndarray, ndarray]:
         new_p, new_L, gained, n = np.empty(p.shape), np.empty(p.shape), np.empty(p.shape[1]), p.shape[1]
-        _shared(numba_loops.bathe)(n, p, A, L, *kept, *widths, noise, *inverses, new_p, new_L, gained)
+        _shared(numba_loops.bathe)(n, p, A, L, *kept, widths, noise, *inverses, new_p, new_L, gained)
         return new_p, new_L, gained
 
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:

@@ -17,8 +17,8 @@ from openmm_sier.dynamics.backend.formulas import (
 )
 from openmm_sier.dynamics.backend.short_steps import free_rotation
 
-#: Bodies that are rotated together, and numbers that each needs for it. With fewer bodies instructions that handle
-#: several are not filled, and a larger tile is slower where there are few bodies.
+#: Bodies that are rotated together, and numbers that each needs for it. A smaller tile leaves instructions that handle
+#: several bodies unfilled, a larger one takes longer where bodies are few.
 TILE, ROWS = 32, 22
 
 
@@ -29,7 +29,7 @@ def copy(target, source):
 
 
 def rotate(start, stop, A, L, h, edges, rates, out, far):
-    """Free rotation of bodies; returns how many are beyond the formula, and sets `far` for those.
+    """Rotate bodies freely; return how many are beyond the formula, and set `far` for those.
 
     Args:
         start, stop: range of the bodies.
@@ -62,7 +62,7 @@ def keep(start, stop, A, out, far):
 
 
 def rotate_kind(start, stop, A, L, h, rates, tile, out, far):
-    """As `rotate`, for bodies with the same rates, (3,)."""
+    """Do what `rotate` does, for bodies with the same rates, (3,)."""
     left = 0
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
@@ -85,7 +85,7 @@ def rotate_kind(start, stop, A, L, h, rates, tile, out, far):
 
 
 def rotate_tile(tile, rates, h):
-    """Free rotation of a tile of bodies, from rows of it to others: A (9 rows), L (3), new A (9), whether it is valid.
+    """Rotate a tile of bodies freely, from its rows A (9) and L (3) to others: new A (9), and whether it is valid.
 
     There is one array with constant distances between its rows, and no branch or call that is not inlined. So the
     compiler sees that bodies are independent, and handles several with each instruction.
@@ -106,7 +106,7 @@ def rotate_tile(tile, rates, h):
 
 
 def advance(start, stop, q, p, h, inverse_masses, new_q):
-    """Centres after a time h, for a range of the bodies."""
+    """Move centres for a time h, for a range of the bodies."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
@@ -114,13 +114,13 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
 
 
 def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A, far):
-    """`advance` and `rotate` in one call, since beside few bodies calls are what costs."""
+    """Do `advance` and `rotate` in one call, since calls cost more than a few bodies do."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
     return rotate(start, stop, A, L, h, edges, rates, new_A, far)
 
 
 def kick(start, stop, p, L, F, torque, h, new_p, new_L):
-    """As `NumpyBackend.kick` by forces at the centres, for a range of the bodies."""
+    """Do what `NumpyBackend.kick` does by forces at the centres, for a range of the bodies."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_p[x, n] = p[x, n] + h * F[x, n]
@@ -129,7 +129,7 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
 
 
 def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
-    """As `NumpyBackend.kick` by forces at other points, for a range of the bodies."""
+    """Do what `NumpyBackend.kick` does by forces at other points, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         force = F[0, n], F[1, n], F[2, n]
         lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)
@@ -140,33 +140,19 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 
 
 def bathe(
-    start,
-    stop,
-    p,
-    A,
-    L,
-    kept,
-    kept_turning,
-    width,
-    turning_width,
-    noise,
-    inverse_masses,
-    inverse_moments,
-    new_p,
-    new_L,
-    gained,
+    start, stop, p, A, L, kept, kept_turning, widths, noise, inverse_masses, inverse_moments, new_p, new_L, gained
 ):
-    """As `NumpyBackend.bathe`, for a range of the bodies."""
+    """Do what `NumpyBackend.bathe` does, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
-            new_p[x, n] = kept * p[x, n] + width[n] * noise[x, n]
+            new_p[x, n] = kept * p[x, n] + widths[x, n] * noise[x, n]
             energy += new_p[x, n] * new_p[x, n] - p[x, n] * p[x, n]
             new_L[x, n] = kept_turning * L[x, n]
         energy *= inverse_masses[n]
         for i in range(3):
             along = A[i, 0, n] * L[0, n] + A[i, 1, n] * L[1, n] + A[i, 2, n] * L[2, n]
-            twist = turning_width[i, n] * noise[3 + i, n]
+            twist = widths[3 + i, n] * noise[3 + i, n]
             new_along = kept_turning * along + twist
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
@@ -176,7 +162,7 @@ def bathe(
 
 
 def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moments, new_q, new_A):
-    """As `RigidBodies.displaced`, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
+    """Do what `RigidBodies.displaced` does, for a range of the bodies; writes q (3, n) and A (3, 3, n)."""
     for n in range(np.uint64(start), np.uint64(stop)):
         x = (A[0, 0, n], A[0, 1, n], A[0, 2, n])
         y = (A[1, 0, n], A[1, 1, n], A[1, 2, n])
@@ -193,7 +179,7 @@ def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moment
 
 
 def columns_of(A, n):
-    """The columns of the attitude matrix of a body, to be read once for all of its sites."""
+    """Return the columns of the attitude matrix of a body, to be read once for all of its sites."""
     return (
         (A[0, 0, n], A[1, 0, n], A[2, 0, n]),
         (A[0, 1, n], A[1, 1, n], A[2, 1, n]),
@@ -202,26 +188,26 @@ def columns_of(A, n):
 
 
 def lab_frame(vector, columns):
-    """A vector of the principal frame in the lab frame."""
+    """Return a vector of the principal frame in the lab frame."""
     x, y, z = columns
     return combine(vector, x[0], x[1], x[2]), combine(vector, y[0], y[1], y[2]), combine(vector, z[0], z[1], z[2])
 
 
 def arm_of(places, site, columns):
-    """The place of a site relative to the centre of its body, in the lab frame."""
+    """Return the place of a site relative to the centre of its body, in the lab frame."""
     return lab_frame((places[0, site], places[1, site], places[2, site]), columns)
 
 
 def set_of(sets, row):
-    """A row of the table `Sites.sets`, in numbers that no index counts from the end."""
+    """Return a row of the table `Sites.sets`, in unsigned numbers, for which Numba looks for no negative index."""
     first, end, size = np.uint64(sets[row, 0]), np.uint64(sets[row, 1]), np.uint64(sets[row, 2])
     return first, end, size, np.uint64(sets[row, 3]), np.uint64(sets[row, 4])
 
 
 def place(start, stop, q, A, sets, places, atoms, positions):
-    """As `NumpyBackend.place`, for a range of the bodies; see `Sites` for `sets`, `places` and `atoms`.
+    """Do what `NumpyBackend.place` does, for a range of the bodies; see `Sites` for `sets`, `places` and `atoms`.
 
-    Returns how many bodies have an atom whose position is not finite.
+    Return how many bodies have an atom whose position is not finite.
     """
     broken = 0
     for row in range(len(sets)):
@@ -239,7 +225,7 @@ def place(start, stop, q, A, sets, places, atoms, positions):
 
 
 def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, atoms, velocities):
-    """As `NumpyBackend.move`, for a range of the bodies; see `place`."""
+    """Do what `NumpyBackend.move` does, for a range of the bodies; see `place`."""
     for row in range(len(sets)):
         first, end, size, site, entry = set_of(sets, row)
         for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
@@ -260,9 +246,9 @@ def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, at
 
 
 def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment):
-    """As `NumpyBackend.collect`, for a range of the bodies; see `place`.
+    """Do what `NumpyBackend.collect` does, for a range of the bodies; see `place`.
 
-    Returns how many bodies have a sum that is not finite.
+    Return how many bodies have a sum that is not finite.
     """
     broken = 0
     for row in range(len(sets)):
@@ -284,7 +270,7 @@ def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment
 
 
 def turn_groups(edges, part, m, q, at, F):
-    """As `NumpyBackend.turn_groups`."""
+    """Do what `NumpyBackend.turn_groups` does."""
     for g in range(len(edges) - 1):
         mass, centre, torque = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for k in range(edges[g], edges[g + 1]):
@@ -311,7 +297,7 @@ def turn_groups(edges, part, m, q, at, F):
 
 
 def pushed(ends, multipliers, bonds, p):
-    """As `constraint_solver.pushed`."""
+    """Do what `constraint_solver.pushed` does."""
     out = p.copy()
     for axis in range(3):
         for c in range(ends.shape[1]):
@@ -322,7 +308,7 @@ def pushed(ends, multipliers, bonds, p):
 
 
 def lengths_after(table, x, p, d):
-    """As `constraint_solver.lengths_after`."""
+    """Do what `constraint_solver.lengths_after` does."""
     ends, squares = table.ends, table.squares
     reached, lacking = x + (d * table.inverse_masses) * p, np.empty(len(squares))
     for c in range(len(squares)):
@@ -333,7 +319,7 @@ def lengths_after(table, x, p, d):
 
 
 def taken(columns, vectors):
-    """As `constraint_solver.taken`."""
+    """Do what `constraint_solver.taken` does."""
     out = np.empty((3, len(columns)))
     for axis in range(3):
         for c in range(len(columns)):
@@ -342,14 +328,14 @@ def taken(columns, vectors):
 
 
 def put(columns, values, vectors):
-    """As `constraint_solver.put`."""
+    """Do what `constraint_solver.put` does."""
     for axis in range(3):
         for c in range(len(columns)):
             vectors[axis, np.uint64(columns[c])] = values[axis, c]
 
 
 def linear_equations(table, bonds):
-    """As `constraint_solver.linear_equations`."""
+    """Do what `constraint_solver.linear_equations` does."""
     ends, inverse_masses = table.ends, table.inverse_masses
     rows, columns, weights = table.rows, table.columns, table.weights
     scale, matrix = np.empty(ends.shape[1]), np.empty(len(rows))
@@ -376,7 +362,7 @@ def multiply(rows, columns, matrix, x, image):
 
 
 def solution(table, matrix, scale, wanted, reduction):
-    """As `constraint_solver.solution`, without temporary arrays."""
+    """Do what `constraint_solver.solution` does, without temporary arrays."""
     rows, columns = table.rows, table.columns
     work = np.zeros((5, len(wanted)))
     x, residual, image, direction, along = work[0], work[1], work[2], work[3], work[4]

@@ -44,14 +44,14 @@ class NumpyBackend:
     def drift(
         self, kinds: Kinds, q: ndarray, p: ndarray, A: ndarray, L: ndarray, h: float, inverse_masses: ndarray
     ) -> Pair:
-        """Centres (3, n) and attitudes (3, 3, n) after free motion for a time h, of bodies at q with momenta p, (3, n).
+        """Move bodies at q with momenta p, (3, n), freely for a time h; return centres and attitudes (3, 3, n).
 
         Args and errors: as of `rotate`; inverse masses are (n,).
         """
         return q + (h * inverse_masses) * p, self.rotate(kinds, A, L, h)
 
     def rotate(self, kinds: Kinds, A: ndarray, L: ndarray, h: float) -> ndarray:
-        """Attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
+        """Return attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
 
         Args:
             kinds: their inverse moments.
@@ -78,7 +78,7 @@ class NumpyBackend:
             new[:, :, block] = rotated(own, A[:, :, block], L[:, block], h, range(block.start, block.stop))
 
     def kick(self, p: ndarray, L: ndarray, F: ndarray, tau: ndarray, h: float, q: ndarray, at: ndarray) -> Pair:
-        """Momenta and angular momenta about q after forces at other points, and torques about these, for a time h.
+        """Return momenta and angular momenta about q after a time h of forces at other points and torques about these.
 
         All arrays are (3, n).
         """
@@ -91,30 +91,31 @@ class NumpyBackend:
         A: ndarray,
         L: ndarray,
         kept: tuple[float, float],
-        widths: Pair,
+        widths: ndarray,
         noise: ndarray,
         inverses: Pair,
     ) -> tuple[ndarray, ndarray, ndarray]:
-        """Momenta and angular momenta of which a part is kept, and the kinetic energy that each body gained, (n,).
+        """Return momenta and angular momenta after a bath, and the kinetic energy that each body gained, (n,).
 
         Args:
             p, L: (3, n).
             A: attitudes, (3, 3, n).
             kept: factors of momenta and of angular momenta.
-            widths: standard deviations of what momenta gain, (n,), and angular momenta in the principal frames, (3, n).
-            noise: standard normal numbers for momenta and angular momenta, (6, n).
+            widths: standard deviations of what momenta gain, and angular momenta in the principal frames, (6, n).
+            noise: standard normal numbers, (6, n).
             inverses: of masses and moments.
         """
         inverse_masses, inverse_moments = inverses
-        twists, along = widths[1] * noise[3:], formulas.body_frame(A, L)
-        new_p, new_along = kept[0] * p + widths[0] * noise[:3], kept[1] * along + twists
+        gains, along = widths * noise, formulas.body_frame(A, L)
+        kicks, twists = gains[:3], gains[3:]
+        new_p, new_along = kept[0] * p + kicks, kept[1] * along + twists
         new_L = kept[1] * L + formulas.combine(twists, A[0], A[1], A[2])
         gained = (new_p * new_p - p * p).sum(axis=0) * inverse_masses
         gained += ((new_along * new_along - along * along) * inverse_moments).sum(axis=0)
         return new_p, new_L, 0.5 * gained
 
     def displace(self, q: ndarray, A: ndarray, F: ndarray, tau: ndarray, shift: float, inverses: Pair) -> Pair:
-        """Centres and attitudes of bodies displaced by `shift` times their accelerations.
+        """Return centres and attitudes of bodies displaced by `shift` times their accelerations.
 
         Args:
             q, F, tau: centres, forces and torques, (3, n).
@@ -190,7 +191,7 @@ class NumpyBackend:
 
 
 def rotated(rates: ndarray, A: ndarray, L: ndarray, h: float, numbers: Sequence[int] | ndarray) -> ndarray:
-    """New attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
+    """Return new attitudes, (3, 3, n), of bodies whose numbers are for messages; rates are (3,) or (3, n)."""
     with np.errstate(all="ignore"):
         body_L = formulas.body_frame(A, L)
         any_angle = long_steps.sine_cosine, long_steps.PHASE_CAP

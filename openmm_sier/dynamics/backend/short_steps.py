@@ -39,7 +39,7 @@ class EulerRates(NamedTuple):
 
 
 class MiddleTerms(NamedTuple):
-    """What `rate_excess` needs of the direction m of L~ in the middle of the step; e = 2E/L^2.
+    """Hold what `rate_excess` needs of the direction m of L~ in the middle of the step; e = 2E/L^2.
 
     Attributes:
         energy: e.
@@ -61,7 +61,7 @@ class MiddleTerms(NamedTuple):
 
 
 def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
-    """P(h) as a quaternion, the parts of v that are even and odd about the middle, and whether the series reach so far.
+    """Return P(h) as a quaternion, the even and odd parts of v about the middle, and whether the series suffice.
 
     Args:
         body_L: L~, three components in the frame where the rates a >= b >= c, the inverse moments, descend.
@@ -99,7 +99,7 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
 
 
 def euler_rates(rates, u, k):
-    """The rates for a direction u of L~, with k = |L| h and time in steps; p and q are sums of terms of one sign."""
+    """Return the rates for a direction u of L~, with k = |L| h and time in steps; p and q sum terms of one sign."""
     a, b, c = rates
     x, y, z = u
     alpha, beta, gamma = k * (b - c), k * (a - c), k * (a - b)
@@ -110,7 +110,7 @@ def euler_rates(rates, u, k):
 
 
 def euler_solution(motion, u, increments):
-    """The even and odd parts in t of the direction of L~ a time t later, which are at right angles to each other.
+    """Return the even and odd parts in t of the direction of L~ a time t later, at right angles to each other.
 
     The free solution of Euler's equations by S, C and D of `sn_increment` for t, which needs no initial phase:
     with G = 1 - alpha gamma y^2 S^2
@@ -129,7 +129,7 @@ def euler_solution(motion, u, increments):
 
 
 def middle_terms(rates, motion, m):
-    """The terms for the direction m of L~ in the middle of the step."""
+    """Return the terms for the direction m of L~ in the middle of the step."""
     a, b, c = rates
     alpha, gamma = motion.alpha, motion.gamma
     X, Y, Z = m[0] * m[0], m[1] * m[1], m[2] * m[2]
@@ -141,7 +141,7 @@ def middle_terms(rates, motion, m):
 
 
 def rate_excess(middle, increments):
-    """Mean over the times +-t of g/|L| - e, e = 2E/L^2.
+    """Return the mean over the times +-t of g/|L| - e, e = 2E/L^2.
 
     With w = omega/|L| = (a v_x, b v_y, c v_z) the energy is w . v = e, the same at all times, and
 
@@ -172,7 +172,7 @@ def rate_excess(middle, increments):
 
 
 def propagator(m, even, odd, sine, cosine):
-    """Eq. 9 (Pmatrix): the quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), u = even - odd and v = even + odd.
+    """Return the quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), Eq. 9, with u = even - odd and v = even + odd.
 
     R1(m -> v) R1(u -> m) is R1(u -> v) after a turn about u by the area of the triangle u m v. Sine and cosine are
     those of theta/2.

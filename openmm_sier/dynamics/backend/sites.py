@@ -29,18 +29,18 @@ class AlikeSites:
 
     @cached_property
     def _columns(self) -> list[slice | np.ndarray]:
-        """For each site, what picks its atoms out of an array of particles: a slice where the spacing is even."""
+        """Return for each site the index of its atoms in arrays of particles: a slice where the spacing is even."""
         return [as_slice(column) for column in self.atoms.T]
 
     def arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """For each site what picks its atoms, and their places relative to the centres, (3, m)."""
+        """Return for each site the index of its atoms, and their places relative to the centres, (3, m)."""
         x, y, z = A[:, :, self.part]
         for column, place in zip(self._columns, self.places.T, strict=True):
             yield column, combine(place, x, y, z)
 
 
 class Sites:
-    """The atoms of all bodies, set by set for NumPy, and in tables for loops over all of them.
+    """The atoms of all bodies, set by set for NumPy, and in tables for compiled loops over all sets.
 
     Attributes:
         alike: sets of bodies, one after the other.
@@ -57,15 +57,15 @@ class Sites:
         rows = zip(alike, sizes, places[:-1], atoms[:-1], strict=True)
         self.sets = np.array([(each.part.start, each.part.stop, *row) for each, *row in rows], np.int64).reshape(-1, 5)
         self.places = np.concatenate([np.empty((3, 0)), *(each.places for each in alike)], axis=1)
-        self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)])
+        self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)], dtype=np.int64)
 
     def by_set(self, values: np.ndarray) -> list[np.ndarray]:
         """Divide values, one for each of `places`."""
-        return np.split(values, self.sets[1:, 3])
+        return [values[first : first + size] for _, _, size, first, _ in self.sets.tolist()]
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
+    """Return indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)
     step = int(indices[1] - indices[0]) if indices.size else 0

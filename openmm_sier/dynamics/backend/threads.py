@@ -12,7 +12,7 @@ SHARE = 32768
 
 @cache
 def count() -> int:
-    """Number of threads for a long loop: `cores()`, or OPENMM_CPU_THREADS, as OpenMM reads it."""
+    """Return the number of threads for a long loop: `cores()`, or OPENMM_CPU_THREADS, as OpenMM reads it."""
     try:
         return max(1, int(os.environ["OPENMM_CPU_THREADS"]))
     except (KeyError, ValueError):
@@ -20,7 +20,7 @@ def count() -> int:
 
 
 def cores() -> int:
-    """Cores that this process is bound to, which in a batch job are fewer than the machine has."""
+    """Count the cores that this process may use, which in a batch job are fewer than the machine has."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -81,7 +81,7 @@ class Constraints:
 
     @cached_property
     def _table(self) -> ConstraintTable:
-        """The constraints as backends take them."""
+        """Return the constraints as backends take them."""
         from scipy import sparse
 
         pairs, masses = np.searchsorted(self.members, self.pairs), self.masses[self.members]
@@ -95,7 +95,7 @@ class Constraints:
         return ConstraintTable(self.members, self._first, ends, squares, 1 / masses, rows, columns, weights.data)
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
-        """The constraints in the numbering of a subset of the bodies, which must not split a component.
+        """Return the constraints in the numbering of a subset of the bodies, which must not split a component.
 
         Args:
             bodies: ascending columns of this state, (m,), that become the columns 0 .. m-1.
@@ -118,7 +118,7 @@ class Constraints:
     # --- what is conserved and counted ---
 
     def rank(self, q: np.ndarray | None = None) -> int:
-        """Number of independent constraints, each of which takes away one degree of freedom.
+        """Return the number of independent constraints, each of which takes away one degree of freedom.
 
         Args:
             q: positions, (3, n); None gives the rank at almost all positions.
@@ -132,14 +132,14 @@ class Constraints:
         generic = self._ranks(np.random.default_rng(1).normal(size=(3, len(self.masses))))
         if q is not None and len(lower := np.flatnonzero(self._ranks(q) < generic)):
             raise ConstraintError(
-                f"the constraints of {self._name(*np.flatnonzero(self.groups == lower[0]))} do not determine their "
-                "motion where these atoms are, in a plane or on a line. Make them one rigid body, or give fewer "
+                f"the constraints of {self._name(*np.flatnonzero(self.groups == lower[0]))} do not determine how "
+                "these atoms move, which are in a plane or on a line. Make them one rigid body, or give fewer "
                 "constraints and virtual sites"
             )
         return int(generic.sum())
 
     def _ranks(self, q: np.ndarray) -> np.ndarray:
-        """Rank of the component that begins with each column, (n,), at positions (3, n)."""
+        """Return the rank of the component that begins with each column, (n,), at positions (3, n)."""
         return np.bincount(self.groups[self.pairs[:, 0]], independent(self._table, q), len(self.masses))
 
     # --- the algebra ---
@@ -147,7 +147,7 @@ class Constraints:
     # Arrays are made contiguous, since Numba would compile everything once more for another layout.
 
     def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Momenta or forces, (3, n), tangent to the constraints at q; those of unconstrained bodies are unchanged."""
+        """Return momenta or forces, (3, n), tangent to the constraints at q; unconstrained bodies keep theirs."""
         q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
         new_p = p.copy()
         if len(self.pairs):
@@ -155,7 +155,7 @@ class Constraints:
         return new_p
 
     def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
-        """Positions (3, n) moved by shift M^-1 force; constrained bodies are moved back along the gradients at q.
+        """Move positions (3, n) by shift M^-1 force, and constrained bodies back along the gradients at q.
 
         Raises:
             ConstraintError: there are no such positions.
@@ -167,7 +167,7 @@ class Constraints:
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
-        """Positions (3, n) near q that satisfy the constraints to rounding.
+        """Return positions (3, n) near q that satisfy the constraints to rounding.
 
         Raises:
             ConstraintError: there are none, since the constraints contradict each other, or q is far from them.
@@ -175,7 +175,7 @@ class Constraints:
         return self.displaced(q, np.zeros_like(q), 0.0)
 
     def drift(self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] = (1.0,)) -> backend.Pair:
-        """Free motion for the time t: straight lines, and geodesics of the constrained bodies.
+        """Move bodies freely for the time t: along straight lines, and along geodesics if constrained.
 
         Args:
             q, p: (3, n); q satisfies the constraints. What p has along the bonds does not matter.

@@ -9,7 +9,7 @@ PIVOT, SHIFT = 1e-9, 1e-12
 
 
 def joined(n: int, pairs: np.ndarray) -> np.ndarray:
-    """For each of n nodes the smallest number in its connected component of the graph with edges (c, 2), (n,)."""
+    """Return for each of n nodes the smallest number in its component of the graph with edges (c, 2), (n,)."""
     ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     if not len(ends):
         return np.arange(n)
@@ -23,7 +23,7 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
-    """Which constraints of bodies at q (3, n) do not follow from others to first order, (c,): pivots that are not 0.
+    """Find the constraints of bodies at q (3, n) that do not follow from others to first order: pivots not 0, (c,).
 
     The matrix of the constraints is factorized with pivots on the diagonal. What is added to the diagonal keeps those
     of redundant constraints from being 0.

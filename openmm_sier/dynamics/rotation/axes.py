@@ -29,7 +29,7 @@ class Axes:
         return bool((np.arange(3) == self.order.T).all())
 
     def sort(self, A: np.ndarray) -> np.ndarray:
-        """Attitudes (3, 3, n) with rows in the sorted frame; the very array if they are."""
+        """Return attitudes (3, 3, n) with rows in the sorted frame; the very array if they are."""
         if self._is_sorted:
             return A
         rows = np.take_along_axis(A, self.order.reshape(3, 1, -1), axis=0)
@@ -37,7 +37,7 @@ class Axes:
         return rows
 
     def unsort(self, rows: np.ndarray) -> np.ndarray:
-        """The inverse of `sort`."""
+        """Return the inverse of `sort`."""
         if self._is_sorted:
             return rows
         turned = np.stack([rows[0], rows[1] * self.parity, rows[2]])
@@ -93,7 +93,7 @@ def _sorted(moments: np.ndarray) -> Axes:
 
 
 def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[Axes, np.ndarray, np.ndarray, float]:
-    """The arguments of a free-rotation map as arrays, the moments prepared.
+    """Return the arguments of a free-rotation map as arrays, the moments prepared.
 
     Raises:
         ValueError: shapes do not fit, moments are impossible, or h or an angular momentum is not finite.

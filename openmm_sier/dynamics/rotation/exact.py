@@ -7,7 +7,7 @@ from openmm_sier.dynamics.rotation.axes import checked
 
 
 def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Exact torque-free rotation of rigid bodies over a time of any length and either sign.
+    """Rotate rigid bodies freely and exactly, over a time of any length and either sign.
 
     Args:
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.

@@ -11,7 +11,7 @@ FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))
 
 
 def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Free rotation by the splitting of McLachlan, Reich, Dullweber and Leimkuhler: second order, symplectic, L exact.
+    """Rotate freely by the splitting of McLachlan, Reich, Dullweber and Leimkuhler: second order, symplectic, L exact.
 
     The kinetic energy is split into the parts of the principal axes; each part turns the body about its axis by the
     angle h L~_k / I_k. The order of the factors makes a difference: here the axis of the smallest moment is outermost

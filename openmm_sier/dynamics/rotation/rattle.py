@@ -12,7 +12,7 @@ ITERATIONS, ROUNDING = 200, 4e-16
 
 
 def rattle(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Free rotation by one step of RATTLE, solved to rounding: second order, symplectic, L exact.
+    """Rotate freely by one step of RATTLE, solved to rounding: second order, symplectic, L exact.
 
     Kicks and this map make up constrained velocity Verlet, as SETTLE or RATTLE perform it on all atoms of a rigid
     molecule: `SIERIntegrator(h, SIER2, rotation=rattle)`. RATTLE's constraints on a rigid body are those of the
@@ -41,7 +41,7 @@ def rattle(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple
 
 
 def _half_turn(body_L: np.ndarray, moments: np.ndarray, h: float) -> np.ndarray:
-    """Gibbs' vector (3, n) of the rotation of a step.
+    """Return Gibbs' vector (3, n) of the rotation of a step.
 
     Args:
         body_L: angular momenta in the body frame, (3, n).

@@ -13,7 +13,7 @@ GAUSS_NODE = 0.5 - math.sqrt(3) / 6
 
 
 def sej4(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Free rotation by the scheme SEJ4 of Celledoni and Säfström: L~ exact, A by a fourth-order Magnus step.
+    """Rotate freely by the scheme SEJ4 of Celledoni and Säfström: L~ exact, A by a fourth-order Magnus step.
 
     With the exact angular velocities w1 and w2 (body frame) at the two Gauss points of the step,
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class BodyActions(Actions):
-    """Leaves to OpenMM what it can do, and does the rest: for constraints that its solvers cannot satisfy.
+    """Leave actions to OpenMM where it can do them, and do the others for constraints that its solvers cannot satisfy.
 
     Minimizations are this package's also for bodies that no constraints hold, which OpenMM's minimizer would tear
     apart.

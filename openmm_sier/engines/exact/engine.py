@@ -76,7 +76,7 @@ class ExactEngine(Engine):
 
     @property
     def _made(self) -> MovingBodies:
-        """The bodies and what is made for them, which named bodies need positions for."""
+        """Return the bodies and what is made for them, which named bodies need positions for."""
         if self._parts is None:
             self._settle(Snapshot(self._context).positions)
         return self._parts  # type: ignore[return-value]
@@ -113,12 +113,12 @@ class ExactEngine(Engine):
 
     @property
     def forces(self) -> BodyForces:
-        """Forces and torques on the bodies, computed by the Context, and energies."""
+        """Return forces and torques on the bodies, computed by the Context, and energies."""
         return self._made.forces
 
     @property
     def motion(self) -> Motion:
-        """The operators that move the bodies."""
+        """Return the operators that move the bodies."""
         return self._made.motion
 
     @property

@@ -66,7 +66,7 @@ class BodyForces:
         self._placed = q, A
 
     def is_at(self, q: np.ndarray, A: np.ndarray) -> bool:
-        """Whether the Context has the positions of bodies at (q, A)."""
+        """Tell whether the Context has the positions of bodies at (q, A)."""
         return self._placed[0] is q and self._placed[1] is A
 
     def take_positions(self, now: Snapshot) -> None:
@@ -81,15 +81,15 @@ class BodyForces:
     # --- forces ---
 
     def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques on bodies at (q, A), each (3, n), including fast forces."""
+        """Return forces and torques on bodies at (q, A), each (3, n), including fast forces."""
         return self._of(self._groups, q, A)
 
     def in_kicks(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces and torques on bodies at (q, A), each (3, n), of all groups but the fast ones."""
+        """Return forces and torques on bodies at (q, A), each (3, n), of all groups but the fast ones."""
         return self._of(self._groups_in_kicks, q, A)
 
     def energy(self, state: BodyState) -> float:
-        """Potential energy at a state, kJ/mol, of all groups that move the bodies."""
+        """Return the potential energy at a state, kJ/mol, of all groups that move the bodies."""
         q, A = state.q, state.A
         found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
         if found is None:

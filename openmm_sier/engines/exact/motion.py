@@ -113,7 +113,7 @@ class Motion:
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
-    """The platform for the bonded forces of some atoms: that of the Context, or Reference if that is faster."""
+    """Return the platform for the bonded forces of some atoms: that of the Context, or Reference if that is faster."""
     platform = context.getPlatform()
     kept = set(platform.getPropertyNames()) & {"Threads", "DeterministicForces", "Precision", "DeviceIndex"}
     properties = {name: platform.getPropertyValue(context, name) for name in kept}
@@ -123,7 +123,7 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
 
 
 def _solute(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: int) -> SoluteForces | None:
-    """What computes the forces of some groups, a bit mask; None where there are none."""
+    """Return an object that computes the forces of some groups, a bit mask; None where there are none."""
     if not groups:
         return None
     system = context.getSystem()
@@ -140,7 +140,7 @@ def _solute(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, g
 
 
 def _flexible_points(bodies: RigidBodies) -> np.ndarray:
-    """For each point body of a molecule that is not rigid, the number of the molecule, (n,); -1 for other bodies."""
+    """Return the number of the molecule of each point body in a molecule that is not rigid, (n,); -1 for others."""
     points = bodies.flexible & ~bodies.moments.any(axis=0)
     groups = np.full(bodies.n, -1)
     groups[points] = np.unique(bodies.molecules[points], return_inverse=True)[1]
@@ -148,7 +148,7 @@ def _flexible_points(bodies: RigidBodies) -> np.ndarray:
 
 
 def inner_step(flow: Flow, borne: float) -> float:
-    """Length of the inner steps in the longest drift of a flow, ps.
+    """Return the length of the inner steps in the longest drift of a flow, ps.
 
     Without `Flow.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for, or more where the
     bonds bear only shorter steps, up to `borne`.

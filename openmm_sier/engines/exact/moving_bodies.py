@@ -54,7 +54,7 @@ class MovingBodies:
 
     @cached_property
     def molecule_centres(self) -> MoleculeCentres:
-        """Centres of mass of the molecules, each of which moves as a whole with the volume."""
+        """Return centres of mass of the molecules, each of which moves as a whole with the volume."""
         return MoleculeCentres(self.bodies, self._context.getMolecules())
 
     def refuse_constant_pressure(self) -> None:

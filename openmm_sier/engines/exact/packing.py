@@ -11,7 +11,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 
 
 class Packing:
-    """Packs the phase point of bodies into three vectors for each atom, and unpacks it.
+    """Pack the phase point of bodies into three vectors for each atom, and unpack it.
 
     Attributes:
         bodies: the bodies.

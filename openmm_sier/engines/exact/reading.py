@@ -61,7 +61,7 @@ def with_velocities(bodies: RigidBodies, state: BodyState, now: Snapshot) -> Bod
 
 
 class Fitting:
-    """Fits bodies to atoms, and warns once of bodies that are moved onto their constraints."""
+    """Fit bodies to atoms, and warn once of bodies that are moved onto their constraints."""
 
     def __init__(self, system: openmm.System):
         self._system = system

@@ -16,7 +16,7 @@ class SoluteError(ValueError):
 
 
 def solute_system(system: openmm.System, atoms: ArrayLike, groups: Iterable[int], rigid: np.ndarray) -> openmm.System:
-    """A System with nothing but the bonded forces of some force groups, and no particles after the last in them.
+    """Return a System with nothing but the bonded forces of some force groups, and no particles after the last in them.
 
     Args:
         system: openmm.System to copy from; it is not changed.
@@ -46,7 +46,7 @@ def solute_system(system: openmm.System, atoms: ArrayLike, groups: Iterable[int]
 
 
 def _checked_terms(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -> np.ndarray:
-    """Particles of each term of a bonded Force, (t, k), which act on atoms that move by themselves.
+    """Return particles of each term of a bonded Force, (t, k), which act on atoms that move by themselves.
 
     Raises:
         SoluteError: it is not bonded, or has a term on another atom.
@@ -106,7 +106,7 @@ class SoluteForces:
             del self._context
 
     def __call__(self, q: np.ndarray, A: np.ndarray | None = None) -> tuple[np.ndarray]:
-        """Forces, (3, m), kJ/mol/nm, at positions (3, m), nm, alone in a tuple."""
+        """Return forces, (3, m), kJ/mol/nm, at positions (3, m), nm, alone in a tuple."""
         self._positions[self._members] = q.T
         own_methods.set_positions(self._context, self._positions)
         own_methods.get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)

@@ -9,7 +9,7 @@ from openmm_sier.system import checks
 
 
 class SystemUpdates:
-    """Lets the Forces of a System act that change positions, velocities or the box between steps.
+    """Let the Forces of a System act that change positions, velocities or the box between steps.
 
     Attributes:
         act: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.

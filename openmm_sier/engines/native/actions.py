@@ -11,7 +11,7 @@ from openmm_sier.system.solver_trial import SolverTrial
 
 
 class NativeActions(Actions):
-    """Refuses constraints that OpenMM's solvers cannot satisfy."""
+    """Refuse constraints that OpenMM's solvers cannot satisfy."""
 
     def __init__(self, context: openmm.Context, trial: SolverTrial):
         super().__init__(context)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
@@ -24,6 +23,7 @@ from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.program import V0, WORK
 from openmm_sier.engines.native.settling import satisfy_constraints
+from openmm_sier.engines.native.told_bodies import ToldBodies
 from openmm_sier.engines.native.writing import refuse_other_slow_groups
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
@@ -31,8 +31,7 @@ from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import own_methods, tables
 from openmm_sier.system.arguments import Bodies, groups_of
-from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
-from openmm_sier.system.temperature import Temperatures, temperature, temperatures, thermal_energies
+from openmm_sier.system.temperature import Temperatures
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -78,10 +77,9 @@ class NativeEngine(Engine):
         # The atom of each point: those of none come first.
         owners = np.argsort(self.moving.owners, kind="stable")
         self._atoms = owners[self.moving.n_particles - self.moving.n :]
-        self._rigid = _rigid_bodies(system, bodies)
-        species = () if isinstance(self._rigid, RigidityError) else self._rigid.species
+        self._told = ToldBodies(system, bodies, self.moving)
         fraction = task.program.inner_fraction
-        self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction, species)
+        self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction, self._told.species)
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
         self._is_box_new = False
@@ -109,16 +107,14 @@ class NativeEngine(Engine):
         refusals.refuse_fast_forces(system, groups_of(self.flow.fast_groups), self._groups)
         refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
 
-    @cached_property
+    @property
     def bodies(self) -> RigidBodies:
-        """The rigid and point bodies of the System.
+        """Return the rigid and point bodies of the System.
 
         Raises:
             RigidityError: the System has constraints that do not form rigid bodies.
         """
-        if isinstance(self._rigid, RigidityError):
-            raise self._rigid
-        return self._rigid.bodies(self.positions()) if isinstance(self._rigid, BodyPlan) else self._rigid
+        return self._told.bodies(self.positions)
 
     @cached_property
     def molecule_centres(self) -> MoleculeCentres:
@@ -237,7 +233,7 @@ class NativeEngine(Engine):
         """Do nothing: the Context has the state at any time."""
 
     def _settle(self) -> None:
-        """After news from outside, make what follows depend on nothing but what the Context holds."""
+        """Make the next steps depend on nothing but the Context, after a change from outside."""
         if not self._is_fresh:
             return
         refuse_what_is_not_finite(Snapshot(self._context))
@@ -357,30 +353,15 @@ class NativeEngine(Engine):
         return self._program.momentum_lag
 
     def state(self) -> BodyState:
-        bodies, now = self.bodies, Snapshot(self._context)
-        q, A = bodies.fit(now.positions)
-        p, L = bodies.momenta(now.velocities, A)
-        return BodyState(q, p, A, L)
+        return self._told.state(Snapshot(self._context))
 
     def temperatures(self, conserved: bool) -> Temperatures:
         """Return temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
 
         Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
-        thermal = self._velocities_after_bath()
-        if not isinstance(self._rigid, RigidityError):
-            bodies, state = self.bodies, self.state()
-            if thermal is not None:
-                p, _ = bodies.momenta(thermal, state.A)
-                # Where heat is not counted, the bath leaves noise along the constraints.
-                p = bodies.constraints.project(state.q, p)
-                state = replace(state, p=np.where(bodies.flexible, p, state.p))
-            return temperatures(bodies, state, conserved)
-        state = self.point
-        if thermal is not None:
-            state = replace(state, p=self.moving.masses * thermal[self._atoms].T)
-        kinetic = sum(thermal_energies(self.moving, state, conserved))
-        return Temperatures(temperature(kinetic, self.degrees_of_freedom(conserved)), math.nan, math.nan)
+        now, thermal = Snapshot(self._context), self._velocities_after_bath()
+        return self._told.temperatures(now, lambda: self.point, thermal, conserved)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
@@ -389,9 +370,7 @@ class NativeEngine(Engine):
         return None
 
     def degrees_of_freedom(self, conserved: bool) -> float:
-        if not isinstance(self._rigid, RigidityError):
-            return super().degrees_of_freedom(conserved)
-        return self.moving.dof - len(self._constraints.pairs) - (3 if conserved else 0)
+        return self._told.degrees_of_freedom(self.positions, conserved)
 
     # --- news from outside ---
 
@@ -413,14 +392,6 @@ class NativeEngine(Engine):
     def groups_changed(self) -> None:
         """Make the Context anew: OpenMM fixes the groups when it reads the program."""
         self._context.reinitialize(preserveState=True)
-
-
-def _rigid_bodies(system: openmm.System, bodies: Bodies) -> RigidBodies | BodyPlan | RigidityError:
-    """Return the rigid and point bodies of a System, or why its constraints do not form any."""
-    try:
-        return known_or_planned(system, bodies)
-    except RigidityError as error:
-        return error
 
 
 def _environment_of(state: openmm.State) -> tuple[Any, dict[str, float]]:

@@ -144,7 +144,7 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
     """
     if (count := integrator.getNumComputations()) != own:
         raise openmm.OpenMMException(
-            f"This integrator has {own} computations of its own and {count} now: a step of it is its scheme, and "
+            f"This integrator has {own} computations of its own and {count} now: its step is its scheme, and "
             "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
         )
 

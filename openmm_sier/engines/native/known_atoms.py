@@ -21,7 +21,7 @@ KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 
 
 class KnownAtoms:
-    """Reads positions, velocities and box of a Context, and writes positions and velocities.
+    """Read positions, velocities and box of a Context, and write positions and velocities.
 
     Arrays are read-only, so that they can be kept. Within `kept` they are kept until `forget`, without which nobody may
     move atoms. At other times everything is read anew, since anybody may.
@@ -77,12 +77,12 @@ class KnownAtoms:
 
     @property
     def velocities(self) -> np.ndarray:
-        """Velocities of all particles, (N, 3), nm/ps."""
+        """Return velocities of all particles, (N, 3), nm/ps."""
         return self._vectors(VELOCITIES)[VELOCITIES]
 
     @property
     def box(self) -> Any:
-        """Periodic box vectors, nm."""
+        """Return periodic box vectors, nm."""
         box = box_of(own_methods.get_state(self._context)) if self._box is None else self._box
         if self._is_keeping:
             self._box = box

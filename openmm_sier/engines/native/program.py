@@ -69,12 +69,12 @@ class Statement(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it changes the forces."""
+        """Tell whether it changes the forces."""
         return self.target in ("x", CONSTRAIN_X)
 
     @property
     def needs_force(self) -> bool:
-        """Whether it uses forces that may act on virtual sites; forces of single groups do not."""
+        """Tell whether it uses forces that may act on virtual sites; forces of single groups do not."""
         return "f/m" in self.expression
 
     def __str__(self) -> str:
@@ -117,7 +117,7 @@ class Line(NamedTuple):
         return any(statement.moves for statement in self.statements) or any(line.moves for line in self.inner)
 
     def executed(self, e: float = 1.0) -> Iterator[tuple[Statement, str]]:
-        """The statements in the order of execution, each with the definitions of d and e, if it has them.
+        """Return the statements in the order of execution, each with the definitions of d and e, if it has them.
 
         Args:
             e: length of the inner step that the line belongs to, in units of h.
@@ -163,7 +163,7 @@ class Program(NamedTuple):
 
     @property
     def vectors(self) -> tuple[str, ...]:
-        """The per-atom variables that the statements use."""
+        """Return the per-atom variables that the statements use."""
         text = " ".join(f"{statement.target} {statement.expression}" for statement in self.statements)
         return tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
 
@@ -269,7 +269,7 @@ def _update(counts_heat: bool) -> list[Line]:
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
-    """Lines by native step: a new one begins where a force is needed at positions changed in the present one."""
+    """Return lines by native step; one begins where a force is needed at positions that the present one changed."""
     parts: list[list[Line]] = [[]]
     moved = False
     for line in lines:
@@ -325,7 +325,7 @@ def _lines(
 
 
 def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
-    """Free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
+    """Write out free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
 
     Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
     where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
@@ -341,7 +341,7 @@ def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
 
 
 def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
-    """`target = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
+    """Write `target = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
     for sign, name in force:
         expression = f"{start} {sign} {time}{name}/m" if start else f"{sign.strip('+')}{time}{name}/m"
@@ -351,7 +351,7 @@ def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]
 
 
 def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
-    """A kick by the forces at positions displaced by the accelerations, under the constraints.
+    """Write out a kick by the forces at positions displaced by the accelerations, under the constraints.
 
     OpenMM's constraints act along the directions of the last positions that satisfied them. So positions are
     constrained again after they are moved back, which changes nothing but those directions. The displacement is kept

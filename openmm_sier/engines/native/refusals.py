@@ -36,7 +36,7 @@ def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) 
 
 
 def why_not(flow: Flow, program: Program) -> str | None:
-    """Why a program cannot do what a flow asks for, whatever the System, and the remedy; None if it can."""
+    """Tell why a program cannot follow a flow with any System, and the remedy; None if it can."""
     if program.refusal:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
     if flow.rotation is not exact:
@@ -47,7 +47,7 @@ def why_not(flow: Flow, program: Program) -> str | None:
 
 
 def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
-    """Text of a refusal for a named body that constraints do not keep rigid; None if there is no such body."""
+    """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if given is None:
         return None
     rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
@@ -108,7 +108,7 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
 
 
 def points(system: openmm.System) -> RigidBodies:
-    """The massive atoms of a System, each a body of its own."""
+    """Return the massive atoms of a System, each a body of its own."""
     masses = tables.masses(system)
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
     point = np.zeros((3, 1))
