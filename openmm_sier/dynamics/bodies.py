@@ -112,7 +112,7 @@ class RigidBodies:
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
         self._sites, self._fractions = sites_of(self.species, self.parts)
-        self._ones = [np.ones(len(fractions)) for fractions in self._fractions]
+        self._ones = np.ones_like(self._fractions)
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -296,11 +296,9 @@ class RigidBodies:
         """
         return self._sum_over_sites(forces, A, self._ones)
 
-    def _sum_over_sites(self, vectors: np.ndarray, A: np.ndarray, weights: Sequence[np.ndarray]) -> backend.Pair:
-        active = backend.active()
-        total, moment = np.empty((2, 3, self.n))
-        kinds = zip(self._sites, weights, strict=True)
-        if not all(active.collect(sites, vectors, A, own, total, moment) for sites, own in kinds):
+    def _sum_over_sites(self, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray) -> backend.Pair:
+        total, moment = np.empty((3, self.n)), np.empty((3, self.n))
+        if not backend.active().collect(self._sites, vectors, A, weights, total, moment):
             raise NotFiniteError(np.concatenate([total, moment]))
         return total, moment
 
@@ -312,16 +310,13 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        active = backend.active()
-        if not all(active.place(sites, q, A, positions) for sites in self._sites):
+        if not backend.active().place(self._sites, q, A, positions):
             raise NotFiniteError(np.concatenate([q, A.reshape(9, -1)]))
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        active = backend.active()
-        for sites in self._sites:
-            active.move(sites, state.p, state.A, state.L, self._inverses, velocities)
+        backend.active().move(self._sites, state.p, state.A, state.L, self._inverses, velocities)
         return velocities
 
     def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> backend.Pair:

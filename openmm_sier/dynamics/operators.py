@@ -152,13 +152,8 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
 
 def _exact_drift(bodies: RigidBodies) -> FreeMotion:
-    kinds: list[tuple[np.ndarray | None, slice]] = []
-    for kind, part in zip(bodies.species, bodies.parts, strict=True):
-        rates = axes_of(kind.moments).turning_rates
-        if rates is None and kinds and kinds[-1][0] is None:
-            # Points of all masses are moved in one call.
-            part = slice(kinds.pop()[1].start, part.stop)
-        kinds.append((rates, part))
+    rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
+    kinds = backend.Kinds(rates, [0, *(part.stop for part in bodies.parts)])
     inverse_masses = bodies.inverse_masses
 
     def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:

@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics.backend.sites import Sites
+from openmm_sier.dynamics.backend.sites import AlikeSites, Sites
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis, as a
 #: fraction of the largest coordinate, lie on it.
@@ -186,8 +186,8 @@ class Species:
         return np.linalg.norm(arms - places, axis=2).max(axis=1)
 
 
-def sites_of(species: Sequence[Species], parts: Sequence[slice]) -> tuple[list[Sites], list[np.ndarray]]:
-    """Return the sets of atoms for one call each, and for each set the atoms' fractions of the mass, (k,).
+def sites_of(species: Sequence[Species], parts: Sequence[slice]) -> tuple[Sites, np.ndarray]:
+    """Return the atoms of bodies, and for each of their places the fraction of the mass that is there, (k,).
 
     Points are alike whatever their masses, and are one set where they follow each other; any other kind of body has a
     set of its own.
@@ -196,12 +196,12 @@ def sites_of(species: Sequence[Species], parts: Sequence[slice]) -> tuple[list[S
         species: kinds of body.
         parts: for each kind which of all bodies are of it.
     """
-    sites, fractions = [], []
+    sets, fractions = [], [np.empty(0)]
     kinds = zip(species, parts, strict=True)
     for _, same in groupby(kinds, key=lambda kind: kind[1].start if kind[0].sites.any() else -len(kind[0].masses)):
         alike, their_parts = zip(*same, strict=True)
         # Arrays are not copied where there is one.
         atoms = alike[0].atoms if len(alike) == 1 else np.concatenate([each.atoms for each in alike])
-        sites.append(Sites(slice(their_parts[0].start, their_parts[-1].stop), atoms, alike[0].sites))
+        sets.append(AlikeSites(slice(their_parts[0].start, their_parts[-1].stop), atoms, alike[0].sites))
         fractions.append(alike[0].masses / alike[0].mass)
-    return sites, fractions
+    return Sites(sets), np.concatenate(fractions)

@@ -64,20 +64,19 @@ class OrnsteinUhlenbeck(Thermostat):
 
     def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
         thermal = GAS_CONSTANT * self.temperature
-        spreads = np.sqrt(thermal * bodies.masses), np.sqrt(thermal * bodies.moments)
+        spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
-        def decay(h: float) -> tuple[tuple[float, float], tuple[np.ndarray, np.ndarray]]:
+        def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return what momenta and angular momenta keep in a time h, and the widths of what they gain."""
             (kept, gained), (kept_turning, turning) = map(_decay, (self.friction, self.rotational_friction), (h, h))
-            return (kept, kept_turning), (gained * spreads[0], turning * spreads[1])
+            return (kept, kept_turning), np.concatenate([gained * spreads[0], turning * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
-            kept, (width, turning_width) = decay(h)
-            kicks = width * noise[:3], turning_width * noise[3:]
-            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, kicks, inverses)
+            kept, widths = decay(h)
+            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, widths, noise, inverses)
             ledger.draws += 1
             ledger.heat += float(gained.sum())
             return BodyState(state.q, p, state.A, L)

@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from importlib import util
 
 from openmm_sier.dynamics.backend.numba_backend import NumbaBackend
-from openmm_sier.dynamics.backend.numpy_backend import NumpyBackend, Pair
+from openmm_sier.dynamics.backend.numpy_backend import Kinds, NumpyBackend, Pair
 
-__all__ = ["NUMPY", "Backend", "Pair", "active", "using"]
+__all__ = ["NUMPY", "Backend", "Kinds", "Pair", "active", "using"]
 
 Backend = NumpyBackend
 

@@ -17,8 +17,9 @@ from openmm_sier.dynamics.backend.formulas import (
 )
 from openmm_sier.dynamics.backend.short_steps import free_rotation
 
-#: Bodies that are rotated together, and numbers that each needs for it, 22 kB in all, for the nearest cache.
-TILE, ROWS = 128, 22
+#: Bodies that are rotated together, and numbers that each needs for it. A smaller tile leaves instructions that handle
+#: several bodies unfilled, a larger one takes longer where bodies are few.
+TILE, ROWS = 32, 22
 
 
 def copy(target, source):
@@ -27,19 +28,42 @@ def copy(target, source):
         target[n] = source[n]
 
 
-def rotate(start, stop, A, L, h, rates, out, far):
-    """Rotate bodies with equal moments freely; return how many are beyond the formula, and set `far` for those.
+def rotate(start, stop, A, L, h, edges, rates, out, far):
+    """Rotate bodies freely; return how many are beyond the formula, and set `far` for those.
 
     Args:
         start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
         h: time.
-        rates: inverse moments, descending, (3,).
+        edges: the first body of each kind, and the end of the last one, (m + 1,).
+        rates: inverse moments of each kind, descending, zeros for points, (m, 3).
         out: (3, 3, n), valid where `far` is not set.
         far: (n,), bool.
     """
     left = 0
     tile = np.ones(ROWS * TILE)
+    for kind in range(len(rates)):
+        first, end = max(start, edges[kind]), min(stop, edges[kind + 1])
+        if first >= end:
+            continue
+        if rates[kind, 0] > 0:
+            left += rotate_kind(first, end, A, L, h, rates[kind], tile, out, far)
+        else:
+            keep(first, end, A, out, far)
+    return left
+
+
+def keep(start, stop, A, out, far):
+    """Write the attitudes of points, which do not turn; see `rotate`."""
+    for i in range(3):
+        for j in range(3):
+            copy(out[i, j, start:stop], A[i, j, start:stop])
+    far[start:stop] = False
+
+
+def rotate_kind(start, stop, A, L, h, rates, tile, out, far):
+    """Do what `rotate` does, for bodies with the same rates, (3,)."""
+    left = 0
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
         size = end - first
@@ -89,10 +113,10 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
     return 0
 
 
-def drift(start, stop, q, p, A, L, h, rates, inverse_masses, new_q, new_A, far):
+def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A, far):
     """Do `advance` and `rotate` in one call, since calls cost more than a few bodies do."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
-    return rotate(start, stop, A, L, h, rates, new_A, far)
+    return rotate(start, stop, A, L, h, edges, rates, new_A, far)
 
 
 def kick(start, stop, p, L, F, torque, h, new_p, new_L):
@@ -116,22 +140,23 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 
 
 def bathe(
-    start, stop, p, A, L, kept, kept_turning, kicks, twists, inverse_masses, inverse_moments, new_p, new_L, gained
+    start, stop, p, A, L, kept, kept_turning, widths, noise, inverse_masses, inverse_moments, new_p, new_L, gained
 ):
     """Do what `NumpyBackend.bathe` does, for a range of the bodies."""
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
-            new_p[x, n] = kept * p[x, n] + kicks[x, n]
+            new_p[x, n] = kept * p[x, n] + widths[x, n] * noise[x, n]
             energy += new_p[x, n] * new_p[x, n] - p[x, n] * p[x, n]
             new_L[x, n] = kept_turning * L[x, n]
         energy *= inverse_masses[n]
         for i in range(3):
             along = A[i, 0, n] * L[0, n] + A[i, 1, n] * L[1, n] + A[i, 2, n] * L[2, n]
-            new_along = kept_turning * along + twists[i, n]
+            twist = widths[3 + i, n] * noise[3 + i, n]
+            new_along = kept_turning * along + twist
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
-                new_L[x, n] += twists[i, n] * A[i, x, n]
+                new_L[x, n] += twist * A[i, x, n]
         gained[n] = 0.5 * energy
     return 0
 
@@ -168,60 +193,79 @@ def lab_frame(vector, columns):
     return combine(vector, x[0], x[1], x[2]), combine(vector, y[0], y[1], y[2]), combine(vector, z[0], z[1], z[2])
 
 
-def arm_of(places, j, columns):
+def arm_of(places, site, columns):
     """Return the place of a site relative to the centre of its body, in the lab frame."""
-    return lab_frame((places[0, j], places[1, j], places[2, j]), columns)
+    return lab_frame((places[0, site], places[1, site], places[2, site]), columns)
 
 
-def place(start, stop, first, q, A, places, atoms, positions):
-    """Do what `Sites.place` does, for a range of bodies; `first` is the body with the first row of atoms.
+def set_of(sets, row):
+    """Return a row of the table `Sites.sets`, in unsigned numbers, for which Numba looks for no negative index."""
+    first, end, size = np.uint64(sets[row, 0]), np.uint64(sets[row, 1]), np.uint64(sets[row, 2])
+    return first, end, size, np.uint64(sets[row, 3]), np.uint64(sets[row, 4])
 
-    Returns how many bodies have an atom whose position is not finite.
+
+def place(start, stop, q, A, sets, places, atoms, positions):
+    """Do what `NumpyBackend.place` does, for a range of the bodies; see `Sites` for `sets`, `places` and `atoms`.
+
+    Return how many bodies have an atom whose position is not finite.
     """
     broken = 0
-    for n in range(np.uint64(start), np.uint64(stop)):
-        columns, centre, total = columns_of(A, n), (q[0, n], q[1, n], q[2, n]), 0.0
-        for j in range(atoms.shape[1]):
-            x, y, z = plus(centre, arm_of(places, j, columns))
-            atom = np.uint64(atoms[n - np.uint64(first), j])
-            positions[atom, 0], positions[atom, 1], positions[atom, 2] = x, y, z
-            total += abs(x) + abs(y) + abs(z)
-        broken += not total < np.inf
+    for row in range(len(sets)):
+        first, end, size, site, entry = set_of(sets, row)
+        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            columns, centre, total = columns_of(A, n), (q[0, n], q[1, n], q[2, n]), 0.0
+            own = entry + (n - first) * size
+            for j in range(size):
+                x, y, z = plus(centre, arm_of(places, site + j, columns))
+                atom = np.uint64(atoms[own + j])
+                positions[atom, 0], positions[atom, 1], positions[atom, 2] = x, y, z
+                total += abs(x) + abs(y) + abs(z)
+            broken += not total < np.inf
     return broken
 
 
-def move(start, stop, first, p, A, L, inverse_masses, inverse_moments, places, atoms, velocities):
+def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, atoms, velocities):
     """Do what `NumpyBackend.move` does, for a range of the bodies; see `place`."""
-    for n in range(np.uint64(start), np.uint64(stop)):
-        columns, m = columns_of(A, n), inverse_masses[n]
-        x, y, z = columns
-        turning = (
-            inverse_moments[0, n] * (x[0] * L[0, n] + y[0] * L[1, n] + z[0] * L[2, n]),
-            inverse_moments[1, n] * (x[1] * L[0, n] + y[1] * L[1, n] + z[1] * L[2, n]),
-            inverse_moments[2, n] * (x[2] * L[0, n] + y[2] * L[1, n] + z[2] * L[2, n]),
-        )
-        omega, v = lab_frame(turning, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
-        for j in range(atoms.shape[1]):
-            moved = plus(v, cross(omega, arm_of(places, j, columns)))
-            atom = np.uint64(atoms[n - np.uint64(first), j])
-            velocities[atom, 0], velocities[atom, 1], velocities[atom, 2] = moved
+    for row in range(len(sets)):
+        first, end, size, site, entry = set_of(sets, row)
+        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            columns, m = columns_of(A, n), inverse_masses[n]
+            x, y, z = columns
+            turning = (
+                inverse_moments[0, n] * (x[0] * L[0, n] + y[0] * L[1, n] + z[0] * L[2, n]),
+                inverse_moments[1, n] * (x[1] * L[0, n] + y[1] * L[1, n] + z[1] * L[2, n]),
+                inverse_moments[2, n] * (x[2] * L[0, n] + y[2] * L[1, n] + z[2] * L[2, n]),
+            )
+            omega, v = lab_frame(turning, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
+            own = entry + (n - first) * size
+            for j in range(size):
+                moved = plus(v, cross(omega, arm_of(places, site + j, columns)))
+                atom = np.uint64(atoms[own + j])
+                velocities[atom, 0], velocities[atom, 1], velocities[atom, 2] = moved
     return 0
 
 
-def collect(start, stop, first, vectors, A, places, weights, atoms, total, moment):
-    """Do what `Sites.collect` does, for a range of bodies; return how many sums are not finite. See `place`."""
+def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment):
+    """Do what `NumpyBackend.collect` does, for a range of the bodies; see `place`.
+
+    Return how many bodies have a sum that is not finite.
+    """
     broken = 0
-    for n in range(np.uint64(start), np.uint64(stop)):
-        columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        for j in range(atoms.shape[1]):
-            atom = np.uint64(atoms[n - np.uint64(first), j])
-            weighted = (weights[j] * vectors[atom, 0], weights[j] * vectors[atom, 1], weights[j] * vectors[atom, 2])
-            sums, moments = plus(sums, weighted), plus(moments, cross(arm_of(places, j, columns), weighted))
-        size = 0.0
-        for x in range(3):
-            total[x, n], moment[x, n] = sums[x], moments[x]
-            size += abs(sums[x]) + abs(moments[x])
-        broken += not size < np.inf
+    for row in range(len(sets)):
+        first, end, size, site, entry = set_of(sets, row)
+        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            own = entry + (n - first) * size
+            for j in range(size):
+                atom, weight = np.uint64(atoms[own + j]), weights[site + j]
+                weighted = weight * vectors[atom, 0], weight * vectors[atom, 1], weight * vectors[atom, 2]
+                sums = plus(sums, weighted)
+                moments = plus(moments, cross(arm_of(places, site + j, columns), weighted))
+            largest = 0.0
+            for x in range(3):
+                total[x, n], moment[x, n] = sums[x], moments[x]
+                largest += abs(sums[x]) + abs(moments[x])
+            broken += not largest < np.inf
     return broken
 
 

@@ -15,12 +15,25 @@ from openmm_sier.dynamics.backend.sites import Sites
 ROTATED = 4096
 
 
-#: Inverse moments of each kind of body, and which bodies are of it, see `NumpyBackend.rotate`.
-Kinds = Sequence[tuple[ndarray | None, slice]]
-
 #: Two arrays of bodies, of what moves and what turns them: centres and attitudes, momenta and angular momenta, forces
 #: and torques, or inverse masses, (n,), and inverse moments, (3, n).
 Pair = tuple[ndarray, ndarray]
+
+
+class Kinds:
+    """How bodies turn, kind by kind.
+
+    Attributes:
+        rates: inverse moments, descending, of each kind of body, (m, 3), or, of a single kind whose bodies differ,
+            (1, 3, n). They are three equal ones for lines, and zeros for points.
+        edges: the first body of each kind, and the end of the last one, (m + 1,).
+        parts: for each kind its rates, None for points, and its bodies.
+    """
+
+    def __init__(self, rates: ndarray, edges: Sequence[int]) -> None:
+        self.rates, self.edges = rates, np.array(edges, dtype=np.int64)
+        parts = map(slice, edges[:-1], edges[1:])
+        self.parts = [(own if own.any() else None, part) for own, part in zip(rates, parts, strict=True)]
 
 
 class NumpyBackend:
@@ -41,8 +54,7 @@ class NumpyBackend:
         """Return attitudes (3, 3, n) after the exact free rotation of bodies for a time h.
 
         Args:
-            kinds: inverse moments, descending, of each kind of body, and which bodies are of it. They are (3,), or
-                (3, n) for a single kind whose bodies differ; three equal ones for lines, and None for points.
+            kinds: their inverse moments.
             A: attitudes, (3, 3, n).
             L: angular momenta, (3, n).
             h: time.
@@ -51,7 +63,7 @@ class NumpyBackend:
             ValueError: an attitude or angular momentum is not finite.
         """
         new = np.empty(A.shape)
-        for rates, part in kinds:
+        for rates, part in kinds.parts:
             if rates is None:
                 new[:, :, part] = A[:, :, part]
             else:
@@ -74,7 +86,14 @@ class NumpyBackend:
         return p + h * F, L + h * torque
 
     def bathe(
-        self, p: ndarray, A: ndarray, L: ndarray, kept: tuple[float, float], kicks: Pair, inverses: Pair
+        self,
+        p: ndarray,
+        A: ndarray,
+        L: ndarray,
+        kept: tuple[float, float],
+        widths: ndarray,
+        noise: ndarray,
+        inverses: Pair,
     ) -> tuple[ndarray, ndarray, ndarray]:
         """Return momenta and angular momenta after a bath, and the kinetic energy that each body gained, (n,).
 
@@ -82,12 +101,15 @@ class NumpyBackend:
             p, L: (3, n).
             A: attitudes, (3, 3, n).
             kept: factors of momenta and of angular momenta.
-            kicks: what momenta gain in the lab frame, and angular momenta in the principal frames, (3, n).
+            widths: standard deviations of what momenta gain, and angular momenta in the principal frames, (6, n).
+            noise: standard normal numbers, (6, n).
             inverses: of masses and moments.
         """
         inverse_masses, inverse_moments = inverses
-        new_p, along = kept[0] * p + kicks[0], formulas.body_frame(A, L)
-        new_L, new_along = kept[1] * L + formulas.combine(kicks[1], A[0], A[1], A[2]), kept[1] * along + kicks[1]
+        gains, along = widths * noise, formulas.body_frame(A, L)
+        kicks, twists = gains[:3], gains[3:]
+        new_p, new_along = kept[0] * p + kicks, kept[1] * along + twists
+        new_L = kept[1] * L + formulas.combine(twists, A[0], A[1], A[2])
         gained = (new_p * new_p - p * p).sum(axis=0) * inverse_masses
         gained += ((new_along * new_along - along * along) * inverse_moments).sum(axis=0)
         return new_p, new_L, 0.5 * gained
@@ -108,34 +130,38 @@ class NumpyBackend:
     def place(self, sites: Sites, q: ndarray, A: ndarray, positions: ndarray) -> bool:
         """Write the positions (N, 3) of the atoms of bodies; returns whether all are finite."""
         with np.errstate(invalid="ignore"):
-            for column, arm in sites.arms(A):
-                positions[column] = (q[:, sites.part] + arm).T
-        return bool(np.isfinite(q[:, sites.part]).all() and np.isfinite(A[:, :, sites.part]).all())
+            for alike in sites.alike:
+                for column, arm in alike.arms(A):
+                    positions[column] = (q[:, alike.part] + arm).T
+        return bool(np.isfinite(q).all() and np.isfinite(A).all())
 
     def move(self, sites: Sites, p: ndarray, A: ndarray, L: ndarray, inverses: Pair, velocities: ndarray) -> None:
         """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta, (3, n)."""
-        part, (inverse_masses, inverse_moments) = sites.part, inverses
-        omega = formulas.angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
-        v = p[:, part] * inverse_masses[part]
-        for column, arm in sites.arms(A):
-            velocities[column] = (v + formulas.cross(omega, arm)).T
+        inverse_masses, inverse_moments = inverses
+        for alike in sites.alike:
+            part = alike.part
+            omega = formulas.angular_velocity(A[:, :, part], L[:, part], inverse_moments[:, part])
+            v = p[:, part] * inverse_masses[part]
+            for column, arm in alike.arms(A):
+                velocities[column] = (v + formulas.cross(omega, arm)).T
 
     def collect(
         self, sites: Sites, vectors: ndarray, A: ndarray, weights: ndarray, total: ndarray, moment: ndarray
     ) -> bool:
         """Write sums (3, n) over the atoms of weighted vectors (N, 3), and of their moments; whether all are finite.
 
-        The weights are those of the sites, (k,).
+        The weights are those of `sites.places`, (k,).
         """
-        sums, moments = np.zeros((2, 3, len(sites.atoms)))
-        with np.errstate(invalid="ignore"):
-            for weight, (column, arm) in zip(weights, sites.arms(A), strict=True):
-                weighted = np.ascontiguousarray(vectors[column].T)
-                weighted *= weight
-                sums += weighted
-                moments += formulas.cross(arm, weighted)
-        total[:, sites.part], moment[:, sites.part] = sums, moments
-        return bool(np.isfinite(sums).all() and np.isfinite(moments).all())
+        for alike, own in zip(sites.alike, sites.by_set(weights), strict=True):
+            sums, moments = np.zeros((2, 3, len(alike.atoms)))
+            with np.errstate(invalid="ignore"):
+                for weight, (column, arm) in zip(own, alike.arms(A), strict=True):
+                    weighted = np.ascontiguousarray(vectors[column].T)
+                    weighted *= weight
+                    sums += weighted
+                    moments += formulas.cross(arm, weighted)
+            total[:, alike.part], moment[:, alike.part] = sums, moments
+        return bool(np.isfinite(total).all() and np.isfinite(moment).all())
 
     def turn_groups(self, edges: ndarray, part: ndarray, m: ndarray, q: ndarray, at: ndarray, F: ndarray) -> None:
         """Add forces (3, n) that turn each group of points rigidly, and exert the torques of displaced forces.

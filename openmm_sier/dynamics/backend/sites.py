@@ -4,7 +4,7 @@ Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A,
 the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,7 @@ from openmm_sier.dynamics.backend.formulas import combine
 
 
 @dataclass(frozen=True, eq=False)
-class Sites:
+class AlikeSites:
     """The atoms of bodies that share one geometry.
 
     Attributes:
@@ -37,6 +37,31 @@ class Sites:
         x, y, z = A[:, :, self.part]
         for column, place in zip(self._columns, self.places.T, strict=True):
             yield column, combine(place, x, y, z)
+
+
+class Sites:
+    """The atoms of all bodies, set by set for NumPy, and in tables for compiled loops over all sets.
+
+    Attributes:
+        alike: sets of bodies, one after the other.
+        sets: for each set its first body and the end of its bodies, the number of atoms of each body, and where the
+            set begins in `places` and in `atoms`, (m, 5).
+        places: atom positions in the principal frame, once for each set, (3, k), nm.
+        atoms: particle indices, body by body.
+    """
+
+    def __init__(self, alike: Sequence[AlikeSites]) -> None:
+        self.alike = tuple(alike)
+        sizes = [each.atoms.shape[1] for each in alike]
+        places, atoms = np.cumsum([0, *sizes]), np.cumsum([0, *(each.atoms.size for each in alike)])
+        rows = zip(alike, sizes, places[:-1], atoms[:-1], strict=True)
+        self.sets = np.array([(each.part.start, each.part.stop, *row) for each, *row in rows], np.int64).reshape(-1, 5)
+        self.places = np.concatenate([np.empty((3, 0)), *(each.places for each in alike)], axis=1)
+        self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)], dtype=np.int64)
+
+    def by_set(self, values: np.ndarray) -> list[np.ndarray]:
+        """Divide values, one for each of `places`."""
+        return [values[first : first + size] for _, _, size, first, _ in self.sets.tolist()]
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:

@@ -25,18 +25,16 @@ def cores() -> int:
 
 
 def shared(loop: Callable[..., int]) -> Callable[..., int]:
-    """Turn a loop (start, stop, ...) into one over a slice of the bodies, which threads share if it is long.
+    """Turn a loop (start, stop, ...) into one over a number of bodies, which threads share if it is long.
 
     The numbers that it returns are summed. However the call ends, its threads end with it: a forked process does not
     wait for threads that it does not have.
     """
 
-    def run(part: slice, *arguments: Any) -> int:
-        start, stop = part.start, part.stop
-        n = stop - start
+    def run(n: int, *arguments: Any) -> int:
         if n < 2 * SHARE or (team := min(count(), n // SHARE)) < 2:
-            return loop(start, stop, *arguments)
-        edges = [start + n * i // team for i in range(team + 1)]
+            return loop(0, n, *arguments)
+        edges = [n * i // team for i in range(team + 1)]
         with ThreadPoolExecutor(team) as pool:
             return sum(pool.map(lambda low, high: loop(low, high, *arguments), edges[:-1], edges[1:]))
 

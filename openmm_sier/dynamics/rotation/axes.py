@@ -25,11 +25,6 @@ class Axes:
     parity: np.ndarray
 
     @cached_property
-    def turning_rates(self) -> np.ndarray | None:
-        """Return the rates, or None for points, which do not turn."""
-        return self.rates if self.rates.any() else None
-
-    @cached_property
     def _is_sorted(self) -> bool:
         return bool((np.arange(3) == self.order.T).all())
 

@@ -36,5 +36,5 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     True
     """
     axes, A, L, h = checked(A, L, moments, h)
-    kind = axes.turning_rates, slice(0, A.shape[2])
-    return axes.unsort(backend.active().rotate([kind], axes.sort(A), L, h)), L.copy()
+    kind = backend.Kinds(axes.rates[None], (0, A.shape[2]))
+    return axes.unsort(backend.active().rotate(kind, axes.sort(A), L, h)), L.copy()

@@ -2,12 +2,14 @@
 
 import contextlib
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from openmm_sier.dynamics import backend, operators, rotation
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
+from openmm_sier.dynamics.backend import numba_backend
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constrained import DisplacedForces
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.schemes import SIER4G
@@ -86,6 +88,38 @@ def test_atoms_and_sums_over_them_agree(mixture):
         assert np.count_nonzero(plain) > bodies.n
         # Sums over the few atoms of a body.
         assert np.abs(plain - fast).max() < terms * ROUNDING * np.abs(plain).max()
+
+
+def test_calls_of_a_step_do_not_grow_with_the_kinds_of_bodies(mixture, monkeypatch):
+    """Beside few bodies it is calls that take the time."""
+    bodies, state, forces = mixture
+    calls, shared = [], numba_backend._shared
+
+    def counted(loop):
+        calls.append(loop.__name__)
+        return shared(loop)
+
+    monkeypatch.setattr(numba_backend, "_shared", counted)
+    flow = operators.drift(bodies)
+    assert len(bodies.species) > 3
+    bodies.place(state.q, state.A, np.zeros((bodies.n_particles, 3)))
+    bodies.forces_and_torques(forces, state.A)
+    bodies.move(flow(state, 0.001), np.zeros((bodies.n_particles, 3)))
+    assert calls == ["place", "collect", "drift", "move"]
+
+
+def test_no_bodies_leave_all_particles_alone():
+    """As where all particles are fixed."""
+    bodies, vectors, none = RigidBodies([], 2), np.ones((2, 3)), np.empty((3, 0))
+
+    def after_a_step():
+        state = operators.drift(bodies)(BodyState(none, none, np.empty((3, 3, 0)), none), 0.001)
+        p, L = bodies.momenta(vectors, state.A)
+        placed = bodies.place(state.q, state.A, vectors.copy())
+        return placed, bodies.move(replace(state, p=p, L=L), vectors.copy())
+
+    for found in both(after_a_step):
+        assert all(np.array_equal(each, vectors) for each in found)
 
 
 def test_what_is_not_finite_is_found_by_both(mixture):

@@ -23,7 +23,7 @@ def three_threads(monkeypatch):
 
 
 def test_threads_give_the_same_bits(request, mixture):
-    bodies, state, _ = mixture
+    bodies, state, forces = mixture
     state, flow = with_a_fast_body(bodies, state), operators.drift(bodies)
 
     def bathed():
@@ -31,10 +31,16 @@ def test_threads_give_the_same_bits(request, mixture):
         after = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, ledger)(state, 0.05)
         return after.p, after.L, ledger.heat
 
-    alone, bathed_alone = flow(state, 0.001), bathed()
+    def atoms():
+        empty = np.zeros_like(forces)
+        placed, moved = bodies.place(state.q, state.A, empty.copy()), bodies.move(state, empty.copy())
+        return placed, moved, *bodies.forces_and_torques(forces, state.A), *bodies.momenta(moved, state.A)
+
+    alone, bathed_alone, atoms_alone = flow(state, 0.001), bathed(), atoms()
     request.getfixturevalue("three_threads")
     assert np.array_equal(flow(state, 0.001).A, alone.A)
     assert all(map(np.array_equal, bathed(), bathed_alone))
+    assert all(map(np.array_equal, atoms(), atoms_alone))
 
 
 def test_no_thread_is_at_work_after_an_interrupt(three_threads):
@@ -50,7 +56,7 @@ def test_no_thread_is_at_work_after_an_interrupt(three_threads):
         finished.append((start, stop))
 
     with pytest.raises(KeyboardInterrupt):
-        threads.shared(loop)(slice(0, 11))
+        threads.shared(loop)(11)
     found = list(finished)
     assert found
     time.sleep(0.1)
@@ -77,7 +83,7 @@ def test_loops_in_a_forked_process(three_threads):
 def test_shares_are_large_enough_for_a_thread(three_threads, n, parts):
     """The results of all shares are summed."""
     found = []
-    assert threads.shared(lambda start, stop: found.append((start, stop)) or stop - start)(slice(0, n)) == n
+    assert threads.shared(lambda start, stop: found.append((start, stop)) or stop - start)(n) == n
     assert sorted(found) == parts
 
 
