@@ -126,7 +126,8 @@ def run(task: Task) -> dict[str, Any]:
     step, seed, skip = task.point["step"], task.point["seed"], task.settings.skip
     directory = task.settings.out / f"{task.point['box']}-{task.method}-{step:g}fs-seed{seed}"
     box = SYSTEMS / f"{task.point['box']}.pdb"
-    trials = {"scheme": SCHEME, "ensemble": "hmc"}
+    # Of ten steps, as those of the record.
+    trials = {"scheme": SCHEME, "ensemble": "hmc", "steps_per_trial": 10}
     method = trials if task.method == TRIALS else {"scheme": task.method, "ensemble": "npt"}
     command_runs.carry_out(directory, box, method | {"dt": step, "time": task.point["length"], "seed": seed} | OPTIONS)
     log = command_runs.read_log(directory, skip)

@@ -175,20 +175,19 @@ class Engine(ABC):
         self.flow = flow
         self.take_over()
         self.check_step(flow, self._groups, self._context)
-        try:
-            with self.recovering():
-                yield
-                self.publish()
-        finally:
+        with self.recovering():
+            yield
+            self.publish()
             self.stored.write()
 
     @contextmanager
     def recovering(self) -> Iterator[None]:
-        """Leave the Context at the last completed step if the block raises an error."""
+        """Leave Context and stored ledger at the last completed step if the block raises an error."""
         try:
             yield
         except BaseException:
             self.recover()
+            self.stored.write()
             raise
 
     def recover(self) -> None:

@@ -129,10 +129,10 @@ class Metropolis(ConstantTemperature):
             engine.go_back(start, reverse=True)
         if engine.removes_momentum:
             engine.shift_velocities(-engine.centre_velocity())
+        trials, before = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED]
         engine.clock = Clock(time + length, steps + 1)
-        ledger.counts[TRIALS] += 1
-        ledger.counts[ACCEPTED] += accepted
-        ledger.counts[ERROR] = error
+        # At once, so that an error does not find a trial that is counted in part.
+        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: error}
 
     def _draw_momenta(self, engine: Engine, time: float) -> None:
         # Infinite friction has no meaning for steps of zero length, in which nothing moves.

@@ -23,7 +23,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import openmm
 import pandas as pd
-from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
@@ -102,7 +101,7 @@ class LengthSettings(RunsSettings):
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
     """
 
-    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
+    box: Path = SYSTEMS / "tip3p-512.pdb"
     schemes: tuple[str, ...] = ()
     steps: tuple[float, ...] = (3.0, 4.0, 5.0, 6.0, 7.0)
     light: bool = False
@@ -112,6 +111,7 @@ class LengthSettings(RunsSettings):
     tolerance: float = 1e-4
 
     SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance")
+    FIRST = "box"
 
     @property
     def hydrogens(self) -> str:

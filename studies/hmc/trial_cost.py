@@ -19,7 +19,6 @@ from typing import Any
 
 import openmm
 import pandas as pd
-from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE
@@ -61,12 +60,14 @@ class CostSettings(Settings):
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
     """
 
-    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
+    box: Path = SYSTEMS / "tip3p-512.pdb"
     schemes: tuple[str, ...] = ("sier2v2", "sier2p3", "sier4g")
     trials: int = 20
     length: float = 150.0
     temperature: float = 297.0
     tolerance: float = 1e-4
+
+    FIRST = "box"
 
 
 def at_once(context: openmm.Context, trials: int) -> None:

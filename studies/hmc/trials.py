@@ -24,7 +24,6 @@ from typing import Any
 
 import openmm
 import pandas as pd
-from tyro.conf import Positional
 
 from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
@@ -112,10 +111,12 @@ class TrialSettings(BathSettings):
         time: of each run, ps.
     """
 
-    box: Positional[Path] = SYSTEMS / "tip3p-512.pdb"
+    box: Path = SYSTEMS / "tip3p-512.pdb"
     time: float = 100.0
 
     SHARED = ("temperature", "tolerance", "friction")
+
+    FIRST = "box"
 
 
 def tasks(settings: TrialSettings) -> Iterator[Task]:

@@ -21,7 +21,7 @@ Pair = tuple[ndarray, ndarray]
 
 
 class Kinds:
-    """How bodies turn, kind by kind.
+    """Hold what turns bodies, kind by kind.
 
     Attributes:
         rates: inverse moments, descending, of each kind of body, (m, 3), or, of a single kind whose bodies differ,

@@ -88,6 +88,7 @@ class BodyActions(Actions):
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         with interrupts.deferred():
+            engine.stored.read()
             start, forces = engine.state(), engine.forces.of_all_groups
             with engine.recovering():
                 minimize_bodies(self._context, engine.bodies, forces, start, tolerance, iterations, reporter)

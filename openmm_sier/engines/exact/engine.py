@@ -242,6 +242,8 @@ class ExactEngine(Engine):
             if flow.updates_context and self.updates.stops_centre(steps):
                 point = self._stopped(point)
             point = step(point)
+            # In one line, so that an error finds the clock, the bodies and the ledger in agreement.
+            self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         except ConstraintError as error:
             self.ledger.go_back(mark)
             raise TrajectoryError(
@@ -251,7 +253,6 @@ class ExactEngine(Engine):
         except BaseException:
             self.ledger.go_back(mark)
             raise
-        self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         thermal = self._made.motion.after_bath if flow.scheme.bath_divides_drift else None
         self._last = None if thermal is None else (point, thermal)
 

@@ -1,4 +1,4 @@
-"""The rigid bodies that users are told of, where what moves are the atoms."""
+"""Tell users of the rigid bodies, where only atoms move."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from openmm_sier.system.temperature import (
 
 
 class ToldBodies:
-    """Bodies that constraints form, or that users named. Constraints may also form none, and the atoms still move."""
+    """Hold the bodies that constraints form or users named; where constraints form none, the atoms still move."""
 
     def __init__(self, system: openmm.System, given: Bodies, points: RigidBodies):
         """
@@ -41,7 +41,7 @@ class ToldBodies:
 
     @property
     def species(self) -> tuple[Species, ...]:
-        """The kinds of body; none where constraints form none."""
+        """Return the kinds of body; none where constraints form none."""
         return () if isinstance(self._found, RigidityError) else tuple(self._found.species)
 
     def bodies(self, positions: Callable[[], np.ndarray]) -> RigidBodies:
