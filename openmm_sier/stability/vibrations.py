@@ -215,16 +215,18 @@ class Vibrations:
         self._check_bonds("An inner step", inner, inner_step, groups, advice.MORE_SUBSTEPS)
         bond = _fastest(self._bonds, groups)
         if bond is not None and h > RESONANCE * bond.period:
+            is_shortened = scheme.bath_divides_drift and self._moves_like_hydrogen(bond)
+            # Averages of a bond to hydrogen are wrong from shorter steps on.
+            borne = min(RESONANCE, STIFFENED / math.pi) if is_shortened else RESONANCE
             # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
             heavier = [advice.HEAVIER] if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else []
-            remedies = [advice.up_to(_fs(RESONANCE * bond.period)), *heavier, self._hold(bond)]
+            remedies = [advice.up_to(_fs(borne * bond.period)), *heavier, self._hold(bond)]
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
                 "in it"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
-            is_shortened = scheme.bath_divides_drift and self._moves_like_hydrogen(bond)
             if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
                 useless = "More inner steps do not help"
                 raise advice.StepError(f"A step of {_fs(h)} is too long {message}", *remedies, remark=useless)
