@@ -1,5 +1,7 @@
 """Find what to do about a step that is too long for a motion: the remedies that help that motion."""
 
+import math
+
 import numpy as np
 import openmm
 
@@ -38,9 +40,13 @@ STRAIGHTEN = Remedy("straighten", "put the atoms of a body that is nearly a line
 CHECK_FORCES = Remedy("check forces", "if it drifts alike with both, print(check_forces(context))")
 
 
-def up_to(step: str) -> Remedy:
-    """Return the remedy of a step up to this one, which has its unit."""
-    return Remedy("step up to", f"take up to {step}", step)
+def up_to(step: float) -> Remedy:
+    """Return the remedy of a step up to this one, in ps. It is told in three digits, rounded down so that it helps."""
+    value, unit = (1000 * step, "fs") if step < 1 else (step, "ps")
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    # A step of 4 fs is 4.000000000000001 fs or a little less in binary numbers.
+    told = f"{math.floor(value / digit * (1 + 1e-12)) * digit:.3g} {unit}"
+    return Remedy("step up to", f"take up to {told}", told)
 
 
 def soften(force: str) -> Remedy:

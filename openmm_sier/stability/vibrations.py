@@ -220,7 +220,7 @@ class Vibrations:
             borne = min(RESONANCE, STIFFENED / math.pi) if is_shortened else RESONANCE
             # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
             heavier = [advice.HEAVIER] if self._remedies.has_hydrogen(bond.atoms, advice.LIGHT) else []
-            remedies = [advice.up_to(_fs(borne * bond.period)), *heavier, self._hold(bond)]
+            remedies = [advice.up_to(borne * bond.period), *heavier, self._hold(bond)]
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
                 "in it"
@@ -248,7 +248,7 @@ class Vibrations:
             f"At {_fs(h)} averages of this molecule are wrong: slow forces stretch {self._name(bond)} (period "
             f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should"
         )
-        borne = advice.up_to(_fs(STIFFENED * bond.period / math.pi))
+        borne = advice.up_to(STIFFENED * bond.period / math.pi)
         self._tell_once(advice.StepWarning(wrong, borne, self._hold(bond)))
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -270,7 +270,7 @@ class Vibrations:
             f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V))"
         )
         longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
-        self._tell_once(advice.StepWarning(wanders, advice.up_to(_fs(good)), remark=longer))
+        self._tell_once(advice.StepWarning(wanders, advice.up_to(good), remark=longer))
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """Return the longest step without a warning, ps, with inner steps that are short enough for the fast groups.

@@ -45,7 +45,7 @@ def test_the_command_has_words_for_remedies_that_there_are():
 
 
 def test_an_error_carries_its_parts():
-    remedies = advice.up_to("4 fs"), advice.HEAVIER, advice.CONSTRAIN_AND_KEEP
+    remedies = advice.up_to(0.004), advice.HEAVIER, advice.CONSTRAIN_AND_KEEP
     error = advice.StepError("A step of 9 fs is too long", *remedies, remark="More do not help")
     assert isinstance(error, openmm.OpenMMException)
     assert (error.finding, error.remedies, error.remark) == (str(error)[:26], remedies, "More do not help")

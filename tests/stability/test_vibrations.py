@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 import warnings
 from functools import partial
 
@@ -279,6 +280,17 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
     with silence(), pytest.raises(openmm.OpenMMException, match=refused):
         judged(system, SIERLangevinIntegrator(300, 1, 0.009, engine=engine))
     judged(system, SIERLangevinIntegrator(300, 1, 0.007, engine=engine))
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_step_that_a_refusal_in_a_bath_names_draws_no_warning():
+    """Bonds to hydrogen bear a shorter one there than where the energy is conserved."""
+    _, _, system = cluster_system(3, rigidWater=False)
+    prepare_system(system)
+    with pytest.raises(openmm.OpenMMException, match="Take up to") as refused:
+        judged(system, SIERLangevinIntegrator(300, 1, 0.0065))
+    step = float(re.search(r"Take up to ([\d.]+) fs", str(refused.value))[1])
+    judged(system, SIERLangevinIntegrator(300, 1, step / 1000))
 
 
 @pytest.mark.parametrize(
