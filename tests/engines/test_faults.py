@@ -2,6 +2,7 @@
 
 import gc
 import threading
+from itertools import pairwise
 
 import numpy as np
 import openmm
@@ -151,6 +152,31 @@ def test_a_fault_at_any_line_with_a_barostat(box):
     # A third of the moves is rejected.
     integrator.step(25)
     assert context.getState().getPeriodicBoxVolume() != volume
+
+
+@pytest.mark.parametrize("acts", [[openmm.MonteCarloBarostat], [openmm.MonteCarloBarostat, openmm.AndersenThermostat]])
+def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts):
+    made = {openmm.MonteCarloBarostat: (1.0, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
+    system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
+    integrator = SIER2Integrator(0.001)
+    context = context_at(system, integrator, box[2], "CPU", steps=1)
+    engine = integrator.binding.engine
+    seen = []
+
+    def fail(_, __):
+        seen.append(context.getState().getPeriodicBoxVectors())
+        raise Fault
+
+    # What is noted of the bath comes after the step.
+    engine.__class__ = type("Failing", (type(engine),), {"_last": property(lambda _: None, fail)})
+    boxes = [context.getState().getPeriodicBoxVectors()]
+    for step in range(2, 12):
+        with pytest.raises(Fault):
+            integrator.step(1)
+        assert context.getStepCount() == step
+        boxes.append(context.getState().getPeriodicBoxVectors())
+        assert boxes[-1] == seen[-1]
+    assert any(one != other for one, other in pairwise(boxes))
 
 
 # --- numbers that are none --------------------------------------------------------------------------------------

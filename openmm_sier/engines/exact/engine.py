@@ -32,7 +32,7 @@ from openmm_sier.engines.protocol import Clock, Engine, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.variables import SITES, STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import own_methods
+from openmm_sier.system import checks, own_methods
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperatures
 
@@ -94,7 +94,7 @@ class ExactEngine(Engine):
             return
         made = MovingBodies(self._context, self._plan.bodies(positions, sites), self.flow, self.ledger)
         if self._moves_volume:
-            made.refuse_constant_pressure()
+            checks.refuse_constant_pressure(self._context.getSystem(), made.bodies)
         self._evaluations_before = self.evaluations
         self._parts = made
         self._integrator.setPerDofVariableByName(SITES, sites_of_atoms(made.bodies))
@@ -224,14 +224,16 @@ class ExactEngine(Engine):
 
     def _step_after_updates(self, step: operators.Stepper) -> None:
         """Make one step, after the System's barostats and thermostats have acted."""
-        before = own_methods.get_state(self._context, positions=True)
+        start, before = self._point, own_methods.get_state(self._context, positions=True)
         try:
             point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
             self._complete(point, step)
         except BaseException:
-            own_methods.set_box(self._context, *before.getPeriodicBoxVectors())
-            # A barostat also moves atoms of no body.
-            self.forces.positions[:] = before.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+            # An error may come when the step is complete.
+            if self._point is start:
+                own_methods.set_box(self._context, *before.getPeriodicBoxVectors())
+                # A barostat also moves atoms of no body.
+                self.forces.positions[:] = before.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
             raise
 
     def _complete(self, point: BodyState, step: operators.Stepper) -> None:
@@ -244,14 +246,13 @@ class ExactEngine(Engine):
             point = step(point)
             # In one line, so that an error finds the clock, the bodies and the ledger in agreement.
             self._point, self.clock = point, Clock(time + flow.step, steps + 1)
-        except ConstraintError as error:
+        except BaseException as error:
             self.ledger.go_back(mark)
-            raise TrajectoryError(
-                f"In step {steps + 1} {error}. Is the step size too long, or a force too stiff for it? The Context is "
-                "left at the last completed step."
-            ) from error
-        except BaseException:
-            self.ledger.go_back(mark)
+            if isinstance(error, ConstraintError):
+                raise TrajectoryError(
+                    f"In step {steps + 1} {error}. Is the step size too long, or a force too stiff for it? The Context "
+                    "is left at the last completed step."
+                ) from error
             raise
         thermal = self._made.motion.after_bath if flow.scheme.bath_divides_drift else None
         self._last = None if thermal is None else (point, thermal)
@@ -335,7 +336,7 @@ class ExactEngine(Engine):
     def prepare_for_volume_moves(self) -> None:
         self._moves_volume = True
         if self._parts is not None:
-            self._parts.refuse_constant_pressure()
+            super().prepare_for_volume_moves()
 
     def refuse_long_step(self, flow: Flow) -> None:
         if self._parts is not None:

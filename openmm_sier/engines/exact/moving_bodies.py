@@ -57,14 +57,6 @@ class MovingBodies:
         """Return centres of mass of the molecules, each of which moves as a whole with the volume."""
         return MoleculeCentres(self.bodies, self._context.getMolecules())
 
-    def refuse_constant_pressure(self) -> None:
-        """Check that the volume can be changed.
-
-        Raises:
-            openmm.OpenMMException: it cannot.
-        """
-        checks.refuse_constant_pressure(self._context.getSystem(), self.bodies)
-
     def _new_motion(self) -> Motion:
         fast = self._context.getIntegrator().getIntegrationForceGroups() & self._fast_groups
         return Motion(self._context, self.bodies, self._in_kicks, self._rotation, fast, self._ledger)

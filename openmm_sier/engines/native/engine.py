@@ -10,7 +10,6 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
@@ -115,10 +114,6 @@ class NativeEngine(Engine):
             RigidityError: the System has constraints that do not form rigid bodies.
         """
         return self._told.bodies(self.positions)
-
-    @cached_property
-    def molecule_centres(self) -> MoleculeCentres:
-        return MoleculeCentres(self.moving, self._context.getMolecules())
 
     @cached_property
     def actions(self) -> NativeActions:
