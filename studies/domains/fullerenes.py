@@ -14,7 +14,7 @@ import math
 import numpy as np
 import openmm
 
-from studies.domains.models import INTERACTIONS, Model, exclude, nearer, pairs_within, springs, with_force
+from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within, with_network
 from studies.frames import CARBON, EPSILON, SIGMA, buckminsterfullerene
 
 #: nm, at 300 K and 1 bar.
@@ -49,8 +49,7 @@ def model(cells: int = 2) -> Model:
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(cells * LATTICE * np.eye(3)))
     positions = np.concatenate(places)
-    joined = nearer(pairs_within(bodies), positions, REACH)
-    network = with_force(system, springs(positions, dict.fromkeys(joined, STIFFNESS)))
+    network = with_network(system, positions, bodies, REACH, STIFFNESS)
     return Model("C60", system, network, positions, bodies, pressure=1.0, usual=1.0)
 
 

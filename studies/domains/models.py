@@ -78,6 +78,22 @@ def springs(positions: np.ndarray, stiffness: Mapping[Pair, float]) -> openmm.Ha
     return force
 
 
+def with_network(
+    system: openmm.System, positions: np.ndarray, bodies: Sequence[Sequence[int]], reach: float, stiffness: float
+) -> openmm.System:
+    """Return a copy of a System with springs of one stiffness within bodies.
+
+    Args:
+        system: openmm.System.
+        positions: (N, 3), nm, at which the springs are at rest.
+        bodies: atoms of each body.
+        reach: nm, up to which two atoms of a body are joined.
+        stiffness: kJ/mol/nm^2.
+    """
+    joined = nearer(pairs_within(bodies), positions, reach)
+    return with_force(system, springs(positions, dict.fromkeys(joined, stiffness)))
+
+
 def with_force(system: openmm.System, force: openmm.Force) -> openmm.System:
     """A copy of a System with one more Force."""
     made = openmm.XmlSerializer.clone(system)

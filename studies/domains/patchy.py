@@ -13,7 +13,7 @@ import numpy as np
 import openmm
 
 from studies.domains.fullerenes import rotation
-from studies.domains.models import INTERACTIONS, Model, exclude, nearer, pairs_within, springs, with_force
+from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within, with_network
 
 #: nm and kJ/mol of the core; kJ/mol and nm of the wells of patches.
 DIAMETER, REPULSION = 1.0, 2.5
@@ -59,6 +59,5 @@ def model(edge: int = 4) -> Model:
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(edge * spacing * np.eye(3)))
     positions = np.concatenate(places)
-    joined = nearer(pairs_within(bodies), positions, REACH)
-    network = with_force(system, springs(positions, dict.fromkeys(joined, STIFFNESS)))
+    network = with_network(system, positions, bodies, REACH, STIFFNESS)
     return Model("patchy particles", system, network, positions, bodies, usual=10.0)
