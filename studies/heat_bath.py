@@ -148,7 +148,7 @@ class BathSettings(RunsSettings):
 
 
 class Observer:
-    """What is averaged, from the States of a Context."""
+    """Sample what is averaged, from the States of a Context."""
 
     def __init__(self, box: Any, system: openmm.System):
         self._masses = tables.masses(system)
@@ -256,7 +256,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
 
 
 def _distributions(series: pd.DataFrame) -> dict[str, Any]:
-    """How often the dihedrals were in each bin, and how many samples of them are independent."""
+    """Return how often the dihedrals were in each bin, and how many samples of them are independent."""
     found: dict[str, Any] = {}
     for angle in ANGLES:
         if angle in series:
@@ -278,7 +278,7 @@ def _costs(series: pd.DataFrame, forces: float) -> dict[str, float]:
 
 
 def read_box(settings: Any) -> Any:
-    """What has topology, positions and system, its sums of PME in balance."""
+    """Return what has topology, positions and system, its sums of PME in balance."""
     if settings.box.stem == "dhfr":
         box = boxes.dhfr(speed_boxes.CUTOFF, speed_boxes.SWITCH, settings.tolerance, speed_boxes.HYDROGEN)
     else:

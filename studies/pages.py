@@ -1,4 +1,4 @@
-"""What pages of the documentation say in their cells, which MyST-NB executes: tables, figures and numbers of records.
+"""Show tables, figures and numbers of records in cells of the documentation, which MyST-NB executes.
 
     speeds = read("gpu.json", "speeds")
     show("gpu.json", table(speeds.query("box == 'dhfr'"), {"method": "{method}", "us": "{microseconds:.0f}"}))

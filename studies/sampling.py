@@ -117,7 +117,7 @@ def equilibrated_liquid(
 
 @dataclass(frozen=True)
 class GridSettings(BoxSettings, RunsSettings):
-    """What studies take that make runs of a box from several starts.
+    """Hold what studies take that make runs of a box from several starts.
 
     Attributes:
         starts: equilibrated phase points, from which all runs start; their seeds follow `seed`.
@@ -243,7 +243,7 @@ def _context(liquid: Liquid, integrator: openmm.Integrator) -> openmm.Context:
 def conserved(
     liquid: Liquid, method: Method, dt: float, time: float, interval: float = INTERVAL
 ) -> tuple[dict[str, Any], Series | None]:
-    """How well a run conserves energy, and its samples; see `follow` for the arguments.
+    """Return how well a run conserves energy, and its samples; see `follow` for the arguments.
 
     Returns:
         `percent` for rms(H)/rms(V) in per cent (see `openmm_sier.analysis.observables.energy_error`), the `drift` of

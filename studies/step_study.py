@@ -87,7 +87,7 @@ APART = 0.06
 
 @dataclass(frozen=True)
 class StepSettings(RunsSettings):
-    """What is run.
+    """Choose what is run.
 
     Attributes:
         boxes: of the repository, by name.

@@ -1,4 +1,4 @@
-"""What is simulated: the System of an input, its integrators, and Contexts for them."""
+"""Make the System of an input, its integrators, and Contexts for them."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ from openmm_sier.prepare.preparation import prepare_system
 
 
 class Simulated:
-    """What is simulated, with the System prepared for long steps.
+    """Hold an input and its System, which is prepared for long steps.
 
     Attributes:
         settings: of the run.
@@ -36,7 +36,7 @@ class Simulated:
         """Read the files of the input, and prepare their System.
 
         Raises:
-            RunError: the run needs a periodic box, which there is none.
+            RunError: the run requires a periodic box, and the input has none.
             ForceFieldError, RigidityError, OSError: as their messages say.
         """
         given = settings.topology, settings.forcefield, settings.constraints, settings.interactions, settings.edges
@@ -51,7 +51,7 @@ class Simulated:
             for done in prepared.done:
                 note(done)
         if settings.pressure_tensor and not box.system.usesPeriodicBoundaryConditions():
-            raise RunError("--pressure-tensor needs a periodic box, which there is none")
+            raise RunError("--pressure-tensor requires a periodic box, and the input has none")
         self.inputs = fingerprints(box.sources)
 
     def context(self, step: int = 0) -> openmm.Context:

@@ -235,7 +235,7 @@ def _execute(command: str, *given: Any, **more: Any) -> None:
 
 
 class Call(NamedTuple):
-    """What a command line asks for.
+    """Hold what a command line asks for.
 
     Attributes:
         carry_out: does it.

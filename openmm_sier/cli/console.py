@@ -47,7 +47,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
 
 @contextmanager
 def progress_bar(description: str, total: float, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
-    """A progress bar on standard error, or occasional lines where that is not a terminal.
+    """Show a progress bar on standard error, or occasional lines where that is not a terminal.
 
     The value is a function that takes how much has been done in all and, optionally, a new description. The first line
     comes after `LINE_AFTER` s, later ones less often, but at least every ten minutes. A closed terminal does not stop
@@ -93,7 +93,7 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
 
 
 def _state(done: float, total: float, rate: float, ps: float | None) -> str:
-    """How much is done, how fast by the second and for how long still."""
+    """Return in words how much is done, at what speed, and how long the rest takes."""
     percent = f"{100 * done / total:.0f} %"
     left = f"{timedelta(seconds=round((total - done) / rate))} left"
     if ps is None:

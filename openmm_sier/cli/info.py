@@ -95,7 +95,7 @@ def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int,
 
 
 def kind(moments: np.ndarray) -> str:
-    """The name of a top with these ascending moments."""
+    """Return the name of a top with these ascending moments."""
     low, middle, high = moments
     if high == 0:
         return "point"

@@ -74,7 +74,7 @@ class Run(NamedTuple):
 
     @property
     def ensemble(self) -> str:
-        """The ensemble as far as the log tells it: "hmc", "nve" or, with any bath, "nvt"."""
+        """Return the ensemble as far as the log tells it: "hmc", "nve" or, with any bath, "nvt"."""
         if "Acceptance" in self.log:
             return "hmc"
         time, total, conserved = (self.log[name] for name in ("Time (ps)", "Total Energy (kJ/mole)", CONSERVED))
@@ -130,7 +130,7 @@ class Runs(NamedTuple):
 
     @property
     def first(self) -> Run:
-        """The first run, which shows of what kind they are."""
+        """Return the first run, which shows of what kind they are."""
         return self.runs[0]
 
     @property
@@ -175,7 +175,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
-    """The mean over runs, with an error from their scatter or, for few runs, from their errors.
+    """Return the mean over runs, with an error from their scatter or, for few runs, from their errors.
 
     Where few runs have no errors, their scatter is taken all the same, and marked as of few samples.
     """
@@ -192,7 +192,7 @@ def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
 
 
 def read_run(path: Path) -> Run:
-    """The log of a run, which may still be going on.
+    """Read the log of a run, which may still be going on.
 
     Raises:
         RunError: it is no log of a run, or has hardly begun.

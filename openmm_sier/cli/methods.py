@@ -32,12 +32,12 @@ STEP_OF_OPENMM = 0.002
 
 
 def is_heavy(hydrogen_mass: float | None) -> bool:
-    """Whether hydrogens of a mass in dalton bear long steps; those of the force field, None, do not."""
+    """Tell whether hydrogens of a mass in dalton bear long steps; those of the force field, None, do not."""
     return hydrogen_mass is not None and hydrogen_mass >= HEAVY
 
 
 class Method(NamedTuple):
-    """What moves the molecules of a run.
+    """Hold what moves the molecules of a run.
 
     Attributes:
         name: for titles and messages.
@@ -54,7 +54,7 @@ class Method(NamedTuple):
     leapfrog: bool = False
 
     def usual_step(self, ensemble: str, hydrogen_mass: float | None = None) -> float:
-        """The usual step for rigid water in an ensemble, fs, with hydrogens of a mass in dalton if one was chosen."""
+        """Return the usual step for rigid water, fs, in an ensemble and with hydrogens of a mass in dalton."""
         if self.scheme is None:
             return 1000 * STEP_OF_OPENMM
         return 1000 * (_usual_step(self.scheme, ensemble, is_heavy(hydrogen_mass)) or STEP_OF_OPENMM)

@@ -14,7 +14,7 @@ NAME, PROPERTIES = "Platform", ("Precision", "Threads")
 
 
 def platform_of(context: openmm.Context) -> dict[str, str]:
-    """The platform of a Context as a checkpoint notes it."""
+    """Return the platform of a Context as a checkpoint notes it."""
     platform = context.getPlatform()
     known = [name for name in PROPERTIES if name in platform.getPropertyNames()]
     return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in known}}

@@ -93,7 +93,7 @@ def energies(log: dict[str, np.ndarray], ensemble: str) -> list[Quantity]:
 
 
 def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
-    """The mean of the potential energy."""
+    """Return the mean of the potential energy."""
     return Quantity("potential energy V", mean_and_error(log[POTENTIAL]), "kJ/mol")
 
 
@@ -108,7 +108,7 @@ def temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
 
 
 def density(log: dict[str, np.ndarray]) -> Quantity:
-    """The mean density."""
+    """Return the mean density."""
     return Quantity("density", mean_and_error(log[DENSITY]), "g/ml")
 
 

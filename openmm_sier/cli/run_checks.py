@@ -32,7 +32,7 @@ FEWEST_ROWS = 10
 
 
 class Runaway(RuntimeError):
-    """What ends a run: a temperature has run away, or positions and forces are no longer finite."""
+    """End a run, since a temperature has run away, or positions and forces are no longer finite."""
 
     exit_code = EXIT_CODE
 
@@ -42,7 +42,7 @@ Bounds = dict[str, float]
 
 
 def bounds(plan: RunSettings, dof: DegreesOfFreedom) -> Bounds:
-    """The temperatures that a run with these degrees of freedom does not exceed."""
+    """Return the temperatures that a run with these degrees of freedom does not exceed."""
     return {name: hottest(plan.temperature, number) for name, number in dof._asdict().items() if number}
 
 
@@ -59,14 +59,14 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
 
 
 def is_runaway(error: BaseException) -> bool:
-    """Whether a step failed because it made the System too hot, or forces or positions are not finite."""
+    """Tell whether a step failed because it made the System too hot, or forces or positions are not finite."""
     # OpenMM has one class for all its errors.
     broken = isinstance(error, TrajectoryError | RunawayError) or isinstance(error.__context__, NotFiniteError)
     return broken or "coordinate is NaN" in str(error)
 
 
 def likely_cause(plan: RunSettings) -> str:
-    """Why a run with this plan may have run away, and what to do."""
+    """Return why a run with these settings may have run away, and what to do."""
     usual, name = plan.usual_step, plan.method.name
     if plan.dt > usual:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
@@ -78,7 +78,7 @@ def likely_cause(plan: RunSettings) -> str:
 
 
 def fluctuation_warning(plan: RunSettings, log: Mapping[str, np.ndarray]) -> str | None:
-    """A warning where the energy fluctuates more than it does with the scheme's usual step; None where it does not.
+    """Return a warning if the energy fluctuates more than with the scheme's usual step, else None.
 
     Only constant energy draws one, and only what H does within 1 ps counts, so that a drift does not.
 

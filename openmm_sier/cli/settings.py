@@ -91,7 +91,7 @@ def steps_in(time: float, dt: float) -> int:
 
 
 class RunSettings(BaseModel):
-    """All settings of a run, checked, with those that were not given.
+    """Hold all settings of a run, checked, with defaults for those that were not given.
 
     Times are in ps, but `dt` is in fs. Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws
     momenta anew where `friction` is 0.
@@ -282,27 +282,27 @@ class RunSettings(BaseModel):
 
     @property
     def equilibrates(self) -> bool:
-        """Whether a new run begins with an equilibration. From a checkpoint it does so only if asked to."""
+        """Tell whether a new run begins with an equilibration. From a checkpoint it does so only if asked to."""
         return self.start is None or bool(self.equilibrate or self.minimize)
 
     @property
     def moves_volume(self) -> bool:
-        """Whether the pressure is constant."""
+        """Tell whether the pressure is constant."""
         return self.ensemble in ("npt", "hmc") and self.pressure is not None
 
     @property
     def method(self) -> Method:
-        """What moves the molecules."""
+        """Return the method that moves the molecules."""
         return METHODS[self.scheme]
 
     @property
     def rescales(self) -> bool:
-        """Whether a factor on all velocities keeps the temperature."""
+        """Tell whether a factor on all velocities keeps the temperature."""
         return self.ensemble in ("nvt", "npt") and self.thermostat == "rescaling"
 
     @property
     def usual_step(self) -> float:
-        """The usual step of the method, fs."""
+        """Return the usual step of the method, fs."""
         return self.method.usual_step(_motion(self.ensemble, self.thermostat), self.hydrogen_mass)
 
     @property
@@ -316,7 +316,7 @@ class RunSettings(BaseModel):
 
     @property
     def interactions(self) -> Interactions:
-        """How the interactions are cut off."""
+        """Return the settings of the interactions' cut-off."""
         return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
 
     @property

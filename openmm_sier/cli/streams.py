@@ -72,7 +72,7 @@ def note_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def described(error: Exception) -> str:
-    """An error in one line."""
+    """Return an error in one line."""
     if isinstance(error, ModuleNotFoundError) and (library := str(error.name).split(".")[0]) in LIBRARIES:
         return f"the command needs {library}; install it with: pip install 'openmm-sier[cli]'"
     message = in_one_line(error) or type(error).__name__

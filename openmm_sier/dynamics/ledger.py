@@ -1,4 +1,4 @@
-"""What a run counts besides its phase point."""
+"""Count the heat, the random numbers and the moves of a run."""
 
 # Without this, annotations would import numpy.random, which is slow.
 from __future__ import annotations

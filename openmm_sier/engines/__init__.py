@@ -1,1 +1,1 @@
-"""What moves the bodies of a Context."""
+"""Move the bodies of a Context."""

@@ -1,4 +1,4 @@
-"""What users let OpenMM do in a Context."""
+"""Draw velocities, satisfy constraints and minimize the energy, as users ask of a Context."""
 
 import weakref
 from collections.abc import Callable

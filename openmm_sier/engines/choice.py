@@ -1,4 +1,4 @@
-"""Which engine an integrator gets."""
+"""Choose the engine of an integrator."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What an engine does: it moves the bodies of one Context for an ensemble, which decides what happens between flows."""
+"""Define engines, which move the bodies of one Context; ensembles decide what happens between flows."""
 
 import weakref
 from abc import ABC, abstractmethod
@@ -41,7 +41,7 @@ class Clock(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Remember phase point, clock, box and mark of the ledger, to which an engine goes back; `more` is its own."""
+    """Hold what an engine goes back to: phase point, clock, box and mark of the ledger; `more` is the engine's own."""
 
     point: Any
     clock: Clock
@@ -94,7 +94,7 @@ class Engine(ABC):
     clock: Clock = Clock(0.0, 0)
 
     def __init__(self, task: Task):
-        """Engines add to this what they need of their task, and refuse what they cannot do, with the remedy."""
+        """Keep the Context, the flow and the ledger. Engines add the rest, and refuse what they cannot do."""
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
         self._context_ref = weakref.ref(task.context)
         self.flow = task.flow

@@ -1,4 +1,4 @@
-"""What a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
+"""Tell what a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
 
 import re
 from pathlib import Path

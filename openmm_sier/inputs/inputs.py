@@ -1,4 +1,4 @@
-"""What is simulated, from the files that people have: coordinates, with a force field or a topology of their own."""
+"""Read what is simulated from the files that people have: coordinates, with a force field or a topology."""
 
 import hashlib
 import re

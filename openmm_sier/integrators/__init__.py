@@ -1,1 +1,1 @@
-"""What OpenMM users call."""
+"""Give OpenMM users their integrators."""

@@ -1,4 +1,4 @@
-"""What `tune` finds: schemes with their steps, trial lengths, and what they cost, as tables."""
+"""Show what `tune` finds: schemes with their steps, trial lengths, and what they cost, as tables."""
 
 import math
 from typing import NamedTuple

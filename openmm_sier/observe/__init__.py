@@ -1,1 +1,1 @@
-"""What is observed of a simulation: conservation, pressure, body states, reporters."""
+"""Observe a simulation: conservation, pressure, body states, reporters."""

@@ -1,4 +1,4 @@
-"""Which Forces of a System can act within drifts, and the force groups in which integrators find them."""
+"""Find the Forces of a System that can act within drifts, and give them force groups."""
 
 import numpy as np
 import openmm

@@ -1,4 +1,4 @@
-"""How fast a Force moves its atoms whose energy is no sum of terms of a few atoms, such as a CustomCVForce.
+"""Measure how fast Forces move their atoms whose energy is no sum of terms of a few atoms, as a CustomCVForce.
 
 The largest second derivative over masses is found by Lanczos' method, J. Res. Natl. Bur. Stand. 45, 255 (1950), on the
 Reference platform: each of its vectors costs two evaluations of this Force alone.

@@ -1,4 +1,4 @@
-"""How fast bonded Forces move their atoms whose energy is an expression: measured where the atoms are.
+"""Measure how fast bonded Forces whose energy is an expression move their atoms, where the atoms are.
 
 Each term gets atoms of its own, on the Reference platform. So one displacement of all of them gives a column of the
 second derivatives of every term.

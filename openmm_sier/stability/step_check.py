@@ -1,4 +1,4 @@
-"""Whether a step is short enough for what vibrates and spins in a System."""
+"""Check whether a step is short enough for what vibrates and spins in a System."""
 
 from collections.abc import Callable, Sequence
 

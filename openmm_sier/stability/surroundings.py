@@ -1,4 +1,4 @@
-"""How stiffly the surroundings of an atom hold it, by the charges and Lennard-Jones terms of a System.
+"""Estimate how stiffly the surroundings of an atom hold it, by the charges and Lennard-Jones terms of a System.
 
 It is estimated before any position is known.
 """

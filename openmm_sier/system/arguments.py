@@ -76,7 +76,7 @@ def checked_positions(positions: Any, n: int) -> np.ndarray:
 
 
 def checked_scheme(scheme: Any) -> Scheme:
-    """Return a scheme from itself or from its name in letters of any case.
+    """Return a scheme from itself or from its name, which is case-insensitive.
 
     Raises:
         ValueError: no scheme has that name.

@@ -1,4 +1,4 @@
-"""How easily forces on atoms move them, with their bodies."""
+"""Compute how easily forces on atoms move them, with their bodies."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Which constraints OpenMM's own solvers cannot satisfy.
+"""Find constraints that OpenMM's own solvers cannot satisfy.
 
 OpenMM has two. SETTLE moves isolated triangles of constraints with two equal lengths, and takes it that the two atoms
 beside the corner between them have the same mass. All others are solved together by iterations with one matrix, CCMA

@@ -1,4 +1,4 @@
-"""Whether a System is still what it was when its Context was made: OpenMM reads it only then."""
+"""Check that a System is still what it was when its Context was made: OpenMM reads it only then."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple

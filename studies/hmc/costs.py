@@ -1,4 +1,4 @@
-"""What a sample of the solvated dipeptide costs with hybrid Monte Carlo and Langevin dynamics of `openmm-sier run`.
+"""Measure what a sample of the solvated dipeptide costs with hybrid Monte Carlo and Langevin dynamics.
 
     python -m studies.hmc.costs
     python -m studies.hmc.costs --methods "SIER4G, trials of 30 fs, steps of 6 fs" --starts 4
@@ -91,7 +91,7 @@ COSTS = tuple(f"{name}_cost" for name in (*OBSERVED, "dipole", "psi"))
 
 @dataclass(frozen=True)
 class CostSettings(RunsSettings):
-    """What is run.
+    """Choose what is run.
 
     Attributes:
         methods: by name, all unless given.

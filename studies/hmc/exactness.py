@@ -40,7 +40,7 @@ COLUMNS = text.columns("name", "mean", "error", "exact", "off")
 
 @dataclass(frozen=True)
 class ExactnessSettings(Settings):
-    """How much is done.
+    """Choose how much is done.
 
     Attributes:
         trials: of each of the four models.

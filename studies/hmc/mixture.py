@@ -60,7 +60,7 @@ COLUMNS = text.columns("label", "time", "accepted", "potential", "density", "tra
 
 @dataclass(frozen=True)
 class MixtureSettings(RunsSettings):
-    """What is run.
+    """Choose what is run.
 
     Attributes:
         method: of the run.

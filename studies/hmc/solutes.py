@@ -25,7 +25,7 @@ Moving = Literal["all", "water", "solute"]
 
 @dataclass(frozen=True)
 class SoluteSettings(BoxSettings, RunsSettings):
-    """What studies of a solvated molecule take.
+    """Hold what studies of a solvated molecule take.
 
     Attributes:
         box: PDB file that names its force field, or `dhfr`.

@@ -44,7 +44,7 @@ LAWS = text.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "
 
 @dataclass(frozen=True)
 class SolvatedSettings(SoluteSettings):
-    """What is run.
+    """Choose what is run.
 
     Attributes:
         schemes: by name, or `verlet`.
@@ -96,7 +96,7 @@ def integrator_of(settings: SolvatedSettings, scheme: str, per_force: float) -> 
 
 
 def run(task: Task) -> dict[str, Any]:
-    """What trials tell, see `studies.acceptance.statistics`, and the acceptance that is expected by the spread."""
+    """Return what trials tell, see `studies.acceptance.statistics`, and the acceptance that the spread predicts."""
     settings = task.settings
     solution = solutes.read(settings)
     integrator = integrator_of(settings, task.point["scheme"], task.point["per_force"])

@@ -1,4 +1,4 @@
-"""What a trial of hybrid Monte Carlo costs beyond its forces: energies, neighbour lists that are forgotten, the rest.
+"""Measure what a trial of hybrid Monte Carlo costs beyond its forces: energies, neighbour lists, the rest.
 
     OPENMM_CPU_THREADS=1 python -m studies.hmc.trial_cost
 

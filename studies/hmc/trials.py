@@ -1,4 +1,4 @@
-"""What exact averages cost beside those of LangevinMiddle: forces and processor time for an independent sample.
+"""Measure what exact averages cost beside those of LangevinMiddle: forces and time for an independent sample.
 
     python -m studies.hmc.trials                                                TIP3P, all methods, 100 ps each
     python -m studies.hmc.trials systems/peptide.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 17"
@@ -129,7 +129,7 @@ def tasks(settings: TrialSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """What a run is kept as, see `heat_bath.measure`."""
+    """Return what a run is kept as, see `heat_bath.measure`."""
     return task.point | heat_bath.measure(task.settings, METHODS[task.method], task.point["seed"])
 
 

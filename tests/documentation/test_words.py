@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent.parent / "openmm_sier"
-MODULES = [path for path in sorted(PACKAGE.rglob("*.py")) if "cli" not in path.relative_to(PACKAGE).parts]
+MODULES = sorted(PACKAGE.rglob("*.py"))
 
 #: What begins a clause or a noun phrase, and no sentence that says what a function does.
 NOUN_CLAUSES = {"What", "Which", "Whether", "How", "Why", "By", "Of", "Somebody", "As"}

@@ -88,7 +88,7 @@ KINDS = {
 
 
 def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
-    """The Topology of some atoms, with names alone: a trajectory needs no more."""
+    """Return the Topology of some atoms, with names alone: a trajectory needs no more."""
     modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
     kept = set(listed.tolist())
     modeller.delete([atom for atom in topology.atoms() if atom.index not in kept])

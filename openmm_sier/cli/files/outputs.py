@@ -134,11 +134,11 @@ class Outputs:
             self._files[name], self._writers[name] = KINDS[name].open(path, simulated, context, noted)
 
     def next_due(self, step: int) -> int:
-        """The next step after this one at which a file is due."""
+        """Return the next step after this one at which a file is due."""
         return min((step // interval + 1) * interval for interval in self._intervals.values())
 
     def due(self, step: int) -> list[str]:
-        """The files that are due after a step: names of outputs, and "checkpoint"."""
+        """Return the files that are due after a step: names of outputs, and "checkpoint"."""
         return [what for what, interval in self._intervals.items() if step % interval == 0]
 
     def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
@@ -199,7 +199,7 @@ def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
 
 
 def same_file(one: Path, two: Path) -> bool:
-    """Whether two names lead to the same file, also through symbolic or hard links; neither has to exist."""
+    """Tell whether two names lead to the same file, also through links; neither has to exist."""
     try:
         return os.path.samefile(one, two)
     except OSError:

@@ -62,7 +62,7 @@ def replace(path: Path, content: memoryview) -> None:
 
 @dataclass(frozen=True)
 class Noted:
-    """What a checkpoint notes of a file that grows.
+    """Hold what a checkpoint notes of a file that grows.
 
     Attributes:
         size: bytes written.
@@ -140,7 +140,7 @@ class GrowingFile(ABC):
             self._file.seek(self.size)
 
     def noted(self) -> Noted:
-        """What a checkpoint notes of this file, all of which is then on the disk."""
+        """Return what a checkpoint notes of this file, all of which is then on the disk."""
         with naming(self.path):
             os.fsync(self._file.fileno())
         return Noted(self.size, self.count, _fingerprint(self.path, self.size))
@@ -174,7 +174,7 @@ def check(path: Path, noted: Noted) -> None:
 
 
 def _fingerprint(path: Path, size: int) -> str:
-    """A digest of the last of so many bytes of a file, which takes no longer for a long one."""
+    """Return a digest of the last of so many bytes of a file, which takes no longer for a long one."""
     begin = max(CHANGING, size - WINDOW)
     with naming(path), open(path, "rb") as file:
         file.seek(begin)

@@ -128,7 +128,7 @@ def _frame_length(header: bytes) -> int | None:
 
 
 def _is_frame(path: Path, atoms: int) -> bool:
-    """Whether an XTC file has one whole frame of so many atoms."""
+    """Tell whether an XTC file has one whole frame of so many atoms."""
     import mdtraj
 
     try:

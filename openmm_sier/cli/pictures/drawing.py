@@ -75,7 +75,7 @@ def typeset(text: str) -> str:
 
 
 def panels(runs: Runs) -> list[Panel]:
-    """The panels of runs, by their ensemble."""
+    """Return the panels of runs, by their ensemble."""
     ensemble = runs.first.ensemble
     counted = all(np.isfinite(run.log[CONSERVED]).all() for run in runs.runs)
     found = [conserved_energy(runs)] if ensemble == "nve" else []
@@ -129,7 +129,7 @@ def caption_of(runs: Runs, found: list[Panel]) -> str:
 
 
 def _over(runs: Runs, estimate: Callable[[Run, dict[str, np.ndarray]], Estimate | float]) -> Estimate:
-    """An estimate over all runs, from the parts of their logs that had settled."""
+    """Return an estimate over all runs, from the parts of their logs that had settled."""
     found = over_runs([estimate(run, run.after(runs.begin)) for run in runs.runs])
     return found if isinstance(found, Estimate) else Estimate(found, math.nan)
 
@@ -144,7 +144,7 @@ def _moving(runs: Runs, column: str) -> bool:
 
 
 def conserved_energy(runs: Runs) -> Panel:
-    """The conserved energy about its mean, over the fluctuation of the potential energy if that has any."""
+    """Draw the conserved energy about its mean, over the fluctuation of the potential energy if that has any."""
     drift = _over(runs, lambda run, log: slope_and_error(log["Time (ps)"], log[CONSERVED]))
     spread = float(np.mean([rms(run.log[POTENTIAL]) for run in runs.runs]))
     if spread:
@@ -168,7 +168,7 @@ def conserved_energy(runs: Runs) -> Panel:
 
 
 def potential_energy(runs: Runs) -> Panel:
-    """The potential energy with its mean."""
+    """Draw the potential energy with its mean."""
     found = _over(runs, _mean_of(POTENTIAL))
     tells = "The potential energy still drifts, around" if _moving(runs, POTENTIAL) else "The potential energy is"
 
@@ -180,7 +180,7 @@ def potential_energy(runs: Runs) -> Panel:
 
 
 def heat(runs: Runs) -> Panel:
-    """The conserved energy in a bath, whose drift is the heat of the steps."""
+    """Draw the conserved energy in a bath, whose drift is the heat of the steps."""
     found = _over(runs, lambda run, log: slope_and_error(log["Time (ps)"], log[CONSERVED]))
     if not math.isfinite(found.error):
         finding = "The heat of the steps: the run is too short to tell"
@@ -198,7 +198,7 @@ def heat(runs: Runs) -> Panel:
 
 
 def temperatures(runs: Runs) -> Panel:
-    """The temperatures by kind, with the bath's, or against that of translation."""
+    """Draw the temperatures by kind, with the bath's, or against that of translation."""
     present = [name for name in KINDS if np.isfinite(runs.first.log[name]).all()]
     found = {name: _over(runs, _mean_of(name)) for name in present}
     plan = runs.first.plan
@@ -265,7 +265,7 @@ def _difference(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
 
 
 def density(runs: Runs) -> Panel:
-    """The density with its mean."""
+    """Draw the density with its mean."""
     found = _over(runs, _mean_of(DENSITY))
     tells = "The density still drifts, around" if _moving(runs, DENSITY) else "The density is"
 
@@ -277,7 +277,7 @@ def density(runs: Runs) -> Panel:
 
 
 def acceptance(runs: Runs) -> Panel:
-    """The fraction of trials that were accepted up to each moment."""
+    """Draw the fraction of trials that were accepted up to each moment."""
     found = _over(runs, lambda run, log: 100 * float(log["Acceptance"][-1]))
     errors = _over(runs, lambda run, log: float(np.nanstd(log["Energy Error (kT)"])))
     share = f"{found.value:.1f}" if not math.isfinite(found.error) else str(found)

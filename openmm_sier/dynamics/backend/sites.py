@@ -1,4 +1,4 @@
-"""Which atoms make up bodies, and where in the bodies they are.
+"""Tell which atoms make up bodies, and where in the bodies they are.
 
 Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A, (3, 3, n). With small sets of bodies
 the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.

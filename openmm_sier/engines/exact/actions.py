@@ -1,4 +1,4 @@
-"""What users let OpenMM do in a Context, done for bodies where OpenMM cannot do it."""
+"""Draw velocities, satisfy constraints and minimize the energy for bodies, where OpenMM cannot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves the bodies of one Context: the operators of a scheme, with constraints, and fast forces in the drifts."""
+"""Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
 from functools import partial
 

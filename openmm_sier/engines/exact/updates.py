@@ -1,4 +1,4 @@
-"""What Forces of OpenMM do between two steps: barostats, thermostats and CMMotionRemovers."""
+"""Let barostats, thermostats and CMMotionRemovers of OpenMM act between two steps."""
 
 import weakref
 

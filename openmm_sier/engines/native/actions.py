@@ -1,4 +1,4 @@
-"""What users let OpenMM do in a Context whose constraints are OpenMM's."""
+"""Refuse what users ask of OpenMM where its solvers cannot satisfy the constraints."""
 
 from collections.abc import Callable
 

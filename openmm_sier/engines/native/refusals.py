@@ -1,4 +1,4 @@
-"""What the native engine refuses, since only the exact engine can do it."""
+"""Refuse what only the exact engine can do."""
 
 from collections.abc import Collection
 from itertools import combinations
