@@ -39,9 +39,9 @@ import numpy as np
 
 from openmm_sier.dynamics.noise import generator
 
-#: The usual length of a trial, ps. In shorter ones momenta that are drawn anew turn motion into diffusion, and longer
-#: ones cost more without forgetting the energy sooner (docs/measurements/sampling.md).
-TRIAL_LENGTH = 0.15
+#: The usual length of a trial, ps, and the usual friction by which momenta are drawn in part, 1/ps. Momenta that last
+#: for many trials carry molecules far, and short trials exchange energy often (docs/measurements/sampling.md).
+TRIAL_LENGTH, TRIAL_FRICTION = 0.072, 1.0
 
 
 #: Number of kinetic energies that are drawn for one that is over-relaxed. It is odd, so that no rank is its own mirror
@@ -56,7 +56,7 @@ def usual_steps(step: float) -> int:
     """Return the usual number of steps in a trial for a step in ps; 1 where nothing moves.
 
     >>> usual_steps(0.009)
-    17
+    8
     """
     return max(1, round(TRIAL_LENGTH / step)) if step else 1
 

@@ -9,7 +9,7 @@ from openmm import app, unit
 from scipy import stats
 
 from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.acceptance import TRIAL_LENGTH
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
@@ -71,7 +71,8 @@ def test_a_step_is_a_trial(cluster, options, engine):
 def test_trials_have_a_usual_length(step):
     integrator = SIERHMCIntegrator(300, step)
     assert integrator.scheme is SIER2V2
-    assert math.isinf(integrator.getFriction()._value)
+    assert integrator.getFriction()._value == TRIAL_FRICTION
+    assert math.isinf(SIERHMCIntegrator(300, step, frictionCoeff=None).getFriction()._value)
     # In whole steps.
     assert integrator.getStepSize()._value == pytest.approx(TRIAL_LENGTH, abs=integrator.getSchemeStepSize()._value / 2)
     # Where nothing moves any number is as good.
