@@ -29,7 +29,7 @@ from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
 from studies import heat_bath, records, text
 from studies.command import SYSTEMS, chosen, command
-from studies.contestants import Bath, Contestant
+from studies.contestants import Bath, Contestant, middle
 from studies.heat_bath import AVERAGED, BathSettings
 from studies.records import Record, Task
 from studies.report import SILENT, Report
@@ -98,7 +98,11 @@ TRIALS = (
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
 
+#: The same with a weaker bath, in which the energy may be forgotten sooner or later.
+WEAK = Contestant("LangevinMiddle", 4, middle, hydrogens=3.0, detail="1/ps", friction=1.0)
+
 METHODS = {
+    WEAK.name: WEAK,
     **{name: heat_bath.METHODS[name] for name in (REFERENCE, f"{REFERENCE}, light", "SIER2, 9 fs")},
     **{method.name: method for method in TRIALS},
 }
