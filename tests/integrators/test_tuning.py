@@ -28,7 +28,7 @@ def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20):
     for i in range(particles):
         well.addParticle(i, [1000.0 * (1 + 3 * i / particles)])
     system = assembled(particles * [1.0], well)
-    integrator = seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n), seed)
+    integrator = seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, n, frictionCoeff=None), seed)
     return context_at(system, integrator, np.zeros((2, particles, 3)))
 
 
