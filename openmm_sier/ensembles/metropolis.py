@@ -138,7 +138,7 @@ class Metropolis(ConstantTemperature):
     def _draw_momenta(self, engine: Engine, time: float) -> None:
         """Draw momenta anew, in part or all of them, with a kinetic energy that is over-relaxed."""
         # Infinite friction has no meaning for steps of zero length, in which nothing moves.
-        if not time:
+        if not time or not engine.moving.mass:
             return
         before = ThermalMotion.of(engine, engine.removes_momentum).energy
         if engine.removes_momentum and self.friction is not None:

@@ -27,8 +27,10 @@ class ThermalMotion:
     @classmethod
     def of(cls, engine: Engine, conserved: bool) -> "ThermalMotion":
         """Return the thermal motion of now; `conserved` tells whether the total momentum is conserved."""
-        centre = engine.centre_velocity() if conserved else np.zeros(3)
-        return cls(engine, engine.degrees_of_freedom(conserved), centre)
+        freedoms = engine.degrees_of_freedom(conserved)
+        # Without masses there is no centre.
+        centre = engine.centre_velocity() if conserved and freedoms > 0 else np.zeros(3)
+        return cls(engine, freedoms, centre)
 
     @property
     def energy(self) -> float:
