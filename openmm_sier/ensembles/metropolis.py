@@ -39,7 +39,8 @@ class Metropolis(ConstantTemperature):
 
     Attributes:
         temperature: K.
-        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew.
+        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew. In
+            either case their kinetic energy is over-relaxed, see `dynamics.acceptance`.
         steps_per_trial: number of steps of the scheme in a trial.
     """
 
