@@ -49,8 +49,8 @@ def test_the_acceptance_that_was_asked_for(h, scheme):
     # None of the tuning is counted.
     assert integrator.trials == 0
     integrator.step(400)
-    # 400 trials of wells, which forget their energy in some ten, know it to 0.06. The spread of 40 errors knows the step
-    # to 6 %, which is 0.03 again for second order; and it depends on the length of trajectories in wells by some tenths.
+    # 400 trials of wells, which forget their energy in some ten, know it to 0.06. The spread of 40 errors knows the
+    # step to 6 %, which is 0.03 again for second order; and it depends on the length of trajectories by some tenths.
     assert integrator.acceptanceRate == pytest.approx(0.8, abs=0.15)
     assert f"{found.stepsPerTrial} in a trial" in str(found)
 
