@@ -94,7 +94,7 @@ class Run(NamedTuple):
 
     @property
     def clock(self) -> np.ndarray:
-        """Return where its rows are since its first one, (n,), ps, or steps where these are trials."""
+        """Return the time of each row since the first row, (n,), ps; with hybrid Monte Carlo the number of trials."""
         column = self.log["Step" if self.ensemble == "hmc" else "Time (ps)"]
         return column - column[0]
 
@@ -202,13 +202,13 @@ def read_run(path: Path) -> Run:
     try:
         log = read_log(path, whole_lines=True)
     except UnicodeDecodeError:
-        raise RunError(f"{path} is no log of openmm-sier run: name the file of --report, which ends in .csv") from None
+        raise RunError(f"{path} is not a log of openmm-sier run: name the file of --report, a .csv file") from None
     if missing := [name for name in NEEDED if name not in log]:
         raise RunError(
-            f"{path} is no log of openmm-sier run, which has a column {missing[0]}: name the file of --report"
+            f"{path} is not a log of openmm-sier run: it has no column {missing[0]}. Name the file of --report"
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
-        raise RunError(f"{path} needs {FEWEST_ROWS} rows or more, has {rows} so far: let the run go on")
+        raise RunError(f"{path} needs {FEWEST_ROWS} rows or more, but has {rows} so far: let the run continue")
     checkpoint = checkpoint_of(path)
     # The checkpoint tells no more than names, which are not needed.
     with suppress(ValueError, LookupError, TypeError, OSError):
@@ -240,7 +240,7 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
     for run in others:
         if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):
             raise RunError(
-                f"{run.path} is {_described(run)}, {first.path} is {_described(first)}: give runs of one kind together"
+                f"{run.path} is {_described(run)}, but {first.path} is {_described(first)}: give runs of one kind"
             )
     _warn_of_differences(found)
     runs = Runs(found)
@@ -252,7 +252,9 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
 
 
 def _described(run: Run) -> str:
-    kind = {"nve": "at constant energy", "nvt": "in a bath", "hmc": "of trials"}[run.ensemble]
+    kind = {"nve": "a run at constant energy", "nvt": "a run in a heat bath", "hmc": "a run of hybrid Monte Carlo"}[
+        run.ensemble
+    ]
     return f"{kind}, {'at constant pressure' if run.moves_volume else 'at constant volume'}"
 
 
@@ -260,9 +262,10 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
     ends = [float(run.clock[-1]) for run in runs]
     shortest, longest = int(np.argmin(ends)), int(np.argmax(ends))
     if ends[shortest] < 0.99 * ends[longest]:
+        unit = Runs(list(runs)).unit
         warnings.warn(
-            f"{runs[shortest].path} ends after {ends[shortest]:g}, {runs[longest].path} after {ends[longest]:g}: "
-            "runs of different lengths have the same weight in means",
+            f"{runs[shortest].path} ends after {ends[shortest]:g} {unit}, but {runs[longest].path} after "
+            f"{ends[longest]:g} {unit}: means give both the same weight. Runs of one length make better means",
             stacklevel=3,
         )
     first = runs[0].plan
@@ -272,8 +275,8 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
         differing = [n for n in CONTINUED if n not in MAY_DIFFER and getattr(run.plan, n) != getattr(first, n)]
         if differing:
             warnings.warn(
-                f"{run.path} and {runs[0].path} are runs with different {', '.join(differing)}: their mean is of no "
-                "ensemble",
+                f"{run.path} and {runs[0].path} differ in {', '.join(differing)}: a mean over both belongs to no "
+                "ensemble. Give logs of runs that differ only in their seeds",
                 stacklevel=3,
             )
             return

@@ -96,7 +96,7 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
     kind = topology_kind(topology)
     for name in IGNORED[kind]:
         if name in given:
-            raise RunError(f"{flag(name)} does nothing with {topology}, which is {kind}: leave it out")
+            raise RunError(f"{flag(name)} has no effect with {topology}, which is {kind}: leave it out")
     return IGNORED[kind]
 
 
@@ -116,11 +116,11 @@ def _check(settings: RunSettings) -> None:
     """Refuse what no run can have."""
     if settings.ensemble not in settings.method.ensembles:
         possible = ", ".join(settings.method.ensembles)
-        raise RunError(f"{settings.method.name} has the ensembles {possible}, got {settings.ensemble}")
+        raise RunError(f"{settings.method.name} supports the ensembles {possible}, got {settings.ensemble}")
     if settings.rigid and settings.method.scheme is None:
         raise RunError(
-            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} holds no "
-            "molecules rigid but by constraints"
+            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} keeps "
+            "molecules rigid only by constraints"
         )
 
 
@@ -134,13 +134,16 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
         RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
     """
     if absent := [name for name in NOTED if name not in (*saved, *LATER)]:
-        raise RunError(f"{checkpoint}: plan: {absent[0]} is missing")
+        raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run from coordinates")
     if foreign := set(saved) - set(NOTED):
-        raise RunError(f"{checkpoint}: plan: {min(foreign)}: there is no such option")
+        raise RunError(
+            f"{checkpoint} has a setting {min(foreign)}, which this version of openmm-sier does not know: finish the "
+            "run with the version that wrote it, or begin a new run from coordinates"
+        )
     try:
         settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
     except ValidationError as error:
-        raise RunError(f"{checkpoint}: plan: {': '.join(refusal(error, RunSettings))}") from None
+        raise RunError(f"{checkpoint} has a wrong setting: {': '.join(refusal(error, RunSettings))}") from None
     here = os.path.dirname(checkpoint)
     files = {name: path for name in FILES if (path := getattr(settings, name)) is not None}
     beside = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}
@@ -160,19 +163,19 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
-        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
+        raise RunError("--start begins a new run and --restart continues an old one: give one of them")
     for name in CONTINUED:
         value, before = given.get(name), getattr(noted, name)
         if value is not None and not _same(value, before):
             option = flag(name) + ("" if value is True else f" {_shown(value)}")
             raise RunError(
-                f"{option} differs from {_shown(before)} of {checkpoint}; leave it out, or begin a new run with --start"
+                f"{option} differs from {_shown(before)} in {checkpoint}; leave it out, or begin a new run with --start"
             )
     for name in OUTPUTS:
         if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):
             raise RunError(
-                f"{checkpoint}: plan: {name}: {path} does not lie beside the checkpoint; if the run writes there, say "
-                f"so by {flag(name)} {path}"
+                f"the {flag(name)} of {checkpoint} is {path}, outside the directory of the checkpoint. To continue to "
+                f"write there, give {flag(name)} {path}"
             )
     changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
     if "time" in given:

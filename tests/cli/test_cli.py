@@ -209,7 +209,7 @@ def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
         shutil.copy(path, Path())
     rewrite_notes("whole.chk", lambda notes: notes.update(potential_energy=1.001 * notes["potential_energy"]))
     command = "run", box, "--restart", "whole.chk", "--time", "1", "--platform", "Reference"
-    assert "it is another system or force field" in complaint(capsys, *command)
+    assert "the molecules or the force field are not those of the run" in complaint(capsys, *command)
 
 
 @pytest.mark.slow

@@ -234,7 +234,7 @@ def test_files_may_be_moved_before_a_restart():
 
 def test_outputs_destroy_no_topology(capsys):
     message = complaint(capsys, "run", *GROMACS.arguments, "--report", "molecules.itp", "--overwrite")
-    assert "molecules.itp would destroy the input" in message
+    assert "molecules.itp would overwrite the input" in message
 
 
 # --- other commands ---
@@ -266,10 +266,13 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
         (["amber.inpcrd", "--topology", "structure.pdb"], "structure.pdb is a PDB file, expected as topology a prmtop"),
         (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
         (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
-        ([*AMBER.arguments, "--forcefield", "tip3p.xml"], "--forcefield does nothing with amber.prmtop, which is a pr"),
-        ([*GROMACS.arguments, "--forcefield", "a.xml"], "--forcefield does nothing with gromacs.top"),
+        (
+            [*AMBER.arguments, "--forcefield", "tip3p.xml"],
+            "--forcefield has no effect with amber.prmtop, which is a pr",
+        ),
+        ([*GROMACS.arguments, "--forcefield", "a.xml"], "--forcefield has no effect with gromacs.top"),
         *(
-            ([*STATE.arguments, *words.split()], f"{words.split()[0]} does nothing with openmm-system.xml, which is a")
+            ([*STATE.arguments, *words.split()], f"{words.split()[0]} has no effect with openmm-system.xml, which is a")
             for words in OF_A_SYSTEM
         ),
         ([*AMBER.arguments, *EDGES.split()], "amber.inpcrd has a periodic box of its own: leave out --edges"),

@@ -188,14 +188,14 @@ def test_a_run_draws_at_its_end(box, capsys):
     for name in ("box.chk", "box.dcd", "box.csv"):
         Path(name).unlink()
     before = contents(Path())
-    assert "a.svg exists: name another file by --plot, or allow --overwrite" in complaint(capsys, *short)
+    assert "a.svg exists: name another file with --plot, or replace it with --overwrite" in complaint(capsys, *short)
     assert contents(Path()) == before
     run(*short, "--overwrite")
 
 
 def test_a_run_too_short_for_a_picture_is_refused_before_it(box, capsys):
     command = ["run", box, *SMALL, "--steps", "10", "--plot", "a.png"]
-    assert "--plot needs a log of 3 rows or more, it would have 2: lower" in complaint(capsys, *command)
+    assert "--plot needs a log of 3 rows or more, but this log would have 2: lower" in complaint(capsys, *command)
     assert not contents(Path())
 
 
@@ -222,17 +222,17 @@ def test_a_log_that_is_being_written_is_drawn():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.csv", "--out", "a.jpg"], "a picture ends in .png, .svg, .html, got a.jpg"),
+        (["a.csv", "--out", "a.jpg"], "the name of a picture must end in .png, .svg, .html, got a.jpg"),
         (["a.csv", "--out", "none/a.png"], "there is no directory none for a.png"),
         (["none.csv"], "none.csv: No such file or directory"),
         (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),
         (["a.csv", "bath.csv"], "bath.csv is in a bath, at constant volume, a.csv is at constant energy, at constant"),
         (
             ["tensor.csv"],
-            "tensor.csv is no log of openmm-sier run, which has a column Potential Energy (kJ/mole)",
+            "tensor.csv is not a log of openmm-sier run: it has no column Potential Energy (kJ/mole)",
         ),
-        (["a.dcd"], "a.dcd is no log of openmm-sier run: name the file of --report, which ends in .csv"),
-        (["short.csv"], "short.csv needs 3 rows or more, has 2 so far: let the run go on"),
+        (["a.dcd"], "a.dcd is not a log of openmm-sier run: name the file of --report, a .csv file"),
+        (["short.csv"], "short.csv needs 3 rows or more, but has 2 so far: let the run continue"),
         (["a.csv", "--skip", "20"], "--skip 20 leaves nothing: the shortest run has 20 ps"),
     ],
 )
@@ -275,5 +275,5 @@ def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys):
     assert "warning" not in capsys.readouterr().out
     run("plot", "a.csv", "b.csv", "c.csv")
     said = capsys.readouterr().out
-    assert "warning: c.csv and a.csv are runs with different dt: their mean is of no ensemble" in said
-    assert "warning: c.csv ends after 0.04, a.csv after 0.08: runs of different lengths have the same weight" in said
+    assert "warning: c.csv and a.csv differ in dt: a mean over both belongs to no ensemble" in said
+    assert "warning: c.csv ends after 0.04 ps, but a.csv after 0.08 ps: means give both the same weight" in said

@@ -82,7 +82,10 @@ def test_files_without_their_checkpoint_are_refused(box, whole_run, capsys, vict
     shutil.copy(whole_run / victim, ".")
     before = contents(Path())
     message = complaint(capsys, *resume(box, *WHOLE))
-    assert f"{victim} exists, but there is no checkpoint a.chk to go on from: name another file, or allow" in message
+    assert (
+        f"{victim} exists, but there is no checkpoint a.chk to continue from: name another file, or replace it"
+        in message
+    )
     assert contents(Path()) == before
     run(*resume(box, *WHOLE, "--overwrite"))
     assert files(".") == files(whole_run)
@@ -103,7 +106,7 @@ def test_options_must_be_those_of_the_run(box, whole_run, capsys):
     shutil.copytree(whole_run, ".", dirs_exist_ok=True)
     before = contents(Path())
     assert "--seed 2 differs from 1 of a.chk" in complaint(capsys, *resume(box, *WHOLE, "--seed", "2"))
-    assert "is at step 50 (0.2 ps), the run is to end at step 25" in complaint(capsys, *resume(box, *PART))
+    assert "is at step 50 (0.2 ps), and the run ends at step 25" in complaint(capsys, *resume(box, *PART))
     both = complaint(capsys, *resume(box, *WHOLE, "--restart", "a.chk"))
     assert "--resume finds the checkpoint beside --out: leave --restart out" in both
     assert contents(Path()) == before

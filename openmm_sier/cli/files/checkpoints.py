@@ -64,7 +64,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
-        raise records.RecordError(f"{path} is no checkpoint of openmm-sier run") from error
+        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
 
 
 def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
@@ -75,6 +75,6 @@ def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
 def _refuse_other_version(path: Path, notes: dict[str, Any]) -> None:
     if (version := notes.get("format")) != FORMAT:
         raise records.RecordError(
-            f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
-            "the run with that version, or begin a new one"
+            f"{path} was written by another version of openmm-sier, in format {version}; this version reads format "
+            f"{FORMAT}: finish the run with that version, or begin a new one"
         )
