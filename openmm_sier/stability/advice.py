@@ -18,26 +18,30 @@ _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 SHORTER_STEP = Remedy("shorter step", "take a shorter step")
 PREPARE = Remedy(
     "prepare",
-    "call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step",
+    "call prepare_system(system) before you make the Context, so that bonds get inner steps; or take a shorter step",
 )
 MORE_SUBSTEPS = Remedy("more substeps", "take more substeps or a shorter step")
-HEAVIER = Remedy("heavier hydrogens", f"for averages only, make all hydrogens heavy by {_HEAVY}")
+HEAVIER = Remedy("heavier hydrogens", f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY}")
 CONSTRAIN = Remedy(
     "constrain hydrogens",
-    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
-    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)',
+    "constrain the bond with rigidWater=True and constraints=HBonds in createSystem, or put hydrogens and their heavy "
+    "atoms into rigid bodies with bodies=RigidBodies.from_system(system, topology, "
+    f'rigid="{HYDROGEN_GROUPS}", positions=positions)',
 )
 CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
-    words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}, which leaves other atoms heavier"
+    words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their "
+    "heavy atoms"
 )
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
-    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
+    "constrain the bond with constraints=AllBonds in createSystem, or make its molecule a rigid body with "
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
 )
-ONE_BODY = Remedy("one body", "hold the bond: put all atoms of both ends into one rigid body of `bodies`")
-STRAIGHTEN = Remedy("straighten", "put the atoms of a body that is nearly a line on the line, which has no such spin")
-CHECK_FORCES = Remedy("check forces", "if it drifts alike with both, print(check_forces(context))")
+ONE_BODY = Remedy("one body", "put both atoms of the bond, with their bodies, into one rigid body of `bodies`")
+STRAIGHTEN = Remedy(
+    "straighten", "if the body is nearly a line, put its atoms exactly on the line: a line does not spin about itself"
+)
+CHECK_FORCES = Remedy("check forces", "if the energy drifts equally with both steps, call print(check_forces(context))")
 
 
 def up_to(step: float) -> Remedy:
@@ -56,7 +60,7 @@ def soften(force: str) -> Remedy:
 
 def in_femtoseconds(step: float) -> Remedy:
     """Return the remedy of a unit for a step that was meant in fs."""
-    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a number is a time in ps")
+    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps")
 
 
 class StepError(Advised, openmm.OpenMMException):
@@ -100,7 +104,7 @@ class Remedies:
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
     def hold(self, atoms: tuple[int, ...]) -> Remedy:
-        """Return how to hold a bond."""
+        """Return how to constrain a bond."""
         if self.has_hydrogen(atoms):
             return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP
         return ONE_BODY if self._beside_bodies[list(atoms)].any() else CONSTRAIN_HEAVY

@@ -189,9 +189,9 @@ class Vibrations:
         number = int(self._bodies.owners[libration.atoms[0]])
         body = self._bodies.describe(number)
         described = (
-            f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
-            f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
-            "liquids heat up"
+            f"{body} and similar bodies can swing among other molecules with a period of {_fs(libration.period)}. "
+            f"{scheme.name} is accurate up to {_fs(accurate)}; with steps of about "
+            f"{_fs(max(accurate, HEATING * stable))} or more, liquids heat up"
         )
         remedies = [advice.SHORTER_STEP]
         if self._remedies.heavier(self._bodies.atoms_of(number)):
@@ -223,7 +223,7 @@ class Vibrations:
             remedies = [advice.up_to(borne * bond.period), *heavier, self._hold(bond)]
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
-                "in it"
+                "in each period"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
@@ -266,8 +266,8 @@ class Vibrations:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
         wanders = (
-            f"At {_fs(h)} the total energy wanders: its error over a whole run is some {_percent(min(error, 1.0))}, "
-            f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V))"
+            f"With a step of {_fs(h)} the total energy wanders: its error rms(H)/rms(V) over a whole run is about "
+            f"{_percent(min(error, 1.0))}. With a step of {_fs(good)} {scheme.name} has {_percent(AT_USUAL_STEP)}"
         )
         longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
         self._tell_once(advice.StepWarning(wanders, advice.up_to(good), remark=longer))
@@ -302,8 +302,8 @@ class Vibrations:
         names = [name for group, name in self._unknown if groups >> group & 1]
         if names and h > accurate_step(scheme, FASTEST_BOND):
             unknown = (
-                f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
-                "changes with half the step, or the temperature is too high, the step is too long for it"
+                f"{what} of {_fs(h)} cannot be judged, since the stiffness of {', '.join(names)} is not known. Repeat "
+                "with half the step: if the energy then differs, or the temperature is too high, the step is too long"
             )
             self._tell_once(advice.StepWarning(unknown, advice.CHECK_FORCES))
 
@@ -329,7 +329,7 @@ class Vibrations:
             by = f" by {bond.force}" if bond.force else ""
             return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
         plural = "s" if len(bond.atoms) > 1 else ""
-        return f"the motion that {bond.force} causes of atom{plural} {', '.join(map(str, bond.atoms))}{residues}"
+        return f"the motion of atom{plural} {', '.join(map(str, bond.atoms))}{residues} by {bond.force}"
 
     def _tell_once(self, warning: advice.StepWarning) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.

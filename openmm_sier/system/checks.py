@@ -56,9 +56,9 @@ def refuse_drude_particles(system: openmm.System) -> None:
     for part in parts(system):
         if isinstance(part.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
-                f"{part.name} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
-                "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
-                "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
+                f"{part.name} is a DrudeForce. These integrators have no cold bath for Drude particles: the particles "
+                "would heat up from 1 K to hundreds of kelvins, and the polarization would be wrong. Take "
+                "openmm.DrudeLangevinIntegrator, DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
             )
 
 
@@ -72,8 +72,9 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
         atom = int(wrong.argmax())
         raise openmm.OpenMMException(
-            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
-            "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) does not"
+            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Did "
+            "hydrogens get more mass than their neighbour had? Use prepare_system(system, hydrogenMass=…), which never "
+            "moves so much"
         )
     for i, j, distance in map(system.getConstraintParameters, range(system.getNumConstraints())):
         length = distance.value_in_unit(unit.nanometer)
@@ -90,7 +91,7 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
         openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
     """
     if not system.usesPeriodicBoundaryConditions():
-        raise openmm.OpenMMException("A pressure needs a System that is periodic (nonbondedMethod=PME)")
+        raise openmm.OpenMMException("A constant pressure needs a periodic System (nonbondedMethod=PME)")
     for force in barostats(system):
         raise openmm.OpenMMException(
             f"Two barostats: pressure= of the integrator and a {type(force).__name__} in the System. Remove one"
@@ -98,9 +99,9 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
     for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
-                f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
-                "has no mass or was left out of `bodies`: leave out `pressure`, or give it a mass and restrain it by a "
-                "force"
+                f"At constant pressure all particles move with the box, but particle {i} belongs to no body: it has no "
+                "mass, or was left out of `bodies`. Leave out `pressure`, or give the particle a mass and restrain it "
+                "by a force"
             )
 
 
@@ -113,8 +114,8 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
     for barostat in barostats(system):
         if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
             raise RigidityError(
-                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and breaks "
-                "constraints: create it with scaleMoleculesAsRigid=True"
+                f"{type(barostat).__name__} scales the position of each atom separately, which deforms rigid bodies "
+                "and breaks constraints: create it with scaleMoleculesAsRigid=True"
             )
 
 
@@ -133,9 +134,10 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
         split = np.ptp(molecule[species.atoms], axis=1) > 0
         if split.any():
             raise RigidityError(
-                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
-                f"{type(barostats(system)[0]).__name__} moves apart: join its atoms, by prepare_system(system, "
-                "bodies) before the Context is made; or leave out the barostat, and give the integrator pressure=…"
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, and "
+                f"{type(barostats(system)[0]).__name__} moves each of them separately. Call prepare_system(system, "
+                "bodies) before the Context is made: it joins them. Or leave out the barostat, and give the integrator "
+                "pressure=…"
             )
 
 
@@ -143,9 +145,9 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
     """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
     if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
         notify(
-            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, also those of frozen atoms (of "
-            f"the mass 0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in "
-            "place at constant pressure, restrain them by forces"
+            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, even frozen ones (with atoms of "
+            f"mass 0, such as atom {frozen[0]}), and counts the frozen ones among the molecules that share the heat. "
+            "To hold atoms in place at constant pressure, restrain them by forces"
         )
 
 
@@ -161,9 +163,10 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             others = True
             notify(
-                f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
-                "averages are those of neither temperature. Give both the same, by context.setParameter("
-                f"{type(force).__name__}.Temperature(), {temperature:g}) for the first"
+                f"The {type(force).__name__} has {theirs:g} K, but the heat bath of the integrator has "
+                f"{temperature:g} K: averages belong to neither temperature. Give both the same: for the "
+                f"{type(force).__name__} call context.setParameter({type(force).__name__}.Temperature(), "
+                f"{temperature:g})"
             )
     return others
 
@@ -199,8 +202,8 @@ def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
         return False
     worst = int(misfit.argmax())
     notify(
-        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
-        f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
-        "Is it the force field that the positions were made with?"
+        f"{off} of {bodies.n} bodies do not quite have the shape that their constraints, or the given geometry, "
+        f"define. They get that shape: an atom moves by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
+        "Were the positions made with another force field?"
     )
     return True

@@ -154,10 +154,14 @@ class BodyPlan:
             return
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
-        more = f"; so do {others} bodies of {len(shared) - 1} more kinds, which differ less" if others else ""
+        more = (
+            f"; {others} bodies of {len(shared) - 1} more kinds get average shapes too, and differ less"
+            if others
+            else ""
+        )
         notify(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
-            f"differ from it by up to {first.deviations.max():.1g} nm (most: "
+            f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
             f"{self._describe(first.clusters[first.deviations.argmax()])}){more}"
         )
 
@@ -169,9 +173,9 @@ class BodyPlan:
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
             if not particles:
-                raise ValueError(f"bodies must name the particles of each, got an empty list in place {number}")
+                raise ValueError(f"each body must name its particles, but the list of body {number} is empty")
             if outside := [i for i in particles if not 0 <= i < self._n]:
-                raise ValueError(f"bodies name particle {outside[0]}, the System has {self._n} particles")
+                raise ValueError(f"bodies name particle {outside[0]}, but the System has {self._n} particles")
             cluster = tuple(i for i in particles if not system.isVirtualSite(i))
             without = [i for i in cluster if not self._masses[i]]
             if len(without) == len(cluster):
@@ -217,7 +221,7 @@ class BodyPlan:
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
                 raise RigidityError(
-                    f"{self._describe(cluster)}: its atoms lie on one point, but its shape comes from positions. "
+                    f"all atoms of {self._describe(cluster)} are at one point, but its shape comes from the positions. "
                     "Set the positions first"
                 )
 
@@ -274,8 +278,8 @@ def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Clu
         grouped.add(light.index)
     if not groups:
         raise ValueError(
-            f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
-            "and none of a hydrogen to a heavy atom"
+            f'"{HYDROGEN_GROUPS}" needs bonds between hydrogens and heavy atoms, but none of the '
+            f"{topology.getNumBonds()} bonds of the topology is one: add them to the topology"
         )
     return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
 
@@ -314,15 +318,18 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
     """
     masses = tables.masses(system)
     if bodies.n_particles != len(masses):
-        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {len(masses)}")
+        raise ValueError(
+            f"the bodies were made for a System of {bodies.n_particles} particles, but this System has {len(masses)}: "
+            "make the bodies from this System"
+        )
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)
         if len(wrong):
             body, site = wrong[0]
             atom = species.atoms[body, site]
             raise ValueError(
-                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
-                f"{atom}, the System has {masses[atom]}: make the bodies anew"
+                f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
+                f"dalton in the bodies, but {masses[atom]} dalton in the System: make the bodies from this System again"
             )
     return Links(system).link(bodies)
 

@@ -38,7 +38,7 @@ Lengths = dict[tuple[int, int], float]
 
 
 class Sharing(NamedTuple):
-    """Bodies that share one geometry, and how far their own differ from it.
+    """Bodies that share one geometry, and how far each deviates from it.
 
     Attributes:
         clusters: particle indices of each, (m, k).
@@ -70,7 +70,7 @@ class Kind(NamedTuple):
 
     @property
     def needs_positions(self) -> bool:
-        """Tell whether constraints leave the geometry or the choice between two mirror images open."""
+        """Tell whether only positions decide the geometry, or which of two mirror images it is."""
         return self.model is None or self.model.mirror_distance > 0
 
 
@@ -117,7 +117,8 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(
             f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
-            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm"
+            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm. "
+            "Correct these lengths"
         )
     resolution = RESOLUTION if kind.deviations.any() else 0.0
     return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
@@ -182,8 +183,8 @@ def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Spe
         shape, excess = _constrained(shape, kind)
         if excess > EMBEDDING_TOLERANCE:
             raise RigidityError(
-                f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry that comes "
-                f"nearest to the positions misses them by {excess:.4f} nm"
+                f"the constraints inside {describe(kind.clusters[0])} contradict each other: even the geometry nearest "
+                f"to the positions misses their lengths by {excess:.4f} nm. Correct these lengths"
             )
         model = Species.from_coordinates(kind.clusters, kind.masses, shape, resolution=RESOLUTION)
         attitudes, misfit = model.fit(arms)

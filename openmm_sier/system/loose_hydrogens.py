@@ -29,9 +29,9 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
     if len(loose):
         first, centre, second = loose[0].tolist()
         notify(
-            f"Nothing holds the angle of atoms {first}, {centre} and {second}, and of {len(loose) - 1} other "
+            f"Nothing fixes the angle of atoms {first}, {centre} and {second}, nor that of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
-            "constraints (rigidWater=True in createSystem), of which other programs may have written two"
+            "constraints; files of other programs may have only two. Call createSystem with rigidWater=True"
         )
 
 

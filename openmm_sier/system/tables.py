@@ -116,8 +116,8 @@ def constraints(system: openmm.System) -> Constraints:
         row = int(wrong[0])
         still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
         raise RigidityError(
-            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses that: give both "
-            "a mass, freeze both with the mass 0, or remove the constraint, which a virtual site does not need"
+            f"a constraint joins atom {moving} to atom {still}, which has no mass; OpenMM refuses that. Give both a "
+            f"mass, or freeze both with mass 0; if atom {still} is a virtual site, remove the constraint"
         )
     acting = ~frozen.any(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
@@ -126,8 +126,8 @@ def constraints(system: openmm.System) -> Constraints:
     if (wrong := np.flatnonzero(np.abs(lengths - others) > EMBEDDING_TOLERANCE)).size:
         (a, b), other, length = pairs[wrong[0]], others[wrong[0]], lengths[wrong[0]]
         raise RigidityError(
-            f"the constraints of atoms {a} and {b} contradict each other: they are to be {other:.4f} and {length:.4f} "
-            "nm apart"
+            f"two constraints of atoms {a} and {b} contradict each other: one has the length {other:.4f} nm, the other "
+            f"{length:.4f} nm. Remove one of them"
         )
     kept = np.sort(first)
     return Constraints(pairs[kept], lengths[kept])

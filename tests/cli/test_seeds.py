@@ -218,7 +218,8 @@ def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
     code, _, err = ended(process)
     assert code == 1
     assert err == (
-        f"openmm-sier: the scheduler {address} went away. Give the same command again to continue runs that are not complete\n"
+        f"openmm-sier: the scheduler {address} went away. "
+        "Give the same command again to continue the runs that are not complete\n"
     )
     # On this machine now.
     code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))

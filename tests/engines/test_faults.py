@@ -392,7 +392,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     integrator = SIER2Integrator(0.001, bodies=bodies)
     context = context_at(system, integrator, point, steps=1)
     system.setParticleMass(6, 2.0)
-    message = r"residue HOH \d+ .* made with a mass of 1.00\d+ for atom 6, the System has 2.0"
+    message = r"atom 6 of .*residue HOH \d+ .* has a mass of 1.00\d+ dalton in the bodies, but 2.0 dalton in the System"
     with pytest.raises(ValueError, match=message):
         context.reinitialize(preserveState=True)
     with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):

@@ -279,7 +279,9 @@ def test_a_force_at_another_temperature_is_spoken_of(force):
         context.setParameter(type(force).Temperature(), 300)
         integrator.step(1)
     integrator.setTemperature(280)
-    with pytest.warns(UserWarning, match=f"The {name} has 300 K and the heat bath of the integrator 280 K") as told:
+    with pytest.warns(
+        UserWarning, match=f"The {name} has 300 K, but the heat bath of the integrator has 280 K"
+    ) as told:
         integrator.step(1)
     assert len(told) == 1
     integrator.setTemperature(270)

@@ -44,7 +44,10 @@ def test_steps_in_use_are_taken(model, engine):
     ):
         silently(system, integrator)
     for integrator in (SIER4GIntegrator(0.012, engine=engine), SIER2Integrator(0.004, engine=engine)):
-        with pytest.warns(UserWarning, match=r"is long: .*, and others like it, can swing with a period of 31\.5 fs"):
+        with pytest.warns(
+            UserWarning,
+            match=r"is long: .* and similar bodies can swing among other molecules with a period of 31\.5 fs",
+        ):
             judged(system, integrator)
 
 

@@ -206,9 +206,9 @@ FAST, SLOW = "Call prepare_system(system)", "Take a shorter step, or"
 ADVICE = {
     "a bond to hydrogen": (lambda: (diatomic(4e5), None, None), FAST, "constraints=HBonds", "AllBonds"),
     "a bond of light carbon": (group_of_methyl, FAST, "constraints=AllBonds", "HBonds"),
-    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "hold the bond"),
+    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "constrain the bond"),
     "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
-    "a collective variable": (biased, SLOW, "make bias softer", "hold the bond"),
+    "a collective variable": (biased, SLOW, "make bias softer", "constrain the bond"),
     "a bond of two bodies": (between_bodies, SLOW, "into one rigid body", "constraints="),
     "a bond beside a body": (beside_a_body, FAST, "into one rigid body", "constraints="),
 }

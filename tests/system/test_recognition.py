@@ -61,7 +61,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
     topology, _, system = cluster_system(6, "tip3p")
     integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
     context = context_at(system, integrator, (positions, 0 * positions))
-    with pytest.warns(UserWarning, match="6 of 6 bodies are not quite in the shape of their constraints") as said:
+    with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape that their constraints") as said:
         integrator.step(1)
     assert len(said) == 1
     assert said[0].filename == __file__

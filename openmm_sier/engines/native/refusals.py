@@ -73,7 +73,7 @@ def refuse_unsolved(unsolved: Unsolved | None) -> None:
     if unsolved is not None:
         remedy = LINE_REMEDY if unsolved.is_line else "Take engine='exact', which any platform runs"
         raise openmm.OpenMMException(
-            f"The native engine leaves constraints to OpenMM, which cannot satisfy {unsolved}. {remedy}"
+            f"The native engine leaves constraints to OpenMM, but OpenMM cannot satisfy {unsolved}. {remedy}"
         )
 
 
