@@ -116,7 +116,9 @@ class RigidBodies:
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
-            raise ValueError(f"{self.describe(extended[0])} is linked to another body, which only a point can be")
+            raise ValueError(
+                f"{self.describe(extended[0])} is linked to another body, but links join only single atoms"
+            )
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
@@ -167,20 +169,22 @@ class RigidBodies:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
         if outside.size:
-            raise ValueError(f"bodies name particle {outside[0]}, the system has {self.n_particles} particles")
+            raise ValueError(f"bodies name particle {outside[0]}, but the system has {self.n_particles} particles")
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")
         for s in self.species:
             if not (s.masses > 0).all():
-                raise ValueError(f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}")
+                raise ValueError(
+                    f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
+                )
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return particle indices of one body."""
         for s, part in zip(self.species, self.parts, strict=True):
             if part.start <= body < part.stop:
                 return s.atoms[body - part.start]
-        raise IndexError(f"there is no body {body}, only {self.n}")
+        raise IndexError(f"there is no body {body}: there are {self.n} bodies, numbered from 0")
 
     def describe(self, body: int) -> str:
         """Return a name for messages: residue, if known, and atoms of one body."""
@@ -244,8 +248,9 @@ class RigidBodies:
         mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
         if mirrored.any():
             raise RigidityError(
-                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not fit its rigid shape "
-                f"but its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
+                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} has the mirror image of its rigid "
+                f"shape ({np.count_nonzero(mirrored)} bodies of this kind in all): correct the positions, or make the "
+                "bodies from them again"
             )
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
@@ -257,11 +262,11 @@ class RigidBodies:
         extended = self.moments.any(axis=0)
         unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
-            f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and up to "
+            f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and at most "
             f"{tolerances[worst]:.4g} nm is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). {unit}"
-            "(1) If the periodic boundary cuts the molecule, make it whole, by make_whole. (2) If constraints hold it, "
-            "context.applyConstraints(1e-6) may help. (3) If you named it, no constraint holds it: minimize in a "
-            "Context with this integrator, not with another, or start from the positions that it was made of"
+            "(1) If the periodic boundary cuts the molecule, make it whole with make_whole. (2) If constraints keep it "
+            "rigid, context.applyConstraints(1e-6) may help. (3) If you named it in `bodies`, minimize in a Context "
+            "with this integrator, not with another, or start from the positions from which the body was made"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:

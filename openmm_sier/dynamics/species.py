@@ -79,8 +79,8 @@ class Species:
         own = squares.sum() - squares
         if not (np.abs(self.moments - own) <= OTHER_MOMENT * own.max()).all():
             raise ValueError(
-                f"species have the moments of their masses, {own} dalton nm^2, got {self.moments}: to give a body "
-                "other moments, give it other masses, as openmm_sier.set_inertia does"
+                f"the moments of a species must be those of its masses, {own} dalton nm^2, got {self.moments}: to give "
+                "a body other moments, give it other masses, as openmm_sier.set_inertia does"
             )
 
     @classmethod

@@ -48,7 +48,7 @@ class Thermostat(ABC):
         Raises:
             ValueError: there is no such expression, so that only the exact engine has this bath.
         """
-        raise ValueError(f"the heat bath {type(self).__name__} cannot be written out")
+        raise ValueError(f"there is no native code for the heat bath {type(self).__name__}")
 
 
 class OrnsteinUhlenbeck(Thermostat):

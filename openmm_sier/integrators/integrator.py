@@ -107,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Return the program that the native engine executes; print it to read it.
 
         Raises:
-            ValueError: the scheme has an operator that cannot be written out.
+            ValueError: there is no native code for an operator of the scheme.
         """
         if self.binding.program.refusal:
             raise ValueError(self.binding.program.refusal)

@@ -78,7 +78,7 @@ def test_slow_forces_in_other_groups_than_the_program_names_are_refused():
     context = context_at(system, integrator, start, steps=1)
     assert integrator.program.slow_group == 5
     with pytest.raises(
-        openmm.OpenMMException, match=r"slow forces from force group 5, .* groups now have them in \(5, 7\)"
+        openmm.OpenMMException, match=r"slow forces from force group 5, .* groups they are now in \(5, 7\)"
     ):
         integrator.setIntegrationForceGroups({FAST, 5, 7})
     assert context.getStepCount() == 1

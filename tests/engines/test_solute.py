@@ -132,7 +132,7 @@ def test_what_is_refused():
     bond.addBond(FLEXIBLE[0], SITE, 0.15, 2e5)
     for force, message in (
         (external, r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"),
-        (bond, "atom 11 is not among those"),
+        (bond, "atom 11 does not move by itself"),
     ):
         with pytest.raises(SoluteError, match=message):
             solute_system(whole_system([force]), FLEXIBLE, {FAST}, NO_BODIES)

@@ -144,8 +144,9 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
     """
     if (count := integrator.getNumComputations()) != own:
         raise openmm.OpenMMException(
-            f"This integrator has {own} computations of its own and {count} now: its step is its scheme, and "
-            "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
+            f"Computations were added to this integrator: it has {count}, and made {own} itself. Its scheme alone "
+            "defines its step, so that addComputePerDof and the like cannot be used. For steps of your own take an "
+            "openmm.CustomIntegrator"
         )
 
 

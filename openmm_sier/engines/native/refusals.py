@@ -28,8 +28,8 @@ def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) 
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
     if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         raise openmm.OpenMMException(
-            "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
-            "SIERLangevinIntegrator without it, or take engine='exact'"
+            "The native engine divides each step into parts, and AndersenThermostat takes each part for a whole step: "
+            "use SIERLangevinIntegrator without AndersenThermostat, or take engine='exact'"
         )
     if system.getNumConstraints():
         checks.refuse_scaled_atoms(system)
@@ -40,9 +40,9 @@ def why_not(flow: Flow, program: Program) -> str | None:
     if program.refusal:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
     if flow.rotation is not exact:
-        return "has no other free-rotation maps: leave out `rotation`"
+        return "has only the exact free-rotation map: leave out `rotation`"
     if flow.bath is not None and flow.bath.rotational_friction != flow.bath.friction:
-        return "has one friction for all motion: leave out `rotationalFriction`"
+        return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
 
 
@@ -57,9 +57,9 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
         for pair in combinations(massive, 2):
             if pair not in held:
                 return (
-                    f"keeps rigid what constraints do, and none joins atoms {pair[0]} and {pair[1]} of a body in "
-                    "`bodies`: make a copy of the System by with_frames(system, positions, bodies); or, for up to four "
-                    "atoms, constrain every two of them"
+                    f"keeps bodies rigid only by constraints, but no constraint joins atoms {pair[0]} and {pair[1]} of "
+                    "a body in `bodies`: make a copy of the System with with_frames(system, positions, bodies); or, "
+                    "for up to four atoms, constrain every two of them"
                 )
     return None
 
@@ -93,7 +93,10 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             site.
     """
     if idle := [group for group in sorted(groups) if not integration_groups >> group & 1]:
-        raise openmm.OpenMMException(f"The fast force group {idle[0]} is not among the integration force groups")
+        raise openmm.OpenMMException(
+            f"The fast force group {idle[0]} is not among the integration force groups: add it with "
+            "setIntegrationForceGroups, or leave it out of fastForceGroups"
+        )
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
     for force in system.getForces() if sites else []:
         if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
@@ -102,8 +105,8 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
         if touched.size:
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
-                f"may act on atom {touched[0]}, a virtual site; virtual sites stay behind within a step of the native "
-                "engine. Put it into another group with setForceGroup, or take engine='exact'"
+                f"may act on atom {touched[0]}, a virtual site. Virtual sites do not follow their atoms within a step "
+                "of the native engine. Put the Force into another group with setForceGroup, or take engine='exact'"
             )
 
 

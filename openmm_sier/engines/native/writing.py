@@ -11,7 +11,7 @@ from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 
 
 def general_program(flow: Flow) -> Program:
-    """Return a program that follows a flow in any System; one without parts where the flow cannot be written out."""
+    """Return a program that follows a flow in any System; one without parts if there is no native code for the flow."""
     return _written(flow)
 
 
@@ -60,9 +60,9 @@ def refuse_other_slow_groups(program: Program, system: openmm.System, groups: in
     named, found = program.slow_group, slow_groups(system, groups, fast_groups)
     if named is not None and found != (named,):
         raise openmm.OpenMMException(
-            f"The program of this Context takes its slow forces from force group {named}, and the integration force "
-            f"groups now have them in {found or 'none'}. Set force groups before the Context is made, or take "
-            "engine='exact'"
+            "Force groups were changed after the Context was made. Its program takes the slow forces from force group "
+            f"{named}, but among the integration force groups they are now in {found or 'none'}. Set force groups "
+            "before the Context is made, or take engine='exact'"
         )
 
 
