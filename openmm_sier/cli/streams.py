@@ -26,14 +26,14 @@ AS_OPTIONS = {
     "one body": "leave its molecule out of --rigid and constrain the bond with --constraints allbonds",
     "check forces": "if the energy drifts equally with both steps, call openmm_sier.check_forces in a script",
     "this is the topology": "give coordinates, and this file by --topology {}",
-    "name the topology": "name its topology by --topology, as {}",
+    "name the topology": "give its topology too, with --topology: {}",
     "leave out": "leave them out with --leave-out {}",
     "more templates": "add a force field that has templates for them to --forcefield",
     "name the force field": "give its files with --forcefield, such as {}",
-    "name the parameters": "name all their files with --forcefield, such as --forcefield {}",
+    "name the parameters": "give all parameter files, such as --forcefield {}",
     "give a box": "give coordinates with their box, or its edges in nm by --edges",
     "one box": "leave out --edges",
-    "leave the ensemble to the run": "remove it from the System, and use --ensemble, --temperature and --pressure",
+    "leave the ensemble to the run": "remove this Force from the System, and use --ensemble, --temperature and --pressure",
 }
 
 

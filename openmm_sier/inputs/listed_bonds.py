@@ -50,10 +50,11 @@ def tell_stale_bonds(
         if _unmatched(other) == residue:
             return ""
     one, two = (f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in listed[0])
-    more = f", and has {len(listed) - 1} more such bonds," if len(listed) > 1 else ""
+    more = f" (there are {len(listed) - 1} more such bonds)" if len(listed) > 1 else ""
     return (
-        f". The file bonds {one} to {two}{more} by a record of its own, without which the residue has a template: is "
-        "it left from another file? Remove it (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file)"
+        ". A record of the file (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file) bonds "
+        f"{one} to {two}{more}. Without such records the residue has a template: remove them if they are left from "
+        "another file"
     )
 
 

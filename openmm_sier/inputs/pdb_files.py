@@ -62,12 +62,12 @@ def check_records(path: str | Path) -> str:
     """Return the kind of a PDB or PDBx/mmCIF file, after all reasons to refuse its atoms.
 
     Raises:
-        ForceFieldError: it is none, is cut off, or has the rarer of two alternate places first.
+        ForceFieldError: it is none, is cut off, or has the rarer of two alternate locations first.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
     if kind not in READERS:
-        raise ForceFieldError(f"{path} is no PDB file with atoms")
+        raise ForceFieldError(f"{path} is not a PDB file with atoms")
     if kind == PDB:
         _check_lines(path)
     _check_alternates(path, kind)
@@ -144,7 +144,7 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     atoms = [atom for atom in topology.atoms() if atom.element is not None]
     places = positions[[atom.index for atom in atoms]]
     if not np.isfinite(places).all():
-        raise ForceFieldError(f"{path} has coordinates that are no numbers")
+        raise ForceFieldError(f"{path} has coordinates that are not numbers")
     order = np.lexsort(places.T)
     same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
     if len(same):
@@ -156,8 +156,8 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
-            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
-            "where there is none, in a PDB file the record CRYST1"
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If the "
+            "system has no box, remove it from the file (in a PDB file, the record CRYST1)"
         )
 
 
@@ -172,23 +172,24 @@ def _check_lines(path: str | Path) -> None:
         if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
             raise ForceFieldError(
                 f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
-                "file is cut off, or is no PDB file"
+                "file is cut off, or is not a PDB file"
             )
 
 
 def _check_alternates(path: str | Path, kind: str) -> None:
-    """Warn of atoms in alternate places, of which OpenMM takes the first, and refuse those whose first is rarer."""
+    """Warn of atoms in alternate locations, of which OpenMM takes the first; refuse those whose first is rarer."""
     found = find_alternates(path, kind)
     column = "column 17" if kind == PDB else "label_alt_id"
     for each in found:
         if each.is_rarer:
             raise ForceFieldError(
-                f"{path}: {each.residue} has alternate places with the occupancies {each}, and the first, which OpenMM "
-                f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
+                f"{path}: {each.residue} has alternate locations with the occupancies {each}. OpenMM takes the first, "
+                f"which is a rarer one: keep the atoms of one location, by the letter in {column}"
             )
     if found:
-        some = "has" if len(found) == 1 else f"and {len(found)} residues in all have"
-        notify(f"{path}: {found[0].residue} {some} alternate places; the first is taken, of the occupancies {found[0]}")
+        first = f"{found[0].residue} has alternate locations with the occupancies {found[0]}"
+        others = "" if len(found) == 1 else f" (and {len(found) - 1} more residues have some)"
+        notify(f"{path}: {first}{others}; the first of each is taken")
 
 
 def _check_edges(path: str | Path) -> None:
@@ -204,7 +205,7 @@ def _check_edges(path: str | Path) -> None:
         if not all(0 < edge < np.inf for edge in edges):
             raise ForceFieldError(
                 f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
-                "above 0; leave out the record CRYST1 where there is no box"
+                "above 0. If the system has no box, remove the record CRYST1"
             )
 
 

@@ -179,8 +179,8 @@ def from_json(table: Any) -> Settings:
     values = dict(table)
     if (layout := values.pop("layout", None)) != LAYOUT:
         raise SettingsError(
-            f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r} where {LAYOUT} "
-            "is read: create it anew"
+            f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r}; this version "
+            f"reads layout {LAYOUT}: create the integrator anew"
         )
     readers = {"scheme": _scheme, "bodies": _bodies, "rotation": _rotation, "ensemble": _ensemble}
     for name in values.keys() & readers.keys():
@@ -197,9 +197,9 @@ def _made(kind: Any, values: Any) -> Any:
     """Return a dataclass from a table of all its fields."""
     names = {field.name for field in fields(kind)}
     if not isinstance(values, dict):
-        raise TypeError(f"expected a table of {_listed(names)}")
+        raise TypeError(f"expected a table with the fields {_listed(names)}")
     if values.keys() != names:
-        raise TypeError(f"expected a table of {_listed(names)}, got one of {_listed(values.keys())}")
+        raise TypeError(f"expected a table with the fields {_listed(names)}, got the fields {_listed(values.keys())}")
     return kind(**values)
 
 
@@ -227,7 +227,7 @@ def _bodies(values: Any) -> Bodies:
     if not isinstance(values, dict):
         return checked_bodies(values)
     if values.keys() != {"particles", "species"} or not isinstance(values["species"], list):
-        raise TypeError("expected a table of particles, a number, and species, a list")
+        raise TypeError("expected a table with `particles`, which is a number, and `species`, which is a list")
     species = []
     for each in values["species"]:
         arrays = {name: np.array(numbers) for name, numbers in dict(each).items()}
@@ -252,8 +252,8 @@ def name_of_rotation(function: Rotation) -> str:
 def _rotation(name: Any) -> Rotation:
     if name not in ROTATIONS:
         raise SettingsError(
-            f"The free-rotation map {name} of a stored SIER integrator is not known here: make an integrator with it "
-            f"first if it has a name; known are {', '.join(ROTATIONS)}"
+            f"The free-rotation map {name} of a stored SIER integrator is not known here; known are "
+            f"{', '.join(ROTATIONS)}. First make an integrator with this map; a lambda cannot be restored"
         )
     return ROTATIONS[name]
 
@@ -267,7 +267,7 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def class_at(place: str, base: type) -> type:
-    """Return the subclass of a base at a place that `place_of` gave; no module is imported for it.
+    """Return the subclass of `base` that a string from `place_of` names; no module is imported for it.
 
     Raises:
         SettingsError: there is no such class in a module that is imported.

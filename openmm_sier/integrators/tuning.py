@@ -43,7 +43,7 @@ def tune(
     lengths: Sequence[int] | None = None,
     schemes: Sequence[Scheme | str] | None = None,
 ) -> Tuning:
-    """Find scheme, step and trial length for a Context's hybrid Monte Carlo, and set step and length in its integrator.
+    """Find scheme, step and trial length of hybrid Monte Carlo for a Context; set step and length in its integrator.
 
     Equilibrate roughly before. Trials of the tuning are no samples, so leave them out of averages. Afterwards `trials`
     and `accepted` count from zero.
@@ -276,7 +276,10 @@ def _find_step(
         step = following
     usable = [each for each in tried if math.isfinite(each.spread)]
     if not usable:
-        raise refusal or openmm.OpenMMException(f"Energy errors are not finite at steps down to {step:.3g} ps")
+        raise refusal or openmm.OpenMMException(
+            f"Energy errors are not finite at any step that was tried, down to {step:.3g} ps. Do atoms overlap? Then "
+            "minimize the energy first"
+        )
     return tried, min(usable, key=lambda each: abs(each.acceptance - wanted)).step
 
 

@@ -258,12 +258,18 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, without a force field: name its topology by"),
+        (
+            ["amber.inpcrd"],
+            "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
+        ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
         (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, expected as top"),
         (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
-        (["amber.inpcrd", "--topology", "structure.pdb"], "structure.pdb is a PDB file, expected as topology a prmtop"),
+        (
+            ["amber.inpcrd", "--topology", "structure.pdb"],
+            "structure.pdb is a PDB file, but a topology must be a prmtop",
+        ),
         (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
         (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
         (
@@ -276,7 +282,10 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             for words in OF_A_SYSTEM
         ),
         ([*AMBER.arguments, *EDGES.split()], "amber.inpcrd has a periodic box of its own: leave out --edges"),
-        (["openmm-state.xml", "--topology", "amber.prmtop"], "openmm-state.xml is a State of OpenMM, which goes with"),
+        (
+            ["openmm-state.xml", "--topology", "amber.prmtop"],
+            "openmm-state.xml is a State of OpenMM and needs a System",
+        ),
         (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, and amber.prmtop was"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "none.prm"], "none.prm"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "charmm.crd"], "Unrecognized file type"),
@@ -340,7 +349,9 @@ def test_heavy_hydrogens_in_a_system_are_hydrogens():
 def test_a_barostat_in_a_system_is_refused(capsys):
     change_system(lambda system: system.addForce(openmm.MonteCarloBarostat(1.0, 300.0)))
     message = complaint(capsys, "info", *STATE.arguments)
-    assert "openmm-system.xml has a MonteCarloBarostat, in whose place the run has an ensemble: leave it out" in message
+    assert (
+        "openmm-system.xml has a MonteCarloBarostat, but the run sets the ensemble itself: remove this Force" in message
+    )
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,10 @@ def with_edges(lines, a, b, c):
             "edges of 0, 0, 0 Angstrom, expected lengths above 0",
         ),
         (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "expected the edges of the box in Angstrom, got"),
-        (lambda lines: with_edges(lines, "1.000", "1.000", "1.000"), "a volume of 0.001 nm3, too small for its 486"),
+        (
+            lambda lines: with_edges(lines, "1.000", "1.000", "1.000"),
+            "a volume of 0.001 nm3, too small for atoms of 486",
+        ),
         (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
         # The last number of the last atom would be 1.
         (
@@ -84,7 +87,7 @@ def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, e
         pdb = app.PDBFile(str(path))
         path = write_pdb(tmp_path / name, pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
     with pytest.warns(
-        UserWarning, match=r"0.26 g/ml in their box, less than a liquid. Unless it is a gas or has surfaces"
+        UserWarning, match=r"0.26 g/ml in their box, less than a liquid. Unless the system is a gas or has surfaces"
     ) as told:
         box = read_input(path, files=["tip3p.xml"])
     assert "at 0.259 g/ml, PME" in describe(box)
@@ -123,7 +126,7 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
     ("name", "interactions", "message"),
     [
         ("tip3p-512.pdb", Interactions(1.5), "a cut-off of 1.5 nm needs a box wider than 3 nm, got 2.48"),
-        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch begins below the cut-off of 0.9 nm, got 0.9"),
+        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch must begin below the cut-off of 0.9 nm, got 0.9"),
         ("tip4p-1.pdb", Interactions(0.9), "a cut-off or switch needs a periodic box"),
     ],
 )

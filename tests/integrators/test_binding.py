@@ -65,7 +65,7 @@ def test_an_integrator_whose_context_was_refused_says_so():
     integrator = SIERLangevinIntegrator(300, 5, 0.002, pressure=1)
     with pytest.raises(openmm.OpenMMException, match="A constant pressure needs a periodic System"):
         openmm.Context(system, integrator)
-    with pytest.raises(openmm.OpenMMException, match="a Context that no longer exists, or that was refused"):
+    with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists, or was refused"):
         openmm.Context(system, integrator)
 
 

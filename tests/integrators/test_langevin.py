@@ -166,7 +166,7 @@ def test_noise_that_a_state_does_not_hold_is_spoken_of():
         if engine == "exact":
             later.setState(state)
         else:
-            with pytest.warns(UserWarning, match="noise of Langevin dynamics is OpenMM's, which no State holds"):
+            with pytest.warns(UserWarning, match="a State does not hold the noise of Langevin dynamics"):
                 later.setState(state)
         other.step(3)
         assert np.array_equal(phase_point(later)[0], end) is (engine == "exact")

@@ -124,4 +124,4 @@ def test_an_equilibration_takes_steps_that_they_bear():
     with silence():
         equilibrate(context, 300, time=0.02, report=told)
     # Three quarters of 6.5 fs of SIER4G.
-    assert "equilibrates in steps of 4.9 fs, since bonds or spins are too fast" in told.notes[0]
+    assert "equilibrates in steps of 4.9 fs, since bonds or rotations are too fast" in told.notes[0]
