@@ -33,7 +33,7 @@ AS_OPTIONS = {
     "name the parameters": "give all parameter files, such as --forcefield {}",
     "give a box": "give coordinates with their box, or its edges in nm by --edges",
     "one box": "leave out --edges",
-    "leave the ensemble to the run": "remove this Force from the System, and use --ensemble, --temperature and --pressure",
+    "leave the ensemble to the run": "remove this Force, and use --ensemble, --temperature and --pressure",
 }
 
 

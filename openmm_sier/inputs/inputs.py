@@ -174,7 +174,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):
-            remedy = Remedy("leave the ensemble to the run", "remove this Force from the System")
+            remedy = Remedy("leave the ensemble to the run", "remove this Force")
             raise ForceFieldError(f"{topology} has a {force.getName()}, but the run sets the ensemble itself", remedy)
     named = found.topology or _topology_of(system)
     refuse_other_atoms(path, found._replace(names=()), named, topology)

@@ -188,8 +188,8 @@ def _check_alternates(path: str | Path, kind: str) -> None:
             )
     if found:
         first = f"{found[0].residue} has alternate locations with the occupancies {found[0]}"
-        others = "" if len(found) == 1 else f" (and {len(found) - 1} more residues have some)"
-        notify(f"{path}: {first}{others}; the first of each is taken")
+        others = "" if len(found) == 1 else f" ({len(found)} residues have some)"
+        notify(f"{path}: {first}{others}; the first is taken")
 
 
 def _check_edges(path: str | Path) -> None:
