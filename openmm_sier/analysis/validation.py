@@ -21,7 +21,7 @@ GROUPS = dict(zip(("translation", "rotation", "flexible molecules"), TEMPERATURE
 
 
 def independent(*series: np.ndarray) -> np.ndarray:
-    """Return one sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
+    """Return every g-th sample of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
     every = math.ceil(max(inefficiency(values) for values in series))
     return np.array(series)[:, ::every]
 
@@ -74,7 +74,7 @@ def _kinetic_groups(log: Mapping[str, np.ndarray]) -> dict[str, tuple[float, np.
 
 
 def ensemble_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressure: float | None = None) -> Any:
-    """Return potential energies, and volumes with a pressure, for `physical_validation.ensemble.check`.
+    """Return data for `physical_validation.ensemble.check`: potential energies and, at constant pressure, volumes.
 
     Args:
         logs: columns of each run at this state point, from `openmm-sier run` or `ConservationReporter`.

@@ -117,13 +117,18 @@ class MolecularPressure:
 def _check(system: openmm.System) -> None:
     needs = "a pressure tensor needs"
     if not system.usesPeriodicBoundaryConditions():
-        raise ValueError(f"{needs} a System with periodic boundary conditions, this one has none")
+        raise ValueError(f"{needs} a System with periodic boundary conditions, but this one has none")
     for force in (part.force for part in parts(system)):
         if isinstance(force, openmm.CustomExternalForce):
-            raise ValueError(f"{needs} forces between particles alone, the System has a CustomExternalForce")
+            raise ValueError(
+                f"{needs} forces that act only between particles, but the System has a CustomExternalForce"
+            )
         # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.
         if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
-            raise ValueError(f"{needs} PME in place of Ewald sums, which OpenMM has for rectangular boxes only")
+            raise ValueError(
+                f"{needs} PME, since OpenMM has Ewald sums for rectangular boxes only: create the System with "
+                "nonbondedMethod=PME"
+            )
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +144,7 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
     totals = np.bincount(owners, masses)
     if (totals == 0).any():
         atom = int(np.flatnonzero(totals[owners] == 0)[0])
-        raise ValueError(f"a pressure tensor needs molecules that move, but that of atom {atom} has no mass")
+        raise ValueError(f"a pressure tensor needs molecules that move, but the molecule of atom {atom} has no mass")
     return owners, totals
 
 

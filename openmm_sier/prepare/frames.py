@@ -247,8 +247,8 @@ def with_frames(
     frames = tuple(_frames(system, known, x))
     if not frames:
         raise ValueError(
-            "no body needs a frame: bodies must name one of two atoms or more that constraints do not hold already, "
-            f"got {known!r}"
+            "no body needs a frame: at least one body in `bodies` must have two or more atoms that constraints do not "
+            f"keep rigid already, got {known!r}"
         )
     framed = _copied(system)
     _hold(framed, frames)
@@ -266,7 +266,7 @@ def _copied(system: openmm.System) -> openmm.System:
     try:
         return copy.deepcopy(system)
     except Exception as error:
-        raise ValueError(f"the System cannot be copied, which with_frames does by XML: {error}") from error
+        raise ValueError(f"with_frames cannot copy the System by XML: {error}") from error
 
 
 def _refuse_cut(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> None:

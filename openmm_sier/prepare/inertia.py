@@ -69,7 +69,10 @@ def set_inertia(
     for body in bodies:
         atoms = np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64)
         if not len(atoms) or not (present[atoms] > 0).all():
-            raise ValueError(f"a body must have atoms with masses, got atoms {as_ranges(body) or 'of none'}")
+            known = as_ranges(body)
+            raise ValueError(
+                f"a body must have atoms, all of them with masses, got {f'atoms {known}' if known else 'no atoms'}"
+            )
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
         masses = _masses(shape, whole, wanted, f"atoms {as_ranges(atoms)}")
         found |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))
@@ -80,10 +83,12 @@ def set_inertia(
 def _checked_moments(moments: Any) -> np.ndarray:
     found = np.array([quantity_to_float("moments", value, _MOMENT, "dalton nm^2") for value in moments])
     if found.shape != (3,) or (np.diff(found) < 0).any() or found[0] < 0:
-        raise ValueError(f"moments must be three, in ascending order and not negative, got {found.tolist()}")
+        raise ValueError(
+            f"moments must be three numbers in ascending order, none of them negative, got {found.tolist()}"
+        )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
         raise ValueError(
-            f"moments must not be above the sum of the two others, which no body has, got {found.tolist()}"
+            f"no body has a moment above the sum of the two others: give other moments, got {found.tolist()}"
         )
     return found
 
@@ -131,8 +136,9 @@ def _bounded(rows: np.ndarray, wanted: np.ndarray, least: float, name: str, mome
         if _are_right(rows, wanted, shares, least):
             return shares
     raise ValueError(
-        f"no masses of {name} have the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 about their "
-        f"centre and axes: {_range(rows, wanted, least)}. Add particles without interactions to the body, further out "
+        f"no choice of masses gives {name} the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 "
+        f"about their centre and axes; {_range(rows, wanted, least)}. "
+        "Add particles without interactions to the body, further out "
         "for larger moments and at its centre for smaller ones"
     )
 
@@ -150,6 +156,6 @@ def _range(rows: np.ndarray, wanted: np.ndarray, least: float) -> str:
         cost = np.append(np.zeros(count), sign)
         found = linprog(cost, A_eq=equations, b_eq=wanted - squares, bounds=bounds)
         if not found.success:
-            return "nor any moments in these proportions"
+            return "no others in these proportions are possible either"
         ends.append(found.x[count])
-    return f"some have {ends[0]:.3g} to {ends[1]:.3g} times these"
+    return f"possible are {ends[0]:.3g} to {ends[1]:.3g} times these"

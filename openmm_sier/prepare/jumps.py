@@ -51,13 +51,13 @@ def _described(part: Part, jump: Jump) -> str:
     what = f"{part.name} ends with a jump of the energy at {cutoff:.3g} nm"
     if isinstance(part.force, openmm.NonbondedForce):
         return (
-            f"{what}, which in water at 0.9 nm leaves SIER4G an energy error of 0.2 to 0.3 % within 1 ps in place of "
+            f"{what}. In water at 0.9 nm the energy error of SIER4G within 1 ps is then 0.2 to 0.3 % in place of "
             f"0.1 %: create the System with switchDistance={start}, or call {by_hand}."
         )
     a, b = jump.atoms
     return (
-        f"{what}, of {jump.energy:.1g} kJ/mol between atoms {a} and {b}. Each pair that crosses it changes the energy "
-        f"by that much: call {by_hand}, or subtract from its expression what this is at the cut-off."
+        f"{what}, of {jump.energy:.1g} kJ/mol between atoms {a} and {b}. Each pair that crosses the cut-off changes "
+        f"the energy by that much: call {by_hand}, or subtract the value at the cut-off from the energy expression."
     )
 
 

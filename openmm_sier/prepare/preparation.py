@@ -104,12 +104,16 @@ def prepare_system(
         group = known.free_group()
     for force in known.others_in(group):
         raise ValueError(
-            f"{force.getName()} is in force group {group}, which the fast forces need: give another fastForceGroup, or "
-            "none to take an empty one; if the System was prepared for other bodies, prepare a new System"
+            f"{force.getName()} is in force group {group}, but only fast forces may be there: give another "
+            "fastForceGroup, or leave it out to take an empty group. If the System was prepared for other bodies, "
+            "prepare a new System"
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
-        raise ValueError("Bodies hold old masses: call prepare_system(hydrogenMass=…) before RigidBodies.from_system")
+        raise ValueError(
+            "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, hydrogenMass=…) "
+            "before RigidBodies.from_system"
+        )
     done = []
     if meshed_forces(system):
         balance_pme(system)
@@ -118,7 +122,7 @@ def prepare_system(
         system.removeForce(i)
     if joined := join_bodies(system, known.owner):
         done.append(
-            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each for one "
+            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
             "molecule, in trajectories and with barostats."
         )
     if heavy is not None:
@@ -130,15 +134,15 @@ def prepare_system(
     elif coarse:
         done.append(describe_coarse(coarse))
     elif not known.slow and not known.inner:
-        done.append("All molecules with bonded forces are rigid, so no force is fast.")
+        done.append("All molecules with bonded forces are rigid, so there are no fast forces.")
     left = [force.getName() for force in known.slow]
     if left and not coarse:
         why = "they act on rigid bodies, virtual sites or frozen atoms"
-        done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
+        done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. If that does "
-            "not change what they do, add them to the System itself: then they are fast."
+            f"These stay slow forces, since another Force contains them: {', '.join(known.inner)}. Added to the System "
+            "itself they would be fast: do so only if the other Force does not change what they do."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
     done += _inside_bodies(system, found, excluded, known.owner)
@@ -179,23 +183,23 @@ def _inside_bodies(
         count = sum(len(kind.clusters) for kind in bodies.kinds if len(kind.masses) >= FEWEST_ATOMS)
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
-                f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
-                "particles have no shape. Give prepare_system the bodies of RigidBodies.from_system("
-                "system, topology, lists, positions): then they are excluded."
+                f"Interactions within {count} rigid bodies do no work but cost time. They stay, since lists of "
+                "particles do not tell the shape of bodies. To exclude them, give prepare_system the bodies of "
+                "RigidBodies.from_system(system, topology, lists, positions)."
             )
     elif excluded.refusal:
-        done.append(f"Interactions within rigid bodies do no work, and stay: {excluded.refusal}.")
+        done.append(f"Interactions within rigid bodies do no work, but are kept: {excluded.refusal}.")
     elif excluded.pairs:
         done.append(
             f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies, which do no work, are excluded "
-            f"from {', '.join(excluded.forces)}. Their energy of {excluded.energy:.6g} kJ/mol is a constant that the "
-            "potential energy does not have any more."
+            f"from {', '.join(excluded.forces)}. The potential energy does not contain their constant energy of "
+            f"{excluded.energy:.6g} kJ/mol any more."
         )
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
         done.append(
-            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave "
-            "elastic networks out where you make the Forces. Bonds along chains are cheap, and keep molecules whole."
+            f"Bonded terms within rigid bodies or between frozen atoms do no work but cost time ({counts}): leave "
+            "elastic networks out when you make the Forces. Bonds along chains are cheap, and keep molecules whole."
         )
     return done
 

@@ -58,7 +58,7 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
     system = contained(water[1], name)
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*jump of PME"):
+    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*energy of PME jumps"):
         openmm.Context(system, SIER4GIntegrator(0.004), platform())
     prepare_system(system)
     with silence():
@@ -201,7 +201,7 @@ def test_bonds_are_seen_wherever_they_are(name, kind):
     system = assembled([1.0, 1.0])
     system.addForce(CONTAINERS[name](system, bond))
     done = str(prepare_system(system))
-    assert f"stay in the kicks, since another Force contains them: {kind.__name__} in {name}." in done
+    assert f"stay slow forces, since another Force contains them: {kind.__name__} in {name}." in done
     positions = np.array([[0, 0, 0], [0.1, 0, 0]])
     # The period is 2 pi sqrt(0.5/4e5) ps = 7.02 fs, and SIER4G is unstable from a tenth above half of it on.
     for one in (bare, system):
