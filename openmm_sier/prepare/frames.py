@@ -230,7 +230,7 @@ def with_frames(
 
     Raises:
         TypeError: `system` is no System, such as a Simulation.
-        ValueError: no body needs a frame, or a Force cannot be carried over: multipoles of AMOEBA and HIPPO, plugins, a
+        ValueError: no body needs a frame, or a Force cannot be copied: multipoles of AMOEBA and HIPPO, plugins, a
             GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales every atom apart.

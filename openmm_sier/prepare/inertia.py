@@ -138,8 +138,8 @@ def _bounded(rows: np.ndarray, wanted: np.ndarray, least: float, name: str, mome
     raise ValueError(
         f"no choice of masses gives {name} the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 "
         f"about their centre and axes; {_range(rows, wanted, least)}. "
-        "Add particles without interactions to the body, further out "
-        "for larger moments and at its centre for smaller ones"
+        "Add particles without interactions to the body, further out for larger moments and at its centre for smaller "
+        "ones"
     )
 
 
