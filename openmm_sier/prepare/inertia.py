@@ -87,9 +87,7 @@ def _checked_moments(moments: Any) -> np.ndarray:
             f"moments must be three numbers in ascending order, none of them negative, got {found.tolist()}"
         )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
-        raise ValueError(
-            f"no body has a moment above the sum of the two others: give other moments, got {found.tolist()}"
-        )
+        raise ValueError(f"moments must be those of a body, none above the sum of the two others, got {found.tolist()}")
     return found
 
 

@@ -184,7 +184,7 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
     chk, platform = whole_run / "whole.chk", ["--platform", "Reference"]
     assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, code=NothingLeft.exit_code)
     assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, "--steps", 50)
-    assert "is no checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
+    assert "is not a checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
     for option, value in CHANGED:
         message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)
@@ -200,7 +200,10 @@ def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
     rewrite_notes("old.chk", lambda notes: notes.update(format=7))
     for use in ("--restart", "--start"):
         message = complaint(capsys, "run", box, use, "old.chk", "--time", "1")
-        assert "old.chk was written by another version of openmm-sier, in format 7 in place of 1: finish" in message
+        assert (
+            "old.chk was written by another version of openmm-sier, in format 7; this version reads format 1: finish"
+            in message
+        )
 
 
 def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):

@@ -91,7 +91,7 @@ def test_files_of_settings_destroy_nothing(box, capsys):
     for name, message in (
         ("mine.toml", "mine.toml exists: name another file with --save-config, or replace it with --overwrite"),
         (box, f"{box} would overwrite {box}"),
-        ("box.csv", "box.csv would destroy box.csv"),
+        ("box.csv", "box.csv would overwrite box.csv"),
         ("none/a.toml", "there is no directory none for a.toml"),
     ):
         before = contents(Path())

@@ -154,7 +154,7 @@ def test_a_checkpoint_from_elsewhere_overwrites_nothing(copied, tmp_path, capsys
     for option in ("report", "out", "pressure_tensor"):
         rewrite_notes(place / "box.chk", lambda notes, option=option: notes["plan"].update({option: name}))
         command = ["run", "box.pdb", "--platform", "Reference", "--restart", "theirs/box.chk", "--steps", "4"]
-        refuse(capsys, tmp_path, f"the --{option.replace('_', '-')} of theirs/box.chk", *command)
+        refuse(capsys, tmp_path, "theirs/box.chk", f"the --{option.replace('_', '-')} of", *command)
         shutil.copy(copied / "box.chk", place)
 
 

@@ -226,7 +226,10 @@ def test_a_log_that_is_being_written_is_drawn():
         (["a.csv", "--out", "none/a.png"], "there is no directory none for a.png"),
         (["none.csv"], "none.csv: No such file or directory"),
         (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),
-        (["a.csv", "bath.csv"], "bath.csv is in a bath, at constant volume, a.csv is at constant energy, at constant"),
+        (
+            ["a.csv", "bath.csv"],
+            "bath.csv is a run in a heat bath, at constant volume, but a.csv is a run at constant energy, at",
+        ),
         (
             ["tensor.csv"],
             "tensor.csv is not a log of openmm-sier run: it has no column Potential Energy (kJ/mole)",
@@ -250,7 +253,7 @@ def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
 def test_a_picture_destroys_no_log(capsys):
     write_log("a.png")
     before = contents(Path())
-    assert "a.png would destroy a.png: name another file" in complaint(capsys, "plot", "a.png", "--out", "a.png")
+    assert "a.png would overwrite a.png: name another file" in complaint(capsys, "plot", "a.png", "--out", "a.png")
     assert contents(Path()) == before
 
 

@@ -44,7 +44,7 @@ def test_a_stale_bond_in_an_mmcif_file_is_named(tmp_path, lines):
     columns = [f"_struct_conn.ptnr{i}_label_{what}" for i in (1, 2) for what in ("seq_id", "asym_id", "atom_id")]
     with path.open("a") as file:
         file.write("\n".join(["#", "loop_", "_struct_conn.conn_type_id", *columns, "covale 1 A H1 2 A H1", "#\n"]))
-    with pytest.raises(ForceFieldError, match="A record of the file .* bonds H1 of HOH 1 to H1 of HOH 2"):
+    with pytest.raises(ForceFieldError, match=r"A record of the file .* bonds H1 of HOH 1 to H1 of HOH 2"):
         read_box(path, ["tip3p.xml"])
 
 

@@ -99,7 +99,7 @@ def test_small_bodies_are_recognized_within_a_fraction_of_their_distances(rng):
     assert waters_of("TIP3P", 1).species[0].tolerance == FIT_TOLERANCE
     # Two particles at one place are not to be told apart, and a point has no place to miss.
     assert Species.from_coordinates([[0, 1]], [1.0, 1.0], np.zeros((2, 3))).tolerance == FIT_TOLERANCE
-    with pytest.raises(RigidityError, match=r"up to 0.005 nm is corrected"):
+    with pytest.raises(RigidityError, match=r"at most 0.005 nm is corrected"):
         RigidBodies([small], 2).fit(np.array([[0, 0, 0], [0.032, 0, 0]]))
 
 
