@@ -86,7 +86,8 @@ def run(
     options: Annotated[OfRun, FLAT] = NOTHING,
     *,
     config: Annotated[
-        Path | None, _in_words("none", "a TOML file with settings under the names of options, which take their place")
+        Path | None,
+        _in_words("none", "a TOML file with settings under the names of options; options that are given override it"),
     ] = None,
     seeds: Annotated[
         str | None,
@@ -142,7 +143,8 @@ def setup(
     ph: Annotated[float, _in_words(f"{PH:g}", "by which hydrogens of residues are chosen", gte=0, lte=14)] = PH,
     leave_out: Annotated[list[str] | None, _in_words("none", "names of residues to leave out")] = None,
     ends: Annotated[
-        bool, Parameter(negative="", help="add residues that are missing at the ends of chains too, not within alone")
+        bool,
+        Parameter(negative="", help="add residues that are missing at the ends of chains too, not only within them"),
     ] = False,
     seed: Annotated[int, _in_words("1", "of the places of what is added", gte=1, lt=2**31)] = 1,
     overwrite: Annotated[bool, Parameter(negative="", help="replace an earlier file")] = False,

@@ -48,7 +48,7 @@ def execute(
     records.replace(path, memoryview(as_pdb(made).encode()))
     title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
     table(title, ("", ""), made.changes, left=2)
-    note(f"wrote {path}; go on with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
+    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
 
 
 def _check_out(path: Path, structure: Path, overwrite: bool) -> None:

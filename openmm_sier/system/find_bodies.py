@@ -182,7 +182,7 @@ class BodyPlan:
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is no virtual site. Give it a mass, "
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it one, "
                     "or leave it out of the body; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
@@ -287,7 +287,7 @@ def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Clu
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:
     labels = [f"{atom.residue.name} {atom.residue.id}" for atom in topology.atoms()]
     if len(labels) != n_particles:
-        raise ValueError(f"the topology has {len(labels)} atoms, the System {n_particles} particles")
+        raise ValueError(f"the topology has {len(labels)} atoms, but the System has {n_particles} particles")
     return labels
 
 
@@ -406,7 +406,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     """Return the error for a constraint that joins a rigid body to a particle outside."""
     return RigidityError(
         f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
-        "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "
+        "by constraints into one body; or leave them all out of `bodies`, so that only constraints hold them; or "
         "build the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
     )
 

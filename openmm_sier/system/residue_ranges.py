@@ -137,7 +137,7 @@ class ResidueRanges:
         chains = self._named.get(name, []) if name else self._chains
         if not chains:
             known = ", ".join(each or "(no name)" for each in self._named)
-            raise ValueError(f"the topology has no chain {name}, it has {known}")
+            raise ValueError(f"the topology has no chain {name}; it has {known}")
         found, missing = [], None
         for chain in chains:
             try:

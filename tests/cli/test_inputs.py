@@ -263,9 +263,9 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
         ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
-        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
-        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, expected as top"),
-        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
+        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates"),
+        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but a top"),
+        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates"),
         (
             ["amber.inpcrd", "--topology", "structure.pdb"],
             "structure.pdb is a PDB file, but a topology must be a prmtop",
@@ -286,7 +286,7 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             ["openmm-state.xml", "--topology", "amber.prmtop"],
             "openmm-state.xml is a State of OpenMM and needs a System",
         ),
-        (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, and amber.prmtop was"),
+        (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, but amber.prmtop was"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "none.prm"], "none.prm"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "charmm.crd"], "Unrecognized file type"),
     ],
@@ -302,7 +302,7 @@ def test_coordinates_of_other_atoms_are_refused(capsys):
     message = complaint(capsys, "info", "other.gro", "--topology", "gromacs.top")
     assert "other.gro has H1 where gromacs.top has atom 5 (O of HOH 2): are the atoms in another order?" in message
     Path("short.gro").write_text("".join([lines[0], "   79\n", *lines[2:-4], lines[-1]]))
-    assert "short.gro has 79 atoms, expected the 82 of gromacs.top" in complaint(
+    assert "short.gro has 79 atoms, but gromacs.top has 82" in complaint(
         capsys, "info", "short.gro", "--topology", "gromacs.top"
     )
     Path("twice.gro").write_text("".join([*lines[:9], f"{lines[9][:20]}{lines[6][20:]}", *lines[10:]]))

@@ -132,7 +132,7 @@ def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, mon
         complete(path)
     found = complete(path, leave_out=["SO4"])
     assert ("residues left out", "1 SO4") in found.changes
-    with pytest.raises(ForceFieldError, match="has no residue GOL to leave out, it has "):
+    with pytest.raises(ForceFieldError, match="has no residue GOL to leave out; it has "):
         complete(path, leave_out=["GOL"])
 
 

@@ -182,7 +182,7 @@ IMPOSSIBLE = (WATER[0], {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.25})
         ),
         ((4 * (12.0,), FOURTH_DIMENSION), None, "contradict each other"),
         ((WATER[0], {**WATER[1], (1, 0): OH + 0.01}), None, "atoms 0 and 1"),
-        (WATER, topology_of(("HOH", 4)), "the topology has 4 atoms, the System 3 particles"),
+        (WATER, topology_of(("HOH", 4)), "the topology has 4 atoms, but the System has 3 particles"),
         (
             IMPOSSIBLE,
             topology_of(("BAD", 3)),
