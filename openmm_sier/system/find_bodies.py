@@ -182,8 +182,8 @@ class BodyPlan:
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it one, "
-                    "or leave it out of the body; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give the "
+                    "atom a mass, or leave it out of the body; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
