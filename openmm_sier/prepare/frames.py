@@ -233,7 +233,7 @@ def with_frames(
         ValueError: no body needs a frame, or a Force cannot be copied: multipoles of AMOEBA and HIPPO, plugins, a
             GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
-            body; or a barostat scales every atom apart.
+            body; or a barostat scales the position of each atom separately.
     """
     system = checked_system(system)
     x = checked_positions(positions, system.getNumParticles())
