@@ -134,11 +134,11 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
         RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
     """
     if absent := [name for name in NOTED if name not in (*saved, *LATER)]:
-        raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run from coordinates")
+        raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run")
     if foreign := set(saved) - set(NOTED):
         raise RunError(
-            f"{checkpoint} has a setting {min(foreign)}, which this version of openmm-sier does not know: finish the "
-            "run with the version that wrote it, or begin a new run from coordinates"
+            f"{checkpoint} has the setting {min(foreign)}, which this version does not know: continue with the version "
+            "that wrote it, or begin a new run"
         )
     try:
         settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
@@ -163,7 +163,7 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
-        raise RunError("--start begins a new run and --restart continues an old one: give one of them")
+        raise RunError("--start begins a new run, and --restart continues an old one: give one of them")
     for name in CONTINUED:
         value, before = given.get(name), getattr(noted, name)
         if value is not None and not _same(value, before):
@@ -174,8 +174,8 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     for name in OUTPUTS:
         if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):
             raise RunError(
-                f"the {flag(name)} of {checkpoint} is {path}, outside the directory of the checkpoint. To continue to "
-                f"write there, give {flag(name)} {path}"
+                f"{checkpoint} names {path} for {flag(name)}, in a directory other than its own: to write there, give "
+                f"{flag(name)} {path}"
             )
     changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
     if "time" in given:

@@ -41,7 +41,7 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
         rows = settings.steps // settings.interval(settings.report_every) + 1
         if rows < FEWEST_ROWS:
             needs = f"--plot needs a log of {FEWEST_ROWS} rows or more"
-            raise RunError(f"{needs}, but this log would have {rows}: lower --report-every")
+            raise RunError(f"{needs}, and this one would have {rows}: lower --report-every")
     if settings.save_config:
         others = [*inputs, *outputs.paths, *([settings.plot] if settings.plot else [])]
         check_place(settings.save_config, others, "" if may_replace else "--save-config")
@@ -118,8 +118,8 @@ class Run:
                 self._write(["checkpoint"])
         if step < settings.steps and requests.received is not None:
             by, where = Signals(requests.received).name, settings.length(step)
-            way = f"All files are written; continue with --restart {outputs.checkpoint}"
-            raise Stopped(requests.received, f"stopped by {by} at step {where}. {way}")
+            way = f"all files are written; continue with --restart {outputs.checkpoint}"
+            raise Stopped(requests.received, f"stopped by {by} at step {where}, {way}")
         outputs.close()
         evaluations = integrator.forceEvaluations - evaluations
         return results.cost_rows(step - begun, settings.step_time, seconds, evaluations)

@@ -20,20 +20,21 @@ AS_OPTIONS = {
     "more substeps": "take a shorter step (--dt)",
     "step up to": "take up to {} (--dt)",
     "unit": "",
-    "heavier hydrogens": "if you need averages but no dynamics, make all hydrogens heavy with --hydrogen-mass 4",
-    "constrain hydrogens": "constrain the bond with --constraints hbonds (bonds to hydrogen) or allbonds",
-    "constrain bonds": "constrain the bond with --constraints allbonds, or make its molecule rigid with --rigid WHAT",
-    "one body": "leave its molecule out of --rigid and constrain the bond with --constraints allbonds",
-    "check forces": "if the energy drifts equally with both steps, call openmm_sier.check_forces in a script",
+    "heavier hydrogens": "if you need averages but no dynamics, make all hydrogens heavy by --hydrogen-mass 4",
+    "constrain hydrogens": "constrain the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+    "constrain bonds": "constrain the bond by --constraints allbonds, or make its molecule rigid by --rigid WHAT",
+    "one body": "leave its molecule out of --rigid, and constrain the bond by --constraints allbonds",
+    "check forces": "if the energy drifts as much with half the step, call openmm_sier.check_forces in a script",
     "this is the topology": "give coordinates, and this file by --topology {}",
-    "name the topology": "give its topology too, with --topology: {}",
-    "leave out": "leave them out with --leave-out {}",
-    "more templates": "add a force field that has templates for them to --forcefield",
+    "name the topology": "name its topology by --topology, as {}",
+    "leave out": "leave them out by --leave-out {}",
+    "more templates": "add files that have templates for them to --forcefield",
     "name the force field": "give its files with --forcefield, such as {}",
     "name the parameters": "give all parameter files, such as --forcefield {}",
     "give a box": "give coordinates with their box, or its edges in nm by --edges",
     "one box": "leave out --edges",
-    "leave the ensemble to the run": "remove this Force, and use --ensemble, --temperature and --pressure",
+    "leave the ensemble to the run": "remove this Force from the System, and give --ensemble, --temperature and "
+    "--pressure",
 }
 
 
@@ -61,7 +62,7 @@ def complain(message: str) -> None:
 
 
 def in_one_line(message: Warning | BaseException | str) -> str:
-    """Return a message in one line; remedies name options of the command."""
+    """Return a message in one line, whose remedies are options of the command."""
     text = message.told(AS_OPTIONS) if isinstance(message, Advised) else str(message)
     return " ".join(text.split())
 

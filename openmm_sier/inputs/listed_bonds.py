@@ -52,9 +52,8 @@ def tell_stale_bonds(
     one, two = (f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in listed[0])
     more = f" (there are {len(listed) - 1} more such bonds)" if len(listed) > 1 else ""
     return (
-        ". A record of the file (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file) bonds "
-        f"{one} to {two}{more}. Without such records the residue has a template: remove them if they are left from "
-        "another file"
+        f". A record of the file bonds {one} to {two}{more}; without it the residue has a template. If the record is "
+        "left from another file, remove it (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file)"
     )
 
 

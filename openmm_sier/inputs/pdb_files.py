@@ -156,8 +156,8 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
-            f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If the "
-            "system has no box, remove it from the file (in a PDB file, the record CRYST1)"
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If "
+            "the system has no box, remove it from the file (in a PDB file the record CRYST1)"
         )
 
 
@@ -187,9 +187,10 @@ def _check_alternates(path: str | Path, kind: str) -> None:
                 f"which is a rarer one: keep the atoms of one location, by the letter in {column}"
             )
     if found:
-        first = f"{found[0].residue} has alternate locations with the occupancies {found[0]}"
-        others = "" if len(found) == 1 else f" ({len(found)} residues have some)"
-        notify(f"{path}: {first}{others}; the first is taken")
+        more = f" ({len(found)} residues in all)" if len(found) > 1 else ""
+        notify(
+            f"{path}: {found[0].residue} has alternate places with the occupancies {found[0]}; the first is taken{more}"
+        )
 
 
 def _check_edges(path: str | Path) -> None:

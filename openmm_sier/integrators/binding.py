@@ -162,8 +162,8 @@ class Binding:
             return
         if isinstance(self._context, weakref.ref):
             raise openmm.OpenMMException(
-                "The Context of this integrator no longer exists, or was refused. OpenMM deletes an integrator with "
-                "its Context: make a new integrator"
+                "The Context of this integrator no longer exists, or was refused, and OpenMM deletes an integrator "
+                "with its Context: make a new integrator"
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_numbers(system)

@@ -121,14 +121,11 @@ def _check(system: openmm.System) -> None:
     for force in (part.force for part in parts(system)):
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(
-                f"{needs} forces that act only between particles, but the System has a CustomExternalForce"
+                f"{needs} forces that act between particles, and the System has a CustomExternalForce: remove it"
             )
         # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.
         if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
-            raise ValueError(
-                f"{needs} PME, since OpenMM has Ewald sums for rectangular boxes only: create the System with "
-                "nonbondedMethod=PME"
-            )
+            raise ValueError(f"{needs} PME: OpenMM has Ewald sums for rectangular boxes only. Take nonbondedMethod=PME")
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

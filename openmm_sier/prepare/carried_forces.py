@@ -75,7 +75,7 @@ def carry_forces(system: openmm.System, added: Added) -> None:
 def _refusal(part: Part, why: str, remedy: str = "") -> ValueError:
     remedy = remedy or "Give the bodies to a SIER integrator, by bodies=…, which needs no frames; or remove the Force"
     return ValueError(
-        f"{part.name} ({type(part.force).__name__}) cannot be copied to the System with frames: {why}. {remedy}"
+        f"{part.name} ({type(part.force).__name__}) cannot be copied to a System with frames: {why}. {remedy}"
     )
 
 
@@ -93,7 +93,7 @@ def _born_radii(part: Part, force: openmm.GBSAOBCForce, added: Added) -> None:
     if force.getSurfaceAreaEnergy().value_in_unit(SURFACE_TENSION) != 0:
         raise _refusal(
             part,
-            "its surface-area energy counts every particle, and no parameter excludes one",
+            "its energy of the surface area counts every particle, those of the frames too",
             "Create the System with gbsaModel=None, or call setSurfaceAreaEnergy(0)",
         )
     # Without charge it has no energy, and with a scale that rounding hides it takes no place from others.
@@ -105,8 +105,7 @@ def _drude(part: Part, force: openmm.DrudeForce, added: Added) -> None:
     for i in range(force.getNumParticles()):
         if touched := held & set(force.getParticleParameters(i)[:5]):
             raise _refusal(
-                part,
-                f"atom {min(touched)} of a body has a Drude particle, but atoms of bodies give their mass to frames",
+                part, f"atom {min(touched)} of a body has a Drude particle, and the frame takes the masses of atoms"
             )
 
 

@@ -60,8 +60,7 @@ class FastForces:
             if not self.others_in(group):
                 return group
         raise ValueError(
-            f"all {GROUPS} force groups have forces that cannot be fast, but fast forces need a group of their own: "
-            "put several of these Forces into one group with setForceGroup"
+            f"all {GROUPS} force groups are taken, and fast forces need their own: join other groups by setForceGroup"
         )
 
 

@@ -69,10 +69,8 @@ def set_inertia(
     for body in bodies:
         atoms = np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64)
         if not len(atoms) or not (present[atoms] > 0).all():
-            known = as_ranges(body)
-            raise ValueError(
-                f"a body must have atoms, all of them with masses, got {f'atoms {known}' if known else 'no atoms'}"
-            )
+            got = f"atoms {as_ranges(body)}" if len(body) else "no atoms"
+            raise ValueError(f"a body must have atoms, and each of them a mass, got {got}")
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
         masses = _masses(shape, whole, wanted, f"atoms {as_ranges(atoms)}")
         found |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))
@@ -84,7 +82,7 @@ def _checked_moments(moments: Any) -> np.ndarray:
     found = np.array([quantity_to_float("moments", value, _MOMENT, "dalton nm^2") for value in moments])
     if found.shape != (3,) or (np.diff(found) < 0).any() or found[0] < 0:
         raise ValueError(
-            f"moments must be three numbers in ascending order, none of them negative, got {found.tolist()}"
+            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
         )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
         raise ValueError(f"moments must be those of a body, none above the sum of the two others, got {found.tolist()}")

@@ -104,9 +104,9 @@ def prepare_system(
         group = known.free_group()
     for force in known.others_in(group):
         raise ValueError(
-            f"{force.getName()} is in force group {group}, but only fast forces may be there: give another "
-            "fastForceGroup, or leave it out to take an empty group. If the System was prepared for other bodies, "
-            "prepare a new System"
+            f"{force.getName()} is in force group {group}, which must have only fast forces: give another "
+            "fastForceGroup, or leave it out, so that an empty group is taken; if the System was prepared for other "
+            "bodies, prepare a new System"
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
@@ -141,8 +141,8 @@ def prepare_system(
         done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay slow forces, since another Force contains them: {', '.join(known.inner)}. Added to the System "
-            "itself they would be fast: do so only if the other Force does not change what they do."
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Add them "
+            "to the System itself to make them fast, if the other Force does not change what they do."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
     done += _inside_bodies(system, found, excluded, known.owner)
@@ -184,16 +184,16 @@ def _inside_bodies(
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
                 f"Interactions within {count} rigid bodies do no work but cost time. They stay, since lists of "
-                "particles do not tell the shape of bodies. To exclude them, give prepare_system the bodies of "
-                "RigidBodies.from_system(system, topology, lists, positions)."
+                "particles have no shape. To exclude them, give prepare_system the bodies of RigidBodies.from_system("
+                "system, topology, lists, positions)."
             )
     elif excluded.refusal:
-        done.append(f"Interactions within rigid bodies do no work, but are kept: {excluded.refusal}.")
+        done.append(f"Interactions within rigid bodies do no work, but stay: {excluded.refusal}.")
     elif excluded.pairs:
         done.append(
-            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies, which do no work, are excluded "
-            f"from {', '.join(excluded.forces)}. The potential energy does not contain their constant energy of "
-            f"{excluded.energy:.6g} kJ/mol any more."
+            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies do no work, and are excluded "
+            f"from {', '.join(excluded.forces)}. The potential energy is lower by their constant energy of "
+            f"{excluded.energy:.6g} kJ/mol now."
         )
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())

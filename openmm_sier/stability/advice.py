@@ -18,15 +18,15 @@ _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 SHORTER_STEP = Remedy("shorter step", "take a shorter step")
 PREPARE = Remedy(
     "prepare",
-    "call prepare_system(system) before you make the Context, so that bonds get inner steps; or take a shorter step",
+    "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step",
 )
 MORE_SUBSTEPS = Remedy("more substeps", "take more substeps or a shorter step")
 HEAVIER = Remedy("heavier hydrogens", f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY}")
 CONSTRAIN = Remedy(
     "constrain hydrogens",
-    "constrain the bond with rigidWater=True and constraints=HBonds in createSystem, or put hydrogens and their heavy "
-    "atoms into rigid bodies with bodies=RigidBodies.from_system(system, topology, "
-    f'rigid="{HYDROGEN_GROUPS}", positions=positions)',
+    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds; or put hydrogens into rigid bodies "
+    f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
+    "positions=positions)",
 )
 CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
     words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their "
@@ -34,14 +34,16 @@ CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
 )
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
-    "constrain the bond with constraints=AllBonds in createSystem, or make its molecule a rigid body with "
+    "constrain the bond: give createSystem constraints=AllBonds; or make its molecule a rigid body, by "
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
 )
-ONE_BODY = Remedy("one body", "put both atoms of the bond, with their bodies, into one rigid body of `bodies`")
+ONE_BODY = Remedy("one body", "put the atoms of both ends of the bond into one rigid body of `bodies`")
 STRAIGHTEN = Remedy(
-    "straighten", "if the body is nearly a line, put its atoms exactly on the line: a line does not spin about itself"
+    "straighten", "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
 )
-CHECK_FORCES = Remedy("check forces", "if the energy drifts equally with both steps, call print(check_forces(context))")
+CHECK_FORCES = Remedy(
+    "check forces", "if the energy drifts as much with half the step, call print(check_forces(context))"
+)
 
 
 def up_to(step: float) -> Remedy:

@@ -154,11 +154,7 @@ class BodyPlan:
             return
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
-        more = (
-            f"; {others} bodies of {len(shared) - 1} more kinds get average shapes too, and differ less"
-            if others
-            else ""
-        )
+        more = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
         notify(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
             f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
@@ -173,17 +169,17 @@ class BodyPlan:
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
             if not particles:
-                raise ValueError(f"each body must name its particles, but the list of body {number} is empty")
+                raise ValueError(f"each body must have particles, but the list of body {number} is empty")
             if outside := [i for i in particles if not 0 <= i < self._n]:
-                raise ValueError(f"bodies name particle {outside[0]}, but the System has {self._n} particles")
+                raise ValueError(f"bodies name particle {outside[0]}, but the System has only {self._n} particles")
             cluster = tuple(i for i in particles if not system.isVirtualSite(i))
             without = [i for i in cluster if not self._masses[i]]
             if len(without) == len(cluster):
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give the "
-                    "atom a mass, or leave it out of the body; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
+                    "mass, or leave it out of the body; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
@@ -319,7 +315,7 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
     masses = tables.masses(system)
     if bodies.n_particles != len(masses):
         raise ValueError(
-            f"the bodies were made for a System of {bodies.n_particles} particles, but this System has {len(masses)}: "
+            f"the bodies were made for a System of {bodies.n_particles} particles, but this one has {len(masses)}: "
             "make the bodies from this System"
         )
     for species in bodies.species:
@@ -328,8 +324,8 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
             body, site = wrong[0]
             atom = species.atoms[body, site]
             raise ValueError(
-                f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
-                f"dalton in the bodies, but {masses[atom]} dalton in the System: make the bodies from this System again"
+                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
+                f"{atom}, but the System has {masses[atom]}: make the bodies again"
             )
     return Links(system).link(bodies)
 

@@ -31,7 +31,7 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
         notify(
             f"Nothing fixes the angle of atoms {first}, {centre} and {second}, nor that of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
-            "constraints; files of other programs may have only two. Call createSystem with rigidWater=True"
+            "constraints, of which a file of another program may have only two: call createSystem with rigidWater=True"
         )
 
 

@@ -188,5 +188,5 @@ def _refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, 
     stale = ", is the bond left from another file (a record CONECT)" if by_topology else ""
     raise ValueError(
         f"a molecule is broken: {names} {expected}, but are {found[worst]:.4g} nm apart{images}{more}. Is an atom "
-        f"misplaced, are residues missing between the two{stale}, or does the box belong to another system?"
+        f"misplaced, are residues missing between the two{stale}, or is the box that of another system?"
     )

@@ -89,7 +89,7 @@ def test_files_of_settings_destroy_nothing(box, capsys):
     short = ["run", box, *PLATFORM, "--steps", "1"]
     Path("mine.toml").write_text("mine")
     for name, message in (
-        ("mine.toml", "mine.toml exists: name another file with --save-config, or replace it with --overwrite"),
+        ("mine.toml", "mine.toml exists: give another name with --save-config, or replace it with --overwrite"),
         (box, f"{box} would overwrite {box}"),
         ("box.csv", "box.csv would overwrite box.csv"),
         ("none/a.toml", "there is no directory none for a.toml"),

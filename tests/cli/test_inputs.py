@@ -263,12 +263,12 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
         ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
-        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates"),
-        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but a top"),
-        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates"),
+        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
+        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
+        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
         (
             ["amber.inpcrd", "--topology", "structure.pdb"],
-            "structure.pdb is a PDB file, but a topology must be a prmtop",
+            "structure.pdb is a PDB file, but the topology must be a prmtop",
         ),
         (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
         (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
@@ -349,9 +349,7 @@ def test_heavy_hydrogens_in_a_system_are_hydrogens():
 def test_a_barostat_in_a_system_is_refused(capsys):
     change_system(lambda system: system.addForce(openmm.MonteCarloBarostat(1.0, 300.0)))
     message = complaint(capsys, "info", *STATE.arguments)
-    assert (
-        "openmm-system.xml has a MonteCarloBarostat, but the run sets the ensemble itself: remove this Force" in message
-    )
+    assert "openmm-system.xml has a MonteCarloBarostat, but the run sets the ensemble: remove this Force" in message
 
 
 @pytest.mark.parametrize(

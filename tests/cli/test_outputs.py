@@ -116,8 +116,8 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (["--report", "/dev/null", "--overwrite"], "/dev/null is not a regular file"),
         (["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
         (["--report", "full.csv"], "full.csv exists"),
-        (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd is to be a table: name a file that ends in .csv"),
-        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC is to be a table: name a file that ends in .csv"),
+        (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd will be a table: give a name that ends in .csv"),
+        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
         (["--platform", "Abacus"], 'no registered Platform called "Abacus"'),
     ):
         message = complaint(capsys, "run", box, *options)
@@ -238,7 +238,7 @@ def test_xtc_frame_that_is_cut_off_stops_the_run(box, capsys, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(app.XTCFile, "writeModel", cut_off)
         message = complaint(capsys, "run", box, *SMALL, "--steps", "40", "--out", "made.xtc")
-    assert "made.xtc: a frame could not be written, OpenMM left it incomplete in the temporary directory" in message
+    assert "made.xtc: a frame could not be written: OpenMM left it incomplete in the temporary directory" in message
     assert "The last checkpoint is made.chk, of step" in message
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "made.chk", "--steps", "40"]) == 0
     assert frames(Path("made.xtc"), box).n_frames == 8

@@ -170,8 +170,8 @@ def test_mirror_images_in_one_system(constrained):
     ("rigid", "message"),
     [
         ([[0, 1, 2, 3], [3]], "name particle 3 twice"),
-        ([[0, 1, 2, 3], []], "each body must name its particles, but the list of body 1 is empty"),
-        ([[0, 1, 2, 12]], "name particle 12, but the System has 12 particles"),
+        ([[0, 1, 2, 3], []], "must have particles, but the list of body 1 is empty"),
+        ([[0, 1, 2, 12]], "name particle 12, the System has 12 particles"),
         ({"XYZ": "rigid"}, "name residue XYZ, which the topology does not have"),
         *(
             (wrong, r"by name give rigid=\{'NAME': 'rigid'\}.*, got " + re.escape(repr(wrong)))
@@ -252,5 +252,5 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
 
     gas.system.getForce(1).setScaleMoleculesAsRigid(False)
     context = context_at(gas.system, SIER2Integrator(0.001, bodies=gas.clusters), gas.point)
-    with pytest.raises(RigidityError, match=r"MonteCarlo\w*Barostat scales the position of each atom separately.*AsRigid=True"):
+    with pytest.raises(RigidityError, match=r"MonteCarlo\w*Barostat scales each atom separately.*AsRigid=True"):
         context.getIntegrator().step(1)

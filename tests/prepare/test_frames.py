@@ -199,10 +199,10 @@ def drude(system, bodies):
     [
         (
             surfaced,
-            r"implicit water \(GBSAOBCForce\) cannot be copied to the System with frames.*setSurfaceAreaEnergy\(0\)",
+            r"implicit water \(GBSAOBCForce\) cannot be copied to a System with frames.*setSurfaceAreaEnergy\(0\)",
         ),
-        (multipoles, r"AMOEBA \(AmoebaMultipoleForce\) cannot be copied to the System with frames.*bodies="),
-        (drude, r"Drude \(DrudeForce\) cannot be copied to the System with frames: atom 3 of a body"),
+        (multipoles, r"AMOEBA \(AmoebaMultipoleForce\) cannot be copied to a System with frames.*bodies="),
+        (drude, r"Drude \(DrudeForce\) cannot be copied to a System with frames: atom 3 of a body"),
     ],
 )
 def test_forces_that_cannot_be_carried_are_refused_by_name(add, message):

@@ -58,7 +58,7 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
     system = contained(water[1], name)
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*energy of PME jumps"):
+    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*PME jumps"):
         openmm.Context(system, SIER4GIntegrator(0.004), platform())
     prepare_system(system)
     with silence():

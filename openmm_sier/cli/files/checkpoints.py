@@ -39,7 +39,7 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     """State and notes of a checkpoint.
 
     Raises:
-        RecordError: the file is no checkpoint of this command, or of another version of it.
+        RecordError: the file is not a checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
     with _opened(path) as archive:

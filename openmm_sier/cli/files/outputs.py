@@ -41,7 +41,7 @@ class Outputs:
             if name == "trajectory" and not is_trajectory:
                 raise records.RecordError(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
-                raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
+                raise records.RecordError(f"{path} will be a table: give a name that ends in .csv")
 
     # --- before any is opened ---
 
@@ -58,7 +58,7 @@ class Outputs:
         inputs = [*sources, *([start] if start else [])]
         for path, other in product(self.paths, inputs):
             if same_file(path, other):
-                raise RunError(f"{path} would overwrite the input {other}: name another file")
+                raise RunError(f"{path} would overwrite the input {other}: give another name")
         for path, other in combinations(self.paths, 2):
             if same_file(path, other):
                 raise RunError(f"{path} and {other} are the same: outputs must be different files")
@@ -81,12 +81,13 @@ class Outputs:
         for path in filter(os.path.lexists, self.paths):
             if not resumes:
                 raise RunError(
-                    f"{path} exists. Continue from a checkpoint with --restart FILE, or replace it with --overwrite"
+                    f"{path} exists. Continue from a checkpoint with --restart FILE, or replace the file with "
+                    "--overwrite"
                 )
             if not self._is_beginning(path):
                 raise RunError(
-                    f"{path} exists, but there is no checkpoint {self.checkpoint} to continue from: name another file, "
-                    "or replace it with --overwrite"
+                    f"{path} exists, but its checkpoint {self.checkpoint} does not: give another name, or "
+                    "replace the file with --overwrite"
                 )
 
     def _is_beginning(self, path: Path) -> bool:
@@ -191,13 +192,13 @@ def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
     """
     for other in others:
         if same_file(path, other):
-            raise RunError(f"{path} would overwrite {other}: name another file")
+            raise RunError(f"{path} would overwrite {other}: give another name")
     if path.exists() and not path.is_file():
         raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")
     if option and path.exists():
-        raise RunError(f"{path} exists: name another file with {option}, or replace it with --overwrite")
+        raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
 
 
 def same_file(one: Path, two: Path) -> bool:

@@ -168,8 +168,8 @@ def check(path: Path, noted: Noted) -> None:
         )
     if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
         raise RecordError(
-            f"{path} was replaced or edited since the checkpoint was written: its first {noted.size} bytes are not the "
-            "same any more. Put the old file back, or begin a new run from the checkpoint with --start"
+            f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
+            "Put the old file back, or begin a new run from the checkpoint with --start"
         )
 
 

@@ -144,9 +144,8 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
     """
     if (count := integrator.getNumComputations()) != own:
         raise openmm.OpenMMException(
-            f"Computations were added to this integrator: it has {count}, and made {own} itself. Its scheme alone "
-            "defines its step, so that addComputePerDof and the like cannot be used. For steps of your own take an "
-            "openmm.CustomIntegrator"
+            f"This integrator had {own} computations and has {count} now. Its scheme defines its step, to which "
+            "addComputePerDof and similar methods cannot add. For a step of your own use an openmm.CustomIntegrator"
         )
 
 

@@ -38,8 +38,8 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         if not errors[worst] <= NOT_CONVERGED:
             i, j = constraints.pairs[worst].tolist()
             raise RigidityError(
-                f"the constraint of atoms {i} and {j} has the length {constraints.lengths[worst]:.4f} nm, but OpenMM "
-                f"leaves their distance wrong by {errors[worst]:.2g} nm: give positions that satisfy the constraints. "
+                f"OpenMM could not satisfy the constraint of atoms {i} and {j} of {constraints.lengths[worst]:.4f} nm: "
+                f"their distance is still off by {errors[worst]:.2g} nm. Give positions that satisfy the constraints. "
                 f"{IF_CUT}"
             )
     if not speeds.max() <= OFF:

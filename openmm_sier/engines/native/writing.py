@@ -60,9 +60,8 @@ def refuse_other_slow_groups(program: Program, system: openmm.System, groups: in
     named, found = program.slow_group, slow_groups(system, groups, fast_groups)
     if named is not None and found != (named,):
         raise openmm.OpenMMException(
-            "Force groups were changed after the Context was made. Its program takes the slow forces from force group "
-            f"{named}, but among the integration force groups they are now in {found or 'none'}. Set force groups "
-            "before the Context is made, or take engine='exact'"
+            f"Force groups have changed since the Context was made: its slow forces were in force group {named}, and "
+            f"are now in {found or 'none'}. Set force groups before the Context is made, or take engine='exact'"
         )
 
 
