@@ -265,8 +265,8 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
     if ends[shortest] < 0.99 * ends[longest]:
         unit = Runs(list(runs)).unit
         warnings.warn(
-            f"{runs[shortest].path} ends after {ends[shortest]:g}, and {runs[longest].path} after {ends[longest]:g}: "
-            "means give both the same weight. Compare runs of one length",
+            f"{runs[shortest].path} ends after {ends[shortest]:g} {unit}, and {runs[longest].path} after "
+            f"{ends[longest]:g} {unit}: means give both the same weight. Give runs of one length",
             stacklevel=3,
         )
     first = runs[0].plan

@@ -268,8 +268,8 @@ class RunSettings(BaseModel):
     )
     restart: File | None = fields.file("checkpoint (.chk) to continue from", otherwise="none", restart="of the call")
     resume: Switch = fields.switch(
-        "continue from the checkpoint beside --out where there is one, begin where there is none, and end well "
-        "where the run is complete: one command line for a job that may be killed",
+        "continue from the checkpoint beside --out if there is one, begin a new run if there is none, and succeed if "
+        "the run is complete: one command line for a job that may be killed",
         otherwise="begin",
         restart="of the call",
     )

@@ -189,7 +189,8 @@ def _check_alternates(path: str | Path, kind: str) -> None:
     if found:
         more = f" ({len(found)} residues in all)" if len(found) > 1 else ""
         notify(
-            f"{path}: {found[0].residue} has alternate places with the occupancies {found[0]}; the first is taken{more}"
+            f"{path}: {found[0].residue} has alternate locations with the occupancies {found[0]}; the first is taken"
+            f"{more}"
         )
 
 

@@ -82,10 +82,12 @@ def _checked_moments(moments: Any) -> np.ndarray:
     found = np.array([quantity_to_float("moments", value, _MOMENT, "dalton nm^2") for value in moments])
     if found.shape != (3,) or (np.diff(found) < 0).any() or found[0] < 0:
         raise ValueError(
-            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
+            f"moments must be three numbers in ascending order, none of them negative, got {found.tolist()}"
         )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
-        raise ValueError(f"moments must be those of a body, none above the sum of the two others, got {found.tolist()}")
+        raise ValueError(
+            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
+        )
     return found
 
 

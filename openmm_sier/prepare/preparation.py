@@ -141,7 +141,7 @@ def prepare_system(
         done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Add them "
+            f"These stay slow forces, since another Force contains them: {', '.join(known.inner)}. Add them "
             "to the System itself to make them fast, if the other Force does not change what they do."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
