@@ -107,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Return the program that the native engine executes; print it to read it.
 
         Raises:
-            ValueError: there is no native code for an operator of the scheme.
+            ValueError: OpenMM cannot execute an operator of the scheme in a CustomIntegrator.
         """
         if self.binding.program.refusal:
             raise ValueError(self.binding.program.refusal)

@@ -324,8 +324,8 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
             body, site = wrong[0]
             atom = species.atoms[body, site]
             raise ValueError(
-                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
-                f"{atom}, but the System has {masses[atom]}: make the bodies again"
+                f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
+                f"dalton in the bodies, but {masses[atom]} dalton in the System: make the bodies from this System again"
             )
     return Links(system).link(bodies)
 

@@ -416,7 +416,7 @@ def test_forces_that_were_given_a_group_each_after_the_preparation_are_found(pep
             for group, force in enumerate(system.getForces()):
                 force.setForceGroup(group)
         integrator = SIER4GIntegrator(0.004, engine=engine)
-        with silence("At .* fs the total energy wanders"):
+        with silence("With steps of .* fs the total energy wanders"):
             context = context_of(system, peptide[1], integrator)
         context.setVelocitiesToTemperature(300, 1)
         integrator.step(2)
