@@ -330,7 +330,7 @@ class Vibrations:
             by = f" by {bond.force}" if bond.force else ""
             return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
         plural = "s" if len(bond.atoms) > 1 else ""
-        return f"the motion that {bond.force} causes of atom{plural} {', '.join(map(str, bond.atoms))}{residues}"
+        return f"the motion of atom{plural} {', '.join(map(str, bond.atoms))}{residues} by {bond.force}"
 
     def _tell_once(self, warning: advice.StepWarning) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.

@@ -64,7 +64,7 @@ class Unsolved(NamedTuple):
     def __str__(self) -> str:
         """Return the constraints and why, for messages."""
         shown = ", ".join(map(str, self.atoms[:NAMED])) + (", …" if len(self.atoms) > NAMED else "")
-        return f"those of atoms {shown} ({self.why})"
+        return f"the constraints of atoms {shown} ({self.why})"
 
 
 class Cluster(NamedTuple):
