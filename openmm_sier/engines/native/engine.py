@@ -20,10 +20,10 @@ from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.actions import NativeActions
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
-from openmm_sier.engines.native.program import V0, WORK
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.told_bodies import ToldBodies
 from openmm_sier.engines.native.writing import refuse_other_slow_groups
+from openmm_sier.engines.program import V0, WORK
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
 from openmm_sier.engines.variables import PART

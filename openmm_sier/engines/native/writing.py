@@ -5,7 +5,8 @@ from typing import Any
 import openmm
 
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.engines.native.program import Program, write
+from openmm_sier.engines.native.program import write
+from openmm_sier.engines.program import Program
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 
