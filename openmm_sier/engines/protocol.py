@@ -19,7 +19,7 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck

@@ -38,7 +38,7 @@ class BodyActions(Actions):
 
     def _is_unsolved(self) -> bool:
         """Return whether OpenMM's solvers cannot satisfy the constraints."""
-        return self._engine.trial.unsolved(lambda: Snapshot(self._context).positions) is not None
+        return self._engine.trial.unsolved(lambda: Snapshot.of(self._context).positions) is not None
 
     def _holds_all_bodies(self) -> bool:
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""
@@ -72,14 +72,14 @@ class BodyActions(Actions):
         random = generator(secrets.randbelow(2**31) if seed is None else abs(int(seed)), 0, stream=4)
         p, L = bodies.momenta(spread[:, None] * random.standard_normal((len(masses), 3)), state.A)
         drawn = replace(state, p=bodies.constraints.project(state.q, p), L=L)
-        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot(self._context).velocities))
+        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot.of(self._context).velocities))
 
     def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
         if self._holds_all_bodies():
             by_openmm()
             return
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot(self._context).positions))
+        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot.of(self._context).positions))
         self._context.computeVirtualSites()
 
     def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
@@ -91,7 +91,7 @@ class BodyActions(Actions):
     def _make_velocities_rigid(self) -> None:
         """Keep the rigid part of the motion of each body, without that along constraints."""
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_velocities(self._context, bodies.move(state, Snapshot(self._context).velocities))
+        own_methods.set_velocities(self._context, bodies.move(state, Snapshot.of(self._context).velocities))
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         engine = self._engine

@@ -10,7 +10,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
