@@ -59,7 +59,7 @@ AVERAGES = text.columns("model", "method") | {
     "ns a day": "{ns_a_day:.0f}",
 }
 SPEEDS = text.columns("model", "method") | {
-    "step/fs": "{step:g}",
+    "step/fs": "{step:.3g}",
     "ms a step": "{ms:.3g}",
     "ns a day": "{ns_a_day:.0f} ± {ns_a_day_error:.0f}",
     "longest right/fs": "{longest:g}",
