@@ -44,7 +44,7 @@ from studies.report import SILENT, Report
 #: Of each box, K and 1/ps.
 BATH = Bath(297.0, 5.0)
 
-#: What is compared: every method with the device is named with the one that it is compared with.
+#: What is compared, and for each method with the device what it is compared with.
 REFERENCE = "LangevinMiddle, 4 fs"
 PLAIN = replace(WITH_IMPULSES, method="the program of SIER2", make=partial(with_impulses, every=1), detail="")
 IMPULSES = replace(WITH_IMPULSES, method=PLAIN.method)
@@ -59,7 +59,7 @@ COLUMNS = {
     "tolerance": "{tolerance:g}",
     "method": "{name}",
     "ms a force": "{milliseconds:.2f}",
-    "over itself without": "{gain_text}",
+    "over that without": "{gain_text}",
     f"over {REFERENCE}": "{over_text}",
 }
 SHARES = {
