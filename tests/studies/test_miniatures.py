@@ -21,6 +21,7 @@ from studies import (
     gpu,
     heat_bath,
     processed,
+    reciprocal,
     records,
     schemes,
     speed,
@@ -55,7 +56,7 @@ DRAWN = {"acceptance", "bench", "domains", "equipartition", "water", "whole-run"
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
 MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed"}
-MADE_AT_ONCE |= {"trial-cost", "water"}
+MADE_AT_ONCE |= {"reciprocal", "trial-cost", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -289,6 +290,14 @@ def bath_averages(found):
     assert rows["solute"].between(150, 450).all()
     assert rows["bonds"].between(5, 100).all()
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
+
+
+@miniature("reciprocal", reciprocal, "--box {lattice_64} --copies 1 2 --tolerance 1e-4 --rounds 5 --steps 2")
+def reciprocal_sums(found):
+    assert found["shares"]["molecules"].tolist() == [64, 512]
+    rows = found["speeds"]
+    assert (rows.loc[rows["name"] == reciprocal.REFERENCE, "over"] == 1).all()
+    assert rows["gain"].notna().sum() == 2 * len(reciprocal.WITHOUT)
 
 
 @miniature(
