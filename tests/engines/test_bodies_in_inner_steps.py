@@ -241,7 +241,9 @@ def test_what_is_not_finite_is_told(chain):
     integrator = SIERIntegrator(0.004, SIER4G, bodies=bodies)
     context = made(integrator, system, point)
     context.setVelocities(np.full_like(point[1], 1e200))
-    with pytest.raises(openmm.OpenMMException, match=r"(force on|position of) .* is not finite in step 1\. Is the step size too long"):
+    with pytest.raises(
+        openmm.OpenMMException, match=r"(force on|position of) .* is not finite in step 1\. Is the step size too long"
+    ):
         integrator.step(1)
 
 
