@@ -103,7 +103,7 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
                 f"may act on atom {touched[0]}, a virtual site; virtual sites stay behind within a step of the native "
-                "engine. If this is a copy with frames of a System that was prepared, prepare the copy too: "
+                "engine. If this is a copy with frames of a prepared System, prepare the copy too: "
                 "prepare_system(system). Otherwise put the Force into another group with setForceGroup"
             )
 
