@@ -16,6 +16,7 @@ from pathlib import Path
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
 
 from openmm_sier.version import __version__
 
@@ -84,6 +85,9 @@ nitpick_ignore_regex = [
     ("py:exc", r".*(Error|Exception)"),
 ]
 
+# Letters up to which a cell of a table stays on one line, and beyond which it gets a column of some width.
+SHORT_CELL, LONG_CELL = 14, 40
+
 html_theme = "furo"
 html_title = f"openmm_sier {version}"
 html_static_path = ["_static"]
@@ -111,8 +115,47 @@ def _keep_errors_with_numbers(app: Sphinx, document: nodes.document, name: str) 
             text.parent.replace(text, nodes.Text(text.replace(" ± ", "\u00a0±\u00a0")))
 
 
+def _mark_cells(app: Sphinx, document: nodes.document, name: str) -> None:
+    """Mark short cells, which no line may break, and long ones, which need some width, for the style sheet."""
+    for cell in document.findall(nodes.entry):
+        text = cell.astext()
+        if "±" in text or len(text) <= SHORT_CELL:
+            cell["classes"].append("short")
+        elif len(text) > LONG_CELL:
+            cell["classes"].append("long")
+
+
+def _say_nothing_of_tuples(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Leave out the docstring that Python gives to the constructor of a named tuple."""
+    lines[:] = [line for line in lines if not line.startswith("Create new instance of ")]
+
+
+def _skip_fields_of_tuples(
+    app: Sphinx, kind: str, name: str, thing: object, skip: bool, options: object
+) -> bool | None:
+    """Leave out fields of named tuples, which the docstring of the class describes."""
+    return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
+
+
+def _link_back_to_what_is_there(app: Sphinx, environment: BuildEnvironment) -> None:
+    """Give pages of source links back to the reference only for names that it has.
+
+    Sphinx takes one name of a module for all of its objects, but some stand there under another one.
+    """
+    known = environment.domains["py"].objects
+    for entry in getattr(environment, "_viewcode_modules", {}).values():
+        if entry:
+            _, _, used, module = entry
+            for name in [name for name in used if f"{module}.{name}" not in known]:
+                del used[name]
+
+
 def setup(app: Sphinx) -> None:
+    app.connect("autodoc-process-docstring", _say_nothing_of_tuples)
+    app.connect("autodoc-skip-member", _skip_fields_of_tuples)
+    app.connect("env-check-consistency", _link_back_to_what_is_there)
     app.connect("doctree-resolved", _keep_errors_with_numbers)
+    app.connect("doctree-resolved", _mark_cells)
     app.add_html_math_renderer(
         "mathml",
         (lambda translator, node: _formula(translator, node, False), None),

@@ -20,7 +20,7 @@ call OpenMM's own (`system.own_methods`). Each stands beside what goes wrong wit
 - `updateParametersInContext` of every Force: tells the integrator. *Without*: kicks use the forces of before.
 - `System.setParticleMass`, `setConstraintParameters`, `removeForce`, `Force.setForceGroup`, `setPMEParameters` of every
   Force: are counted. *Without*: a System that was changed too late goes unnoticed, or all of it is compared at each
-  call of `step`, which takes 5 to 10 us for each Force.
+  call of `step`, which takes 5 to 10 µs for each Force.
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
   warns of overlaps that it leaves. *Without*: it tears them apart.
 - `XmlSerializer.serialize`, `deserialize` and `clone` of an integrator: write one that OpenMM can execute without this

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 #: Modules that are studies, with what they take on two cores where that was measured.
 STUDIES = {
-    "studies.paper": "2 min with --quick, else 70 min",
+    "studies.paper": "2 min with `--quick`, else 70 min",
     "studies.whole_run": "3 h of two cores for all runs of the page of whole runs",
     "studies.heat_bath": "3 h of one core for 250 ps of each method",
     "studies.processed": "5 min of one core",

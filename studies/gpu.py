@@ -284,7 +284,7 @@ def measured(name: str, settings: GpuSettings, report: Report) -> tuple[list[dic
         contexts[method.name].setVelocitiesToTemperature(settings.temperature, settings.seed)
     timings = speeds(box, contexts, chosen, settings)
     for row in timings:
-        report.note(text.cell("{box}: {method}, {microseconds:.0f} us a step, {over:.2f}", row))
+        report.note(text.cell("{box}: {method}, {microseconds:.0f} µs a step, {over:.2f}", row))
     means = []
     for method in chosen:
         if with_averages and method.has_bath:

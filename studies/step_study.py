@@ -255,7 +255,7 @@ def beside_reference(found: pd.DataFrame, key: str) -> pd.DataFrame:
     found = found[found["property"] == key]
     error = np.hypot(found["difference_error"], found["reference_error"])
     own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
-    reference = own.drop_duplicates("box").assign(method="reference", fs_per_force="")
+    reference = own.drop_duplicates("box").assign(method="reference", fs_per_force=text.UNKNOWN)
     reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
     columns = text.columns("method", "fs_per_force") | {"{box}": "{value_text}"}
     return text.table(pd.concat([reference, own]), columns)

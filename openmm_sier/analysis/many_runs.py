@@ -106,7 +106,7 @@ def run_many(
         box: coordinates.
         seeds: of the members.
         workers: how many run at a time on this machine; None for one on each core.
-        scheduler: address of a scheduler of Dask, such as "tcp://node7:8786".
+        scheduler: address of a scheduler of Dask, such as `tcp://node7:8786`.
         retries: how often a member is begun again whose process or worker died.
         watch: is given the members once in a while.
         stop: is asked once in a while whether members are to be stopped. They complete a step and their files.

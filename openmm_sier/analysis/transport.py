@@ -53,7 +53,7 @@ def shear_viscosity(
         tensors: pressure tensors, (n, 6), bar, components xx, yy, zz, xy, xz and yz.
         interval: time between tensors, ps.
         volume: volume of the box, nm^3.
-        temperature: K.
+        temperature: in K.
         last: upper limit of the integral over the correlation, ps.
 
     Raises:
@@ -136,7 +136,7 @@ def without_finite_size(diffusion: Estimate, temperature: float, edge: float, vi
 
     Args:
         diffusion: coefficient in the box, 10^-9 m^2/s.
-        temperature: K.
+        temperature: in K.
         edge: edge of the box, nm.
         viscosity: viscosity of the same model, mPa s; its error is propagated.
 

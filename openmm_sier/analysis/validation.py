@@ -74,7 +74,7 @@ def _kinetic_groups(log: Mapping[str, np.ndarray]) -> dict[str, tuple[float, np.
 
 
 def ensemble_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float, pressure: float | None = None) -> Any:
-    """Return potential energies, and volumes with a pressure, for `physical_validation.ensemble.check`.
+    """Return potential energies, and volumes if a pressure is given, for `physical_validation.ensemble.check`.
 
     Args:
         logs: columns of each run at this state point, from `openmm-sier run` or `ConservationReporter`.

@@ -34,7 +34,7 @@ def read_config(path: Path) -> dict[str, Any]:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RunError(f"{path} is no TOML file: {error}") from None
+        raise RunError(f"{path} is not a TOML file: {error}") from None
     named = {name.replace("-", "_"): value for name, value in table.items()}
     model = options(RunSettings, SETTINGS)
     try:

@@ -202,13 +202,14 @@ def read_run(path: Path) -> Run:
     try:
         log = read_log(path, whole_lines=True)
     except UnicodeDecodeError:
-        raise RunError(f"{path} is no log of openmm-sier run: name the file of --report, which ends in .csv") from None
+        raise RunError(f"{path} is not a log of openmm-sier run: give the .csv file that --report wrote") from None
     if missing := [name for name in NEEDED if name not in log]:
         raise RunError(
-            f"{path} is no log of openmm-sier run, which has a column {missing[0]}: name the file of --report"
+            f"{path} is not a log of openmm-sier run, since it has no column {missing[0]}: give the file that "
+            "--report wrote"
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
-        raise RunError(f"{path} needs {FEWEST_ROWS} rows or more, has {rows} so far: let the run go on")
+        raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")
     checkpoint = checkpoint_of(path)
     # The checkpoint tells no more than names, which are not needed.
     with suppress(ValueError, LookupError, TypeError, OSError):
@@ -261,8 +262,8 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
     shortest, longest = int(np.argmin(ends)), int(np.argmax(ends))
     if ends[shortest] < 0.99 * ends[longest]:
         warnings.warn(
-            f"{runs[shortest].path} ends after {ends[shortest]:g}, {runs[longest].path} after {ends[longest]:g}: "
-            "runs of different lengths have the same weight in means",
+            f"{runs[shortest].path} ends after {ends[shortest]:g}, and {runs[longest].path} after {ends[longest]:g}: "
+            "means give both the same weight. Compare runs of one length",
             stacklevel=3,
         )
     first = runs[0].plan
@@ -272,8 +273,8 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
         differing = [n for n in CONTINUED if n not in MAY_DIFFER and getattr(run.plan, n) != getattr(first, n)]
         if differing:
             warnings.warn(
-                f"{run.path} and {runs[0].path} are runs with different {', '.join(differing)}: their mean is of no "
-                "ensemble",
+                f"{run.path} and {runs[0].path} differ in {', '.join(differing)}: their mean belongs to no ensemble. "
+                "Give runs with the same settings",
                 stacklevel=3,
             )
             return

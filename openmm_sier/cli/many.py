@@ -73,14 +73,17 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
                 **options,
             )
         except RunsError as error:
-            raise RunError(f"{error}. The same command goes on with what is not complete") from error
+            raise RunError(
+                f"{error}. Give the same command again to continue the runs that are not complete"
+            ) from error
     _tell(ended)
     if requests.received is not None:
-        raise Stopped(requests.received, f"stopped, {_counted(ended)}; the same command goes on")
+        raise Stopped(requests.received, f"stopped: {_counted(ended)}. Give the same command again to continue")
     if any(member.state != "complete" for member in ended):
-        raise RunError(f"{_complaints(ended)}. {_counted(ended)}; the same command goes on with the others")
+        again = "Give the same command again to continue the others"
+        raise RunError(f"{_complaints(ended)}. {_counted(ended)}. {again}")
     if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
-        note(f"logs of fewer than {FEWEST_ROWS} rows have no means: lower --report-every")
+        note(f"no means: a log needs {FEWEST_ROWS} rows or more. Lower --report-every")
         return
     summary.execute([member.log for member in ended], json=None, plot=picture, skip=None)
 
@@ -98,11 +101,11 @@ def _dask_in_silence() -> Iterator[None]:
 def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
     """Refuse what many runs cannot have."""
     if options.get("restart"):
-        raise RunError("--seeds goes on where checkpoints are: leave --restart out")
+        raise RunError("--seeds continues each run that has a checkpoint: leave out --restart")
     if options.get("seed") is not None:
-        raise RunError("--seed and --seeds both say which seeds: give one of them")
+        raise RunError("--seed and --seeds both set seeds: give one of them")
     if workers and scheduler:
-        raise RunError("--workers is for this machine: leave it out with --scheduler, which has workers of its own")
+        raise RunError("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
 
 
 def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
@@ -113,7 +116,7 @@ def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequ
     for seed in seeds:
         for read in (settings.box, settings.topology):
             if read and same_file(named(settings.out, seed), read):
-                raise RunError(f"{named(settings.out, seed)} would destroy {read}: name another file with --out")
+                raise RunError(f"{named(settings.out, seed)} would overwrite {read}: give another name with --out")
 
 
 def _is_usual(name: str, value: object) -> bool:

@@ -119,8 +119,8 @@ def _check(settings: RunSettings) -> None:
         raise RunError(f"{settings.method.name} has the ensembles {possible}, got {settings.ensemble}")
     if settings.rigid and settings.method.scheme is None:
         raise RunError(
-            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} holds no "
-            "molecules rigid but by constraints"
+            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} keeps "
+            "molecules rigid only by constraints"
         )
 
 
@@ -134,9 +134,12 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
         RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
     """
     if absent := [name for name in NOTED if name not in (*saved, *LATER)]:
-        raise RunError(f"{checkpoint}: plan: {absent[0]} is missing")
+        raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run")
     if foreign := set(saved) - set(NOTED):
-        raise RunError(f"{checkpoint}: plan: {min(foreign)}: there is no such option")
+        raise RunError(
+            f"{checkpoint} has the setting {min(foreign)}, which this version does not know: continue with the version "
+            "that wrote it, or begin a new run"
+        )
     try:
         settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
     except ValidationError as error:
@@ -160,7 +163,7 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
-        raise RunError("--start begins a new run and --restart goes on with an old one: give one of them")
+        raise RunError("--start begins a new run, and --restart continues an old one: give one of them")
     for name in CONTINUED:
         value, before = given.get(name), getattr(noted, name)
         if value is not None and not _same(value, before):
@@ -171,8 +174,8 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     for name in OUTPUTS:
         if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):
             raise RunError(
-                f"{checkpoint}: plan: {name}: {path} does not lie beside the checkpoint; if the run writes there, say "
-                f"so by {flag(name)} {path}"
+                f"{checkpoint} names {path} for {flag(name)}, in a directory other than its own: to write there, give "
+                f"{flag(name)} {path}"
             )
     changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
     if "time" in given:

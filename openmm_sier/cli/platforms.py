@@ -47,8 +47,8 @@ def tell_of_another_platform(context: openmm.Context, checkpoint: Path, noted: M
     now = platform_of(context)
     if noted != now:
         note(
-            f"{checkpoint} was written on {_described(noted)}, the run goes on on {_described(now)}: both differ by "
-            "the rounding of forces"
+            f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: both "
+            "differ by the rounding of forces"
         )
 
 

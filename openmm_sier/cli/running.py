@@ -41,7 +41,7 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
         rows = settings.steps // settings.interval(settings.report_every) + 1
         if rows < FEWEST_ROWS:
             needs = f"--plot needs a log of {FEWEST_ROWS} rows or more"
-            raise RunError(f"{needs}, it would have {rows}: lower --report-every")
+            raise RunError(f"{needs}, and this one would have {rows}: lower --report-every")
     if settings.save_config:
         others = [*inputs, *outputs.paths, *([settings.plot] if settings.plot else [])]
         check_place(settings.save_config, others, "" if may_replace else "--save-config")
@@ -117,7 +117,7 @@ class Run:
                 self._write(["checkpoint"])
         if step < settings.steps and requests.received is not None:
             by, where = Signals(requests.received).name, settings.length(step)
-            way = f"all files are written; go on with --restart {outputs.checkpoint}"
+            way = f"all files are written; continue with --restart {outputs.checkpoint}"
             raise Stopped(requests.received, f"stopped by {by} at step {where}, {way}")
         outputs.close()
         evaluations = integrator.forceEvaluations - evaluations
@@ -143,10 +143,10 @@ class Run:
             if not run_checks.is_runaway(error):
                 raise
             cause, kept = run_checks.likely_cause(self.settings), self._kept("--start begins a new run from it")
-            message = f"ran away at step {self._where()}: {first_line(error)}; {cause}. {kept}"
+            message = f"the run became unstable at step {self._where()}: {first_line(error)}; {cause}. {kept}"
             raise run_checks.Runaway(message) from error
         except OSError as error:
-            kept = self._kept("--restart goes on from it")
+            kept = self._kept("--restart continues from it")
             raise RunError(f"{error.filename}: {error.strerror}, at step {self._where()}. {kept}") from error
 
     def _where(self) -> str:

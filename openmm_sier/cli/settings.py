@@ -265,10 +265,10 @@ class RunSettings(BaseModel):
         otherwise="none",
         restart="of the call",
     )
-    restart: File | None = fields.file("checkpoint (.chk) to go on from", otherwise="none", restart="of the call")
+    restart: File | None = fields.file("checkpoint (.chk) to continue from", otherwise="none", restart="of the call")
     resume: Switch = fields.switch(
-        "go on from the checkpoint beside --out where there is one, begin where there is none, and end well where the "
-        "run is complete: one command line for a job that may be killed",
+        "continue from the checkpoint beside --out where there is one, begin where there is none, and end well "
+        "where the run is complete: one command line for a job that may be killed",
         otherwise="begin",
         restart="of the call",
     )

@@ -48,7 +48,7 @@ def execute(
     records.replace(path, memoryview(as_pdb(made).encode()))
     title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
     table(title, ("", ""), made.changes, left=2)
-    note(f"wrote {path}; go on with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
+    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
 
 
 def _check_out(path: Path, structure: Path, overwrite: bool) -> None:
@@ -56,8 +56,8 @@ def _check_out(path: Path, structure: Path, overwrite: bool) -> None:
     if path.suffix != ".pdb":
         raise RunError(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
     if same_file(path, structure):
-        raise RunError(f"{path} would destroy the structure that is read: name another file with --out")
+        raise RunError(f"{path} is the structure that is read, and would be overwritten: give another name with --out")
     if path.exists() and not (overwrite and path.is_file()):
-        raise RunError(f"{path} exists: name another file with --out, or allow to replace it with --overwrite")
+        raise RunError(f"{path} exists: give another name with --out, or replace it with --overwrite")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")

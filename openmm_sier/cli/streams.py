@@ -20,20 +20,21 @@ AS_OPTIONS = {
     "more substeps": "take a shorter step (--dt)",
     "step up to": "take up to {} (--dt)",
     "unit": "",
-    "heavier hydrogens": "for averages only, make all hydrogens heavy by --hydrogen-mass 4",
-    "constrain hydrogens": "hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
-    "constrain bonds": "hold the bond by --constraints allbonds, or its molecule by --rigid WHAT",
-    "one body": "leave its molecule out of --rigid and hold the bond by --constraints allbonds",
-    "check forces": "if it drifts alike with both, look at openmm_sier.check_forces in a script",
+    "heavier hydrogens": "if you need averages but no dynamics, make all hydrogens heavy by --hydrogen-mass 4",
+    "constrain hydrogens": "constrain the bond by --constraints hbonds (bonds to hydrogen) or allbonds",
+    "constrain bonds": "constrain the bond by --constraints allbonds, or make its molecule rigid by --rigid WHAT",
+    "one body": "leave its molecule out of --rigid, and constrain the bond by --constraints allbonds",
+    "check forces": "if the energy drifts as much with half the step, call openmm_sier.check_forces in a script",
     "this is the topology": "give coordinates, and this file by --topology {}",
     "name the topology": "name its topology by --topology, as {}",
     "leave out": "leave them out by --leave-out {}",
-    "more templates": "name files that have one too by --forcefield",
+    "more templates": "add files that have templates for them to --forcefield",
     "name the force field": "give its files with --forcefield, such as {}",
     "name the parameters": "name all their files with --forcefield, such as --forcefield {}",
     "give a box": "give coordinates with their box, or its edges in nm by --edges",
     "one box": "leave out --edges",
-    "leave the ensemble to the run": "leave it out, and use --ensemble, --temperature and --pressure",
+    "leave the ensemble to the run": "remove this Force from the System, and give --ensemble, --temperature and "
+    "--pressure",
 }
 
 
@@ -61,7 +62,7 @@ def complain(message: str) -> None:
 
 
 def in_one_line(message: Warning | BaseException | str) -> str:
-    """Return a message in one line, with options of the command for what helps."""
+    """Return a message in one line, whose remedies are options of the command."""
     text = message.told(AS_OPTIONS) if isinstance(message, Advised) else str(message)
     return " ".join(text.split())
 

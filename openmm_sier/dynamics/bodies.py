@@ -209,7 +209,7 @@ class RigidBodies:
         for s, part in zip(self.species, self.parts, strict=True):
             if part.start <= body < part.stop:
                 return s.atoms[body - part.start]
-        raise IndexError(f"there is no body {body}, only {self.n}")
+        raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
 
     def describe(self, body: int) -> str:
         """Return a name for messages: residue, if known, and atoms of one body."""
@@ -273,8 +273,9 @@ class RigidBodies:
         mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
         if mirrored.any():
             raise RigidityError(
-                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} does not fit its rigid shape "
-                f"but its mirror image ({np.count_nonzero(mirrored)} bodies of this kind fail)"
+                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} is the mirror image of its rigid "
+                f"shape, as are {np.count_nonzero(mirrored)} bodies of this kind in all. Correct the positions, or "
+                "make the bodies from them"
             )
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
@@ -286,11 +287,11 @@ class RigidBodies:
         extended = self.moments.any(axis=0)
         unit = "Are the positions in nanometres? Those in angstroms need their unit. " if torn[extended].all() else ""
         raise RigidityError(
-            f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and up to "
-            f"{tolerances[worst]:.4g} nm is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). {unit}"
-            "(1) If the periodic boundary cuts the molecule, make it whole, by make_whole. (2) If constraints hold it, "
-            "context.applyConstraints(1e-6) may help. (3) If you named it, no constraint holds it: minimize in a "
-            "Context with this integrator, not with another, or start from the positions that it was made of"
+            f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and only "
+            f"{tolerances[worst]:.4g} nm or less is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). "
+            f"{unit}(1) If the periodic boundary cuts the molecule, call make_whole. (2) If constraints keep it rigid, "
+            "call context.applyConstraints(1e-6). (3) If you named it in `bodies`, minimize in a Context with this "
+            "integrator, not with another one; or start from the positions that gave it its shape"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:

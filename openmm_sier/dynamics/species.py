@@ -79,8 +79,8 @@ class Species:
         own = squares.sum() - squares
         if not (np.abs(self.moments - own) <= OTHER_MOMENT * own.max()).all():
             raise ValueError(
-                f"species have the moments of their masses, {own} dalton nm^2, got {self.moments}: to give a body "
-                "other moments, give it other masses, as openmm_sier.set_inertia does"
+                f"moments must be those of the masses at their places, {own} dalton nm^2, got {self.moments}. For "
+                "other moments give the body other masses, as openmm_sier.set_inertia does"
             )
 
     @classmethod

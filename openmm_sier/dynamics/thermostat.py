@@ -19,7 +19,7 @@ class Thermostat(ABC):
     """Describe a heat bath within the steps of a scheme: an operator that changes only momenta.
 
     Attributes:
-        temperature: K.
+        temperature: in K.
         friction: rate at which it acts on translation, 1/ps.
         rotational_friction: rate at which it acts on rotation, 1/ps.
     """
@@ -48,7 +48,7 @@ class Thermostat(ABC):
         Raises:
             ValueError: there is no such expression, so that only the exact engine has this bath.
         """
-        raise ValueError(f"the heat bath {type(self).__name__} cannot be written out")
+        raise ValueError(f"OpenMM cannot execute the heat bath {type(self).__name__} in a CustomIntegrator")
 
 
 class OrnsteinUhlenbeck(Thermostat):

@@ -13,7 +13,7 @@ class Langevin(ConstantTemperature):
     """Keep a constant temperature by friction and noise on each momentum, as `SIERLangevinIntegrator` does.
 
     Attributes:
-        temperature: K.
+        temperature: in K.
         friction: of translation, 1/ps.
         rotational_friction: 1/ps; None: that of translation, also after that was changed.
         counts_heat: tells whether the native engine counts the heat of the bath; None counts it except on GPUs.

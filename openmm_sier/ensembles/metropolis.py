@@ -37,7 +37,7 @@ class Metropolis(ConstantTemperature):
     sample.
 
     Attributes:
-        temperature: K.
+        temperature: in K.
         friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew.
         steps_per_trial: number of steps of the scheme in a trial.
     """
@@ -80,9 +80,15 @@ class Metropolis(ConstantTemperature):
 
     def scheme_for(self, scheme: Scheme) -> Scheme:
         if BATH in scheme.operators:
-            raise ValueError(f"scheme {scheme.name} has a bath; hybrid Monte Carlo draws momenta between trials alone")
+            raise ValueError(
+                f"scheme {scheme.name} has a bath, but hybrid Monte Carlo draws momenta only between trials: take a "
+                "scheme without a bath"
+            )
         if not scheme.is_palindrome:
-            raise ValueError(f"scheme {scheme.name} is no palindrome, so that its trajectories cannot be reversed")
+            raise ValueError(
+                f"scheme {scheme.name} is not a palindrome, so that its trajectories cannot be reversed: take a scheme "
+                "that is one"
+            )
         return scheme
 
     def flow(self, flow: Flow) -> Flow:
@@ -115,7 +121,8 @@ class Metropolis(ConstantTemperature):
         start, energy = engine.remember(), _energy(engine)
         if not math.isfinite(energy):
             raise openmm.OpenMMException(
-                f"In step {steps + 1} no trajectory can begin where the energy is {energy}. Do atoms overlap?"
+                f"The energy at the beginning of step {steps + 1} is {energy}, so that no trajectory can begin. Do "
+                "atoms overlap? Then minimize the energy first"
             )
         self._check_reversal(engine)
         try:
@@ -157,9 +164,9 @@ class Metropolis(ConstantTemperature):
         error = reversal_error(engine, self.steps_per_trial)
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
-                f"A trajectory of {self.steps_per_trial} steps that was followed back missed its start by {error:.1e} "
-                f"nm, more than {REVERSIBLE:.0e} nm, so that samples would not be exact: take shorter trajectories or "
-                "steps"
+                f"A trajectory of {self.steps_per_trial} steps, followed backwards, missed its start by {error:.1e} "
+                f"nm; up to {REVERSIBLE:.0e} nm is allowed. Samples would not be exact: take fewer or shorter steps "
+                "in a trajectory"
             )
         counts[REVERSAL] = error
         counts[CHECKED_STEP] = step

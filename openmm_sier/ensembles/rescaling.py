@@ -28,7 +28,7 @@ class VelocityRescaling(ConstantTemperature):
     Source: Bussi, Donadio and Parrinello, J. Chem. Phys. 126, 014101 (2007), whose relaxation time tau is 1/rate.
 
     Attributes:
-        temperature: K.
+        temperature: in K.
         rate: rate at which the kinetic energy comes to its mean, 1/ps, not negative.
         every: number of steps from one scaling to the next, at least 1.
     """

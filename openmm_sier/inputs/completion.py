@@ -244,9 +244,9 @@ def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quant
         if length > LONGEST_BOND:
             raise ForceFieldError(
                 f"{path}: the chain has a gap of {length:.2g} nm between {_named(one.residue)} and "
-                f"{_named(two.residue)}, and no sequence that fits the chain (SEQRES in a PDB file, "
-                "_entity_poly_seq in a PDBx/mmCIF file) tells what is missing there: take the file as the archive has "
-                "it, or end one chain there (TER) and begin another"
+                f"{_named(two.residue)}, and the file has no sequence that fits the chain and tells which residues are "
+                "missing (SEQRES in a PDB file, _entity_poly_seq in a PDBx/mmCIF file): take the file as the archive "
+                "has it, or divide the chain there (TER)"
             )
 
 
@@ -265,7 +265,7 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
         raise ForceFieldError(
             f"{path}: the force field {files} has no template for {_listed(alone)}",
             Remedy("leave out", f"leave them out by leave_out={names.split()}", names),
-            Remedy("more templates", "name files that have one too by `files`"),
+            Remedy("more templates", "add to `files` a force field that has templates for them"),
         ) from error
 
 

@@ -315,8 +315,8 @@ def tell_of_thin_box(path: str | Path, box: Box) -> None:
         return
     end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
     notify(
-        f"{path}: its {box.topology.getNumResidues()} residues have {found:.2g} g/ml in their box, less than a liquid. "
-        f"Unless it is a gas or has surfaces, the file{end} is cut off, or the box is another one"
+        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {found:.2g} g/ml, less "
+        f"than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is wrong"
     )
 
 

@@ -83,7 +83,7 @@ def topology_kind(path: str | Path) -> str:
     """
     if (kind := kind_of(path)) not in TOPOLOGIES:
         raise ForceFieldError(
-            f"{path} is {kind}, expected as topology a prmtop file of AMBER, a top file of GROMACS, a psf file of "
+            f"{path} is {kind}, but the topology must be a prmtop file of AMBER, a top file of GROMACS, a psf file of "
             "CHARMM or a System of OpenMM in XML"
         )
     return kind
@@ -171,8 +171,8 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):
-            remedy = Remedy("leave the ensemble to the run", "leave it out")
-            raise ForceFieldError(f"{topology} has a {force.getName()}, in whose place the run has an ensemble", remedy)
+            remedy = Remedy("leave the ensemble to the run", "remove this Force from the System")
+            raise ForceFieldError(f"{topology} has a {force.getName()}, but the run sets the ensemble", remedy)
     named = found.topology or _topology_of(system)
     refuse_other_atoms(path, found._replace(names=()), named, topology)
     _refuse_other_masses(path, system, named, topology)

@@ -52,8 +52,8 @@ def tell_stale_bonds(
     one, two = (f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in listed[0])
     more = f", and has {len(listed) - 1} more such bonds," if len(listed) > 1 else ""
     return (
-        f". The file bonds {one} to {two}{more} by a record of its own, without which the residue has a template: is "
-        "it left from another file? Remove it (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file)"
+        f". A record of the file bonds {one} to {two}{more}; without it the residue has a template. If the record is "
+        "left from another file, remove it (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file)"
     )
 
 

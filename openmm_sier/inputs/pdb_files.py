@@ -67,7 +67,7 @@ def check_records(path: str | Path) -> str:
     """
     kind = kind_of(path)
     if kind not in READERS:
-        raise ForceFieldError(f"{path} is no PDB file with atoms")
+        raise ForceFieldError(f"{path} is not a PDB file with atoms")
     if kind == PDB:
         _check_lines(path)
     _check_alternates(path, kind)
@@ -144,7 +144,7 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     atoms = [atom for atom in topology.atoms() if atom.element is not None]
     places = positions[[atom.index for atom in atoms]]
     if not np.isfinite(places).all():
-        raise ForceFieldError(f"{path} has coordinates that are no numbers")
+        raise ForceFieldError(f"{path} has coordinates that are not numbers")
     order = np.lexsort(places.T)
     same = np.flatnonzero((np.diff(places[order], axis=0) == 0).all(axis=1))
     if len(same):
@@ -156,8 +156,8 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
-            f"{path}: the box has a volume of {volume:.3g} nm3, too small for its {mass:.4g} dalton; leave it out "
-            "where there is none, in a PDB file the record CRYST1"
+            f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If "
+            "the system has no box, remove it from the file (in a PDB file the record CRYST1)"
         )
 
 
@@ -172,7 +172,7 @@ def _check_lines(path: str | Path) -> None:
         if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
             raise ForceFieldError(
                 f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
-                "file is cut off, or is no PDB file"
+                "file is cut off, or is not a PDB file"
             )
 
 
@@ -187,8 +187,10 @@ def _check_alternates(path: str | Path, kind: str) -> None:
                 f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
             )
     if found:
-        some = "has" if len(found) == 1 else f"and {len(found)} residues in all have"
-        notify(f"{path}: {found[0].residue} {some} alternate places; the first is taken, of the occupancies {found[0]}")
+        more = f" ({len(found)} residues in all)" if len(found) > 1 else ""
+        notify(
+            f"{path}: {found[0].residue} has alternate places with the occupancies {found[0]}; the first is taken{more}"
+        )
 
 
 def _check_edges(path: str | Path) -> None:

@@ -127,7 +127,7 @@ def prepare(
     Args:
         context: with a SIERIntegrator.
         positions: (N, 3), a quantity.
-        temperature: K.
+        temperature: in K.
         seed: of velocities and noise.
         time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
         minimize: whether to minimize first; None does so where forces are larger than in a liquid.
@@ -189,7 +189,7 @@ def equilibrate(
     Args:
         context: of a SIERIntegrator. It holds the positions to start from, and the pressure in its integrator or
             System; it is left as it was.
-        temperature: K.
+        temperature: in K.
         seed: of velocities and noise.
         time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
             number it runs for that time, whether the liquid has settled or not, and warns where a temperature is out of
@@ -315,7 +315,7 @@ def _set_energy(context: openmm.Context, temperature: float, potential: float) -
 
     Args:
         context: at the end of an equilibration, the centre of mass at rest.
-        temperature: K.
+        temperature: in K.
         potential: mean potential energy at this temperature, kJ/mol.
     """
     integrator = context.getIntegrator()

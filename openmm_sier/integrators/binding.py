@@ -162,8 +162,8 @@ class Binding:
             return
         if isinstance(self._context, weakref.ref):
             raise openmm.OpenMMException(
-                "This integrator belonged to a Context that no longer exists, or that was refused, and OpenMM deletes "
-                "integrators with their Contexts: make a new one"
+                "The Context of this integrator no longer exists, or was refused, and OpenMM deletes an integrator "
+                "with its Context: make a new integrator"
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_numbers(system)

@@ -101,7 +101,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         heat = self.countedHeat
         if math.isnan(heat):
             raise openmm.OpenMMException(
-                "This integrator does not count the heat of its bath, which takes up to a fifth of a step on a GPU. "
-                "Make it with countsHeat=True"
+                "This integrator does not count the heat of its bath. Make it with countsHeat=True; counting takes up "
+                "to a fifth of a step on a GPU"
             )
         return heat * unit.kilojoule_per_mole

@@ -179,8 +179,8 @@ def from_json(table: Any) -> Settings:
     values = dict(table)
     if (layout := values.pop("layout", None)) != LAYOUT:
         raise SettingsError(
-            f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r} where {LAYOUT} "
-            "is read: create it anew"
+            f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r}, and this "
+            f"version reads layout {LAYOUT}: create a new integrator"
         )
     readers = {"scheme": _scheme, "bodies": _bodies, "rotation": _rotation, "ensemble": _ensemble}
     for name in values.keys() & readers.keys():
@@ -227,7 +227,7 @@ def _bodies(values: Any) -> Bodies:
     if not isinstance(values, dict):
         return checked_bodies(values)
     if values.keys() != {"particles", "species"} or not isinstance(values["species"], list):
-        raise TypeError("expected a table of particles, a number, and species, a list")
+        raise TypeError("expected a table with `particles` (a number) and `species` (a list)")
     species = []
     for each in values["species"]:
         arrays = {name: np.array(numbers) for name, numbers in dict(each).items()}
@@ -252,8 +252,8 @@ def name_of_rotation(function: Rotation) -> str:
 def _rotation(name: Any) -> Rotation:
     if name not in ROTATIONS:
         raise SettingsError(
-            f"The free-rotation map {name} of a stored SIER integrator is not known here: make an integrator with it "
-            f"first if it has a name; known are {', '.join(ROTATIONS)}"
+            f"The free-rotation map {name} of a stored SIER integrator is not known here; known are "
+            f"{', '.join(ROTATIONS)}. Make an integrator with this map first; a lambda cannot be restored"
         )
     return ROTATIONS[name]
 

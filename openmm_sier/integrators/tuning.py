@@ -276,7 +276,11 @@ def _find_step(
         step = following
     usable = [each for each in tried if math.isfinite(each.spread)]
     if not usable:
-        raise refusal or openmm.OpenMMException(f"Energy errors are not finite at steps down to {step:.3g} ps")
+        message = (
+            f"The energy error is not finite at any step that was tried, down to {step:.3g} ps. Do atoms overlap? Then "
+            "minimize the energy first"
+        )
+        raise refusal or openmm.OpenMMException(message)
     return tried, min(usable, key=lambda each: abs(each.acceptance - wanted)).step
 
 

@@ -53,8 +53,8 @@ class ForceFault:
         what, of_unit = ("torque", "kJ/mol") if self.turns else ("force", "kJ/mol/nm")
         return (
             f"{self.force}, Force {self.number} of the System, is not the gradient of its energy: the {what} on "
-            f"{self.body} is wrong by some {self.size:.2g} {of_unit}, where it is {self.of:.2g}. No step makes such a "
-            "Force conserve the energy. Try another platform, or precision, or other parameters of this Force"
+            f"{self.body} is {self.of:.2g} {of_unit}, and wrong by about {self.size:.2g}. With such a Force no step "
+            "conserves the energy. Try another platform or precision, or other parameters of this Force"
         )
 
 

@@ -120,10 +120,12 @@ def _check(system: openmm.System) -> None:
         raise ValueError(f"{needs} a System with periodic boundary conditions, this one has none")
     for force in (part.force for part in parts(system)):
         if isinstance(force, openmm.CustomExternalForce):
-            raise ValueError(f"{needs} forces between particles alone, the System has a CustomExternalForce")
+            raise ValueError(
+                f"{needs} forces that act between particles, and the System has a CustomExternalForce: remove it"
+            )
         # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.
         if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
-            raise ValueError(f"{needs} PME in place of Ewald sums, which OpenMM has for rectangular boxes only")
+            raise ValueError(f"{needs} PME: OpenMM has Ewald sums for rectangular boxes only. Take nonbondedMethod=PME")
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

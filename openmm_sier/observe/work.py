@@ -29,7 +29,7 @@ _FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
 class Mismatch(NamedTuple):
-    """Work less loss of energy, over the length of a motion along which bodies move by 1 in each direction.
+    """Hold the work of forces less the loss of energy, for each nm of a motion in given directions.
 
     Attributes:
         mean: over the segments of the motion, kJ/mol/nm.
@@ -131,8 +131,8 @@ class Motions:
             if not (math.isfinite(energy) and np.isfinite(forces).all()):
                 name = context.getSystem().getForce(number).getName()
                 raise openmm.OpenMMException(
-                    f"The energy of {name} is {energy} where atoms are, or near it, or its forces are not finite. Set "
-                    "positions, and minimize the energy where atoms overlap"
+                    f"The energy of {name} is {energy}, or its forces are not finite, at the positions of the atoms or "
+                    "close to them. Set positions first; if atoms overlap, minimize the energy"
                 )
             acting = self._acting(forces, arms, moves)
             found[number] = energy, float((forces * speeds).sum()), float(np.linalg.norm(acting))

@@ -74,7 +74,9 @@ def carry_forces(system: openmm.System, added: Added) -> None:
 
 def _refusal(part: Part, why: str, remedy: str = "") -> ValueError:
     remedy = remedy or "Give the bodies to a SIER integrator, by bodies=…, which needs no frames; or remove the Force"
-    return ValueError(f"{part.name} ({type(part.force).__name__}) cannot be carried over: {why}. {remedy}")
+    return ValueError(
+        f"{part.name} ({type(part.force).__name__}) cannot be copied to a System with frames: {why}. {remedy}"
+    )
 
 
 def _entries(*parameters: Any) -> Callable:
@@ -91,7 +93,7 @@ def _born_radii(part: Part, force: openmm.GBSAOBCForce, added: Added) -> None:
     if force.getSurfaceAreaEnergy().value_in_unit(SURFACE_TENSION) != 0:
         raise _refusal(
             part,
-            "its energy of the surface area has no parameter by which a particle has no surface",
+            "its energy of the surface area counts every particle, those of the frames too",
             "Create the System with gbsaModel=None, or call setSurfaceAreaEnergy(0)",
         )
     # Without charge it has no energy, and with a scale that rounding hides it takes no place from others.
@@ -102,7 +104,9 @@ def _drude(part: Part, force: openmm.DrudeForce, added: Added) -> None:
     held = set(added.held.tolist())
     for i in range(force.getNumParticles()):
         if touched := held & set(force.getParticleParameters(i)[:5]):
-            raise _refusal(part, f"atom {min(touched)} of a body has a Drude particle, and gets no mass of its own")
+            raise _refusal(
+                part, f"atom {min(touched)} of a body has a Drude particle, and the frame takes the masses of atoms"
+            )
 
 
 def _chosen(part: Part, force: Any, added: Added) -> None:

@@ -60,7 +60,9 @@ class FastForces:
         for group in (*range(1, GROUPS), 0):
             if not self.others_in(group):
                 return group
-        raise ValueError(f"all {GROUPS} force groups have other forces: put some of them together, by setForceGroup")
+        raise ValueError(
+            f"all {GROUPS} force groups are taken, and fast forces need their own: join other groups by setForceGroup"
+        )
 
 
 def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) -> int:

@@ -247,8 +247,8 @@ def with_frames(
     frames = tuple(_frames(system, known, x))
     if not frames:
         raise ValueError(
-            "no body needs a frame: bodies must name one of two atoms or more that constraints do not hold already, "
-            f"got {known!r}"
+            "no body needs a frame: at least one of `bodies` must have two or more atoms that constraints do not keep "
+            f"rigid already, got {known!r}"
         )
     framed = _copied(system)
     _hold(framed, frames)

@@ -69,7 +69,8 @@ def set_inertia(
     for body in bodies:
         atoms = np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64)
         if not len(atoms) or not (present[atoms] > 0).all():
-            raise ValueError(f"a body must have atoms with masses, got atoms {as_ranges(body) or 'of none'}")
+            got = f"atoms {as_ranges(body)}" if len(body) else "no atoms"
+            raise ValueError(f"a body must have atoms, and each of them a mass, got {got}")
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
         masses = _masses(shape, whole, wanted, f"atoms {as_ranges(atoms)}")
         found |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))
@@ -83,7 +84,7 @@ def _checked_moments(moments: Any) -> np.ndarray:
         raise ValueError(f"moments must be three, in ascending order and not negative, got {found.tolist()}")
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
         raise ValueError(
-            f"moments must not be above the sum of the two others, which no body has, got {found.tolist()}"
+            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
         )
     return found
 

@@ -171,10 +171,10 @@ def _refusal(system: openmm.System, bodies: RigidBodies, wanted: dict[Species, n
     for force in system.getForces():
         name = force.getName()
         if isinstance(force, MANY_BODY):
-            return f"{name} has exclusions too, and its energy is no sum of pairs"
+            return f"exclusions would change {name} too, whose energy is not a sum over pairs"
         if isinstance(force, openmm.NonbondedForce):
             if force.getNonbondedMethod() not in DIRECT:
-                return f"beside the reciprocal sum of {name} each excluded pair takes longer than it does now"
+                return f"with the reciprocal sum of {name} an excluded pair takes longer than one that is not"
             offsets = [force.getParticleParameterOffset(i)[1] for i in range(force.getNumParticleParameterOffsets())]
             for i in range(force.getNumExceptionParameterOffsets()):
                 offsets += force.getExceptionParameters(force.getExceptionParameterOffset(i)[1])[:2]

@@ -57,7 +57,7 @@ def _described(part: Part, jump: Jump) -> str:
     a, b = jump.atoms
     return (
         f"{what}, of {jump.energy:.1g} kJ/mol between atoms {a} and {b}. Each pair that crosses it changes the energy "
-        f"by that much: call {by_hand}, or subtract from its expression what this is at the cut-off."
+        f"by that much: call {by_hand}, or subtract from the expression its value at the cut-off."
     )
 
 

@@ -104,8 +104,9 @@ def prepare_system(
         group = known.free_group()
     for force in known.others_in(group):
         raise ValueError(
-            f"{force.getName()} is in force group {group}, which the fast forces need: give another fastForceGroup, or "
-            "none to take an empty one; if the System was prepared for other bodies, prepare a new System"
+            f"{force.getName()} is in force group {group}, which must have only fast forces: give another "
+            "fastForceGroup, or leave it out, so that an empty group is taken; if the System was prepared for other "
+            "bodies, prepare a new System"
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
@@ -137,8 +138,8 @@ def prepare_system(
         done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. If that does "
-            "not change what they do, add them to the System itself: then they are fast."
+            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Add them "
+            "to the System itself to make them fast, if the other Force does not change what they do."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
     done += _inside_bodies(system, found, excluded, known.owner)
@@ -179,17 +180,17 @@ def _inside_bodies(
         count = sum(len(kind.clusters) for kind in bodies.kinds if len(kind.masses) >= FEWEST_ATOMS)
         if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
             done.append(
-                f"Interactions within {count} rigid bodies do no work and cost time, and stay, since lists of "
-                "particles have no shape. Give prepare_system the bodies of RigidBodies.from_system("
-                "system, topology, lists, positions): then they are excluded."
+                f"Interactions within {count} rigid bodies do no work but cost time. They stay, since lists of "
+                "particles have no shape. To exclude them, give prepare_system the bodies of RigidBodies.from_system("
+                "system, topology, lists, positions)."
             )
     elif excluded.refusal:
-        done.append(f"Interactions within rigid bodies do no work, and stay: {excluded.refusal}.")
+        done.append(f"Interactions within rigid bodies do no work, but stay: {excluded.refusal}.")
     elif excluded.pairs:
         done.append(
-            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies, which do no work, are excluded "
-            f"from {', '.join(excluded.forces)}. Their energy of {excluded.energy:.6g} kJ/mol is a constant that the "
-            "potential energy does not have any more."
+            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies do no work, and are excluded "
+            f"from {', '.join(excluded.forces)}. The potential energy is lower by their constant energy of "
+            f"{excluded.energy:.6g} kJ/mol now."
         )
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())

@@ -18,26 +18,31 @@ _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 SHORTER_STEP = Remedy("shorter step", "take a shorter step")
 PREPARE = Remedy(
     "prepare",
-    "call prepare_system(system) before making the Context, for inner steps of bonds; or take a shorter step",
+    "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step",
 )
 MORE_SUBSTEPS = Remedy("more substeps", "take more substeps or a shorter step")
-HEAVIER = Remedy("heavier hydrogens", f"for averages only, make all hydrogens heavy by {_HEAVY}")
+HEAVIER = Remedy("heavier hydrogens", f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY}")
 CONSTRAIN = Remedy(
     "constrain hydrogens",
-    "hold the bond: by rigidWater=True and constraints=HBonds in createSystem, or hydrogens in rigid bodies with their "
-    f'heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", positions=positions)',
+    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds; or put hydrogens into rigid bodies "
+    f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
+    "positions=positions)",
 )
 CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
     words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}, which leaves other atoms heavier"
 )
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
-    "hold the bond: by constraints=AllBonds in createSystem, or its molecule in a rigid body, by "
+    "constrain the bond: give createSystem constraints=AllBonds; or make its molecule a rigid body, by "
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
 )
-ONE_BODY = Remedy("one body", "hold the bond: put all atoms of both ends into one rigid body of `bodies`")
-STRAIGHTEN = Remedy("straighten", "put the atoms of a body that is nearly a line on the line, which has no such spin")
-CHECK_FORCES = Remedy("check forces", "if it drifts alike with both, print(check_forces(context))")
+ONE_BODY = Remedy("one body", "put the atoms of both ends of the bond into one rigid body of `bodies`")
+STRAIGHTEN = Remedy(
+    "straighten", "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
+)
+CHECK_FORCES = Remedy(
+    "check forces", "if the energy drifts as much with half the step, call print(check_forces(context))"
+)
 
 
 def up_to(step: float) -> Remedy:

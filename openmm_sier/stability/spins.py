@@ -64,7 +64,7 @@ class Spins:
             scheme: whose kicks act.
             h: its step, ps.
             groups: bit mask of the force groups in them.
-            temperature: K.
+            temperature: in K.
 
         Raises:
             openmm.OpenMMException: the step is too long.

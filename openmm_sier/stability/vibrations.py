@@ -190,8 +190,8 @@ class Vibrations:
         body = self._bodies.describe(number)
         described = (
             f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
-            f"{scheme.name} is accurate up to {_fs(accurate)}; from about {_fs(max(accurate, HEATING * stable))} on "
-            "liquids heat up"
+            f"{scheme.name} is accurate up to {_fs(accurate)}; with steps of about "
+            f"{_fs(max(accurate, HEATING * stable))} or more liquids heat up"
         )
         remedies = [advice.SHORTER_STEP]
         if self._remedies.heavier(self._bodies.atoms_of(number)):
@@ -223,7 +223,7 @@ class Vibrations:
             remedies = [advice.up_to(borne * bond.period), *heavier, self._hold(bond)]
             message = (
                 f"for {self._name(bond)}: its period is {_fs(bond.period)}, and slow forces must act more than twice "
-                "in it"
+                "in each period"
             )
             angles = (2 * math.pi * h / bond.period * factor for factor in SPREAD)
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
@@ -266,8 +266,8 @@ class Vibrations:
             return
         error = AT_USUAL_STEP * math.exp(RESONANCE_DECAY * libration.period * (1 / good - 1 / h))
         wanders = (
-            f"At {_fs(h)} the total energy wanders: its error over a whole run is some {_percent(min(error, 1.0))}, "
-            f"with {scheme.name} at {_fs(good)} {_percent(AT_USUAL_STEP)} (rms(H)/rms(V))"
+            f"With steps of {_fs(h)} the total energy wanders: its error rms(H)/rms(V) over a whole run is about "
+            f"{_percent(min(error, 1.0))}, and {_percent(AT_USUAL_STEP)} with {scheme.name} at {_fs(good)}"
         )
         longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
         self._tell_once(advice.StepWarning(wanders, advice.up_to(good), remark=longer))
@@ -302,8 +302,9 @@ class Vibrations:
         names = [name for group, name in self._unknown if groups >> group & 1]
         if names and h > accurate_step(scheme, FASTEST_BOND):
             unknown = (
-                f"{what} of {_fs(h)} cannot be judged: of {', '.join(names)} no stiffness is known. If the energy "
-                "changes with half the step, or the temperature is too high, the step is too long for it"
+                f"{what} of {_fs(h)} cannot be judged, since the stiffness of {', '.join(names)} is not known. "
+                "Compare a run with half the step: if the energy error shrinks, or the temperature is too high, the "
+                "step is too long"
             )
             self._tell_once(advice.StepWarning(unknown, advice.CHECK_FORCES))
 

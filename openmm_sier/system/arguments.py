@@ -43,7 +43,7 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     except TypeError:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
     if any(isinstance(i, bool) for cluster in clusters for i in cluster):
-        raise TypeError("bodies must be RigidBodies or lists of particle indices, got True and False: not a mask")
+        raise TypeError("bodies must be RigidBodies or lists of particle indices, got a mask of True and False")
     return found
 
 

@@ -252,9 +252,11 @@ class _Reader:
         try:
             atoms = [operator.index(i) for i in what]
         except TypeError:
-            raise TypeError(f"the particles{of} must be whole numbers, or words: {FORMS}; got {what!r}") from None
+            raise TypeError(
+                f"the particles{of} must be whole numbers, or words such as {FORMS}; got {what!r}"
+            ) from None
         if any(isinstance(i, bool) for i in what):
-            raise TypeError(f"the particles{of} must be particle indices, got True and False: not a mask")
+            raise TypeError(f"the particles{of} must be particle indices, got a mask of True and False")
         if not atoms:
             raise ValueError(f"the list of particles{of} is empty")
         if len(set(atoms)) < len(atoms):

@@ -72,8 +72,8 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
         atom = int(wrong.argmax())
         raise openmm.OpenMMException(
-            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
-            "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) does not"
+            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Did "
+            "hydrogens get more mass than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
     for i, j, distance in map(system.getConstraintParameters, range(system.getNumConstraints())):
         length = distance.value_in_unit(unit.nanometer)
@@ -113,7 +113,7 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
     for barostat in barostats(system):
         if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
             raise RigidityError(
-                f"{type(barostat).__name__} scales every atom apart, which deforms rigid bodies and breaks "
+                f"{type(barostat).__name__} scales each atom separately, which deforms rigid bodies and breaks "
                 "constraints: create it with scaleMoleculesAsRigid=True"
             )
 
@@ -133,9 +133,10 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
         split = np.ptp(molecule[species.atoms], axis=1) > 0
         if split.any():
             raise RigidityError(
-                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, which "
-                f"{type(barostats(system)[0]).__name__} moves apart: join its atoms, by prepare_system(system, "
-                "bodies) before the Context is made; or leave out the barostat, and give the integrator pressure=…"
+                f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, and "
+                f"{type(barostats(system)[0]).__name__} moves each of them separately: join them by "
+                "prepare_system(system, bodies) before the Context is made; or leave out the barostat, and give the "
+                "integrator pressure=…"
             )
 
 
@@ -143,9 +144,9 @@ def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
     """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
     if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
         notify(
-            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, also those of frozen atoms (of "
-            f"the mass 0, such as atom {frozen[0]}), and counts them among those that share the heat. To hold atoms in "
-            "place at constant pressure, restrain them by forces"
+            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, those of frozen atoms too (of "
+            f"the mass 0, such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To "
+            "hold atoms in place at constant pressure, restrain them by forces"
         )
 
 
@@ -161,9 +162,10 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             others = True
             notify(
-                f"The {type(force).__name__} has {theirs:g} K and the heat bath of the integrator {temperature:g} K: "
-                "averages are those of neither temperature. Give both the same, by context.setParameter("
-                f"{type(force).__name__}.Temperature(), {temperature:g}) for the first"
+                f"The {type(force).__name__} has {theirs:g} K, but the heat bath of the integrator has "
+                f"{temperature:g} K: averages belong to neither temperature. Set both to the same; for the "
+                f"{type(force).__name__} call context.setParameter({type(force).__name__}.Temperature(), "
+                f"{temperature:g})"
             )
     return others
 
@@ -199,8 +201,8 @@ def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
         return False
     worst = int(misfit.argmax())
     notify(
-        f"{off} of {bodies.n} bodies are not quite in the shape of their constraints, or of the geometry that they "
-        f"were given, and are moved onto it: an atom by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. "
-        "Is it the force field that the positions were made with?"
+        f"{off} of {bodies.n} bodies do not quite have the shape of their constraints, or the geometry that they were "
+        f"given, and are corrected: an atom moves by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Were "
+        "the positions made with another force field?"
     )
     return True

@@ -154,10 +154,10 @@ class BodyPlan:
             return
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
-        more = f"; so do {others} bodies of {len(shared) - 1} more kinds, which differ less" if others else ""
+        more = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
         notify(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
-            f"differ from it by up to {first.deviations.max():.1g} nm (most: "
+            f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
             f"{self._describe(first.clusters[first.deviations.argmax()])}){more}"
         )
 
@@ -169,17 +169,17 @@ class BodyPlan:
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
             if not particles:
-                raise ValueError(f"bodies must name the particles of each, got an empty list in place {number}")
+                raise ValueError(f"each body must have particles, but the list of body {number} is empty")
             if outside := [i for i in particles if not 0 <= i < self._n]:
-                raise ValueError(f"bodies name particle {outside[0]}, the System has {self._n} particles")
+                raise ValueError(f"bodies name particle {outside[0]}, but the System has only {self._n} particles")
             cluster = tuple(i for i in particles if not system.isVirtualSite(i))
             without = [i for i in cluster if not self._masses[i]]
             if len(without) == len(cluster):
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is no virtual site. Give it a mass, "
-                    "or leave it out of the body; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
+                    "mass, or leave it out of the body; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
@@ -314,7 +314,10 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
     """
     masses = tables.masses(system)
     if bodies.n_particles != len(masses):
-        raise ValueError(f"bodies are those of a system of {bodies.n_particles} particles, this one has {len(masses)}")
+        raise ValueError(
+            f"the bodies were made for a System of {bodies.n_particles} particles, but this one has {len(masses)}: "
+            "make the bodies from this System"
+        )
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)
         if len(wrong):
@@ -322,7 +325,7 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
             atom = species.atoms[body, site]
             raise ValueError(
                 f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
-                f"{atom}, the System has {masses[atom]}: make the bodies anew"
+                f"{atom}, but the System has {masses[atom]}: make the bodies again"
             )
     return Links(system).link(bodies)
 

@@ -117,7 +117,8 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(
             f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
-            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm"
+            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm. "
+            "Correct these lengths, or remove some of the constraints"
         )
     resolution = RESOLUTION if kind.deviations.any() else 0.0
     return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
@@ -182,8 +183,9 @@ def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Spe
         shape, excess = _constrained(shape, kind)
         if excess > EMBEDDING_TOLERANCE:
             raise RigidityError(
-                f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry that comes "
-                f"nearest to the positions misses them by {excess:.4f} nm"
+                f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry nearest to "
+                f"the positions misses their lengths by {excess:.4f} nm. Correct the lengths, or remove some of the "
+                "constraints"
             )
         model = Species.from_coordinates(kind.clusters, kind.masses, shape, resolution=RESOLUTION)
         attitudes, misfit = model.fit(arms)

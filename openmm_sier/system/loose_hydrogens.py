@@ -31,7 +31,7 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
         notify(
             f"Nothing holds the angle of atoms {first}, {centre} and {second}, and of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
-            "constraints (rigidWater=True in createSystem), of which other programs may have written two"
+            "constraints, of which a file of another program may have only two: call createSystem with rigidWater=True"
         )
 
 

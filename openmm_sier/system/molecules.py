@@ -187,6 +187,6 @@ def _refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, 
     more = f" ({len(broken)} bonds are too long)" if len(broken) > 1 else ""
     stale = ", is the bond left from another file (a record CONECT)" if by_topology else ""
     raise ValueError(
-        f"a molecule is broken: {names} {expected}, and are {found[worst]:.4g} nm apart{images}{more}. Is an atom "
-        f"misplaced, are residues missing between these{stale}, or is the box another one?"
+        f"a molecule is broken: {names} {expected}, but are {found[worst]:.4g} nm apart{images}{more}. Is an atom "
+        f"misplaced, are residues missing between the two{stale}, or is the box that of another system?"
     )

@@ -57,7 +57,7 @@ class _Chain:
         if len(there) != 1:
             many = f"{len(there)} residues" if there else "no residue"
             known = f"{self.numbers[0]} to {self.numbers[-1]}" if self.numbers else "none"
-            raise ValueError(f"{self} has {many} {number}, it has those of {known}: give 'atoms 0-35'")
+            raise ValueError(f"{self} has {many} {number}, but those of {known}: correct it, or give 'atoms 0-35'")
         return there[0]
 
     def __str__(self) -> str:
@@ -95,8 +95,8 @@ class ResidueRanges:
             if len(found) > 1:
                 chains = f"chains {chain}" if chain else "chains"
                 raise ValueError(
-                    f"{words!r} must be one body, but there are {len(found)} {chains}: give each chain a line, or name "
-                    "atoms, as in 'atoms 0-35'"
+                    f"{words!r} must be one body, but there are {len(found)} {chains}: describe the body of "
+                    "each chain apart, or name atoms, as in 'atoms 0-35'"
                 )
             body += found[0]
         return [body]

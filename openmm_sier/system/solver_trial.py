@@ -208,8 +208,8 @@ def _mixed_triangle(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, le
             row, weights = atoms[mixed[0]], masses[mixed[0]]
             return Unsolved(
                 tuple(row.tolist()),
-                f"atoms {row[one]} and {row[other]}, as far from atom {row[corner]}, differ in mass "
-                f"({weights[one]:g} and {weights[other]:g} dalton), and it takes them for equal",
+                f"atoms {row[one]} and {row[other]} are equally far from atom {row[corner]} but differ in mass, "
+                f"{weights[one]:g} and {weights[other]:g} dalton, and OpenMM takes the masses for equal",
             )
     return None
 
@@ -219,7 +219,7 @@ def _surplus(cluster: Cluster) -> Unsolved | None:
     given, enough = len(cluster.lengths), 3 * len(cluster.atoms) - 6
     if given <= enough:
         return None
-    return Unsolved(_atoms(cluster), f"{given} constraints join them, where {enough} hold them")
+    return Unsolved(_atoms(cluster), f"{given} constraints join them, and {enough} are enough")
 
 
 def _is_solved(system: openmm.System, cluster: Cluster, places: np.ndarray) -> bool:

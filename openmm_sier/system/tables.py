@@ -126,8 +126,8 @@ def constraints(system: openmm.System) -> Constraints:
     if (wrong := np.flatnonzero(np.abs(lengths - others) > EMBEDDING_TOLERANCE)).size:
         (a, b), other, length = pairs[wrong[0]], others[wrong[0]], lengths[wrong[0]]
         raise RigidityError(
-            f"the constraints of atoms {a} and {b} contradict each other: they are to be {other:.4f} and {length:.4f} "
-            "nm apart"
+            f"the constraints of atoms {a} and {b} contradict each other: one has the length {other:.4f} nm, the "
+            f"other {length:.4f} nm. Remove one of them"
         )
     kept = np.sort(first)
     return Constraints(pairs[kept], lengths[kept])

@@ -37,9 +37,10 @@ class DegreesOfFreedom(NamedTuple):
     """Numbers of degrees of freedom that share the heat.
 
     Attributes:
-        translation, rotation: of molecules that are one body, and of rigid bodies that linkers join to others. If the
-            centre of mass holds no heat, translation omits its degrees of freedom in proportion to the share of these
-            bodies in the mass, and need not be a whole number.
+        translation: of molecules that are one body, and of rigid bodies that linkers join to others. If the centre of
+            mass holds no heat, its degrees of freedom are left out in proportion to the share of these bodies in the
+            mass, so that this need not be a whole number.
+        rotation: of the same bodies.
         flexible: of the points of other molecules.
     """
 
@@ -53,8 +54,8 @@ class Temperatures(NamedTuple):
 
     Attributes:
         total: of all motion.
-        translation, rotation: of molecules that are one body, rigid or a point, and of rigid bodies that linkers join
-            to others.
+        translation: of molecules that are one body, rigid or a point, and of rigid bodies that linkers join to others.
+        rotation: of the same bodies.
         flexible: of the points of other molecules.
     """
 

@@ -36,7 +36,8 @@ def settled(model: Model, time: float, step: float, seed: int, platform: str, ke
     """The phase point of the rigid model after an equilibration, which is kept in a file for other runs.
 
     Args:
-        model: its start is minimized, and followed for a tenth of the time in steps of up to 10 fs, then in the given ones.
+        model: its start is minimized, and followed for a tenth of the time in steps of up to 10 fs, then in the given
+            ones.
         time: ps.
         step: fs.
         seed: of the bath.

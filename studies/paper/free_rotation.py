@@ -70,7 +70,7 @@ TAUS = {
     "tau": "{ours}",
     "ratio": "{ratio}",
     "median body": "{median}",
-    "growth t^": "{exponent:.2f}",
+    "power of t": "{exponent:.2f}",
     "10 % by that power": "{power}",
     "dE/E (%)": "{energy:.1e}",
 }

@@ -184,7 +184,7 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
     chk, platform = whole_run / "whole.chk", ["--platform", "Reference"]
     assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, code=NothingLeft.exit_code)
     assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, "--steps", 50)
-    assert "is no checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
+    assert "is not a checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
     for option, value in CHANGED:
         message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)

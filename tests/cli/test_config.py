@@ -71,7 +71,7 @@ def test_a_restart_saves_the_settings_of_its_run(box):
         ('out = "."', "run.toml: out: expected the name of a file, got '.'"),
         ("[run]\ndt = 4", "run.toml: run: there is no such option"),
         ("minimize = 1", "run.toml: minimize: expected true or false, got 1"),
-        ("dt = ", "run.toml is no TOML file: "),
+        ("dt = ", "run.toml is not a TOML file: "),
         ("steps = 5\ntime = 1", "--steps and --time both say how long the run is"),
         ("friction = 1", "--friction needs --ensemble nvt, npt or hmc"),
     ],
@@ -89,9 +89,9 @@ def test_files_of_settings_destroy_nothing(box, capsys):
     short = ["run", box, *PLATFORM, "--steps", "1"]
     Path("mine.toml").write_text("mine")
     for name, message in (
-        ("mine.toml", "mine.toml exists: name another file by --save-config, or allow --overwrite"),
-        (box, f"{box} would destroy {box}"),
-        ("box.csv", "box.csv would destroy box.csv"),
+        ("mine.toml", "mine.toml exists: give another name with --save-config, or replace it with --overwrite"),
+        (box, f"{box} would overwrite {box}"),
+        ("box.csv", "box.csv would overwrite box.csv"),
         ("none/a.toml", "there is no directory none for a.toml"),
     ):
         before = contents(Path())

@@ -58,7 +58,7 @@ def test_a_copy_of_a_checkpoint_does_not_cut_the_run_that_went_on(there, capsys,
     before = contents(Path())
     message = complaint(capsys, *AGAIN, "--restart", "old.chk", "--steps", FIRST + 5)
     files = f"box.{kind}, box.csv, p.csv go on to {steps * 0.004:g} ps"
-    assert f"old.chk is at 0.1 ps, but {files}, and box.chk is a later checkpoint of them" in message
+    assert f"old.chk is at 0.1 ps, but {files}; box.chk is a later checkpoint" in message
     assert "Give box.chk to --restart" in message
     assert contents(Path()) == before
     run(*AGAIN, "--restart", "box.chk", "--steps", steps + 5)
@@ -72,7 +72,7 @@ def test_without_a_later_checkpoint_what_no_killed_run_leaves_is_kept(there, cap
     Path("no.chk").write_text("something else")
     before = contents(Path())
     message = complaint(capsys, *AGAIN, "--restart", "old.chk", "--steps", FIRST + 5)
-    assert "and no killed run goes on so far after its checkpoint" in message
+    assert "a killed run writes less after its last checkpoint" in message
     assert "Give the last checkpoint of the run to --restart" in message
     assert contents(Path()) == before
 

@@ -234,7 +234,7 @@ def test_files_may_be_moved_before_a_restart():
 
 def test_outputs_destroy_no_topology(capsys):
     message = complaint(capsys, "run", *GROMACS.arguments, "--report", "molecules.itp", "--overwrite")
-    assert "molecules.itp would destroy the input" in message
+    assert "molecules.itp would overwrite the input" in message
 
 
 # --- other commands ---
@@ -261,9 +261,12 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
         (["amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, without a force field: name its topology by"),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
         (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
-        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, expected as top"),
+        (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
         (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
-        (["amber.inpcrd", "--topology", "structure.pdb"], "structure.pdb is a PDB file, expected as topology a prmtop"),
+        (
+            ["amber.inpcrd", "--topology", "structure.pdb"],
+            "structure.pdb is a PDB file, but the topology must be a prmtop",
+        ),
         (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
         (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
         ([*AMBER.arguments, "--forcefield", "tip3p.xml"], "--forcefield does nothing with amber.prmtop, which is a pr"),
@@ -337,7 +340,7 @@ def test_heavy_hydrogens_in_a_system_are_hydrogens():
 def test_a_barostat_in_a_system_is_refused(capsys):
     change_system(lambda system: system.addForce(openmm.MonteCarloBarostat(1.0, 300.0)))
     message = complaint(capsys, "info", *STATE.arguments)
-    assert "openmm-system.xml has a MonteCarloBarostat, in whose place the run has an ensemble: leave it out" in message
+    assert "openmm-system.xml has a MonteCarloBarostat, but the run sets the ensemble: remove this Force" in message
 
 
 @pytest.mark.parametrize(

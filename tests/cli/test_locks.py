@@ -130,7 +130,7 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     assert f"box.csv is being written by process {first.pid} on" in complaint(capsys, *again)
     assert contents(Path()) == before
     Path("box.chk").write_bytes(b"half")
-    assert "no checkpoint" in complaint(capsys, *again)
+    assert "not a checkpoint" in complaint(capsys, *again)
     holder("box.chk")
     # A run that begins anew removes the checkpoint before it writes its own.
     Path("box.chk").unlink()

@@ -61,7 +61,7 @@ def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibrat
     if make:
         make(Path(name), box)
     options = [option.format(here=tmp_path.name) for option in options]
-    assert "would destroy the input box.pdb" in complaint(capsys, "run", box, *SMALL, *options, "--overwrite")
+    assert "would overwrite the input box.pdb" in complaint(capsys, "run", box, *SMALL, *options, "--overwrite")
     assert box.read_bytes() == lattice
 
 
@@ -70,13 +70,13 @@ def test_no_output_is_a_force_field(box, capsys, no_equilibration):
     field.write_bytes((Path(starts.openmm.app.__file__).parent / "data" / "tip3p.xml").read_bytes())
     before = field.read_bytes()
     message = complaint(capsys, "run", box, "--forcefield", "mine.xml", "--report", "mine.xml", "--overwrite")
-    assert "mine.xml would destroy the input mine.xml" in message
+    assert "mine.xml would overwrite the input mine.xml" in message
     # One that lies beside the PDB file and is looked for there.
     Path("there").mkdir()
     moved = field.rename("there/mine.xml")
     box = box.rename("there/box.pdb")
     options = ["--forcefield", "mine.xml", "--report", "there/mine.xml", "--overwrite"]
-    assert "would destroy the input there/mine.xml" in complaint(capsys, "run", box, *options)
+    assert "would overwrite the input there/mine.xml" in complaint(capsys, "run", box, *options)
     assert moved.read_bytes() == before
 
 
@@ -84,7 +84,7 @@ def test_no_output_is_the_checkpoint_that_a_run_starts_from(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--steps", "5"]) == 0
     before = Path("box.chk").read_bytes()
     message = complaint(capsys, "run", box, *SMALL, "--start", "box.chk", "--overwrite")
-    assert "box.chk would destroy the input box.chk" in message
+    assert "box.chk would overwrite the input box.chk" in message
     assert Path("box.chk").read_bytes() == before
 
 
@@ -110,14 +110,14 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
     Path("there.dcd").mkdir()
     Path("full.csv").write_text("mine\n")
     for options, expected in (
-        (["--out", "there.dcd"], ": there.dcd is no regular file"),
+        (["--out", "there.dcd"], ": there.dcd is not a regular file"),
         (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
-        (["--report", "/dev/null", "--overwrite"], "/dev/null is no regular file"),
+        (["--report", "/dev/null", "--overwrite"], "/dev/null is not a regular file"),
         (["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
         (["--report", "full.csv"], "full.csv exists"),
-        (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd is to be a table: name a file that ends in .csv"),
-        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC is to be a table: name a file that ends in .csv"),
+        (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd will be a table: give a name that ends in .csv"),
+        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
         (["--platform", "Abacus"], 'no registered Platform called "Abacus"'),
     ):
         message = complaint(capsys, "run", box, *options)
@@ -217,7 +217,7 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     message = complaint(capsys, "run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "40")
     file_size_limit(resource.RLIM_INFINITY)
     assert message.startswith("openmm-sier: box.chk: File too large, at step 25")
-    assert "is box.chk, of step 20; --restart goes on from it" in message
+    assert "is box.chk, of step 20; --restart continues from it" in message
     assert Path("box.chk").read_bytes() == before
     assert not Path("box.chk.tmp").exists()
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", "40"]) == 0
@@ -238,7 +238,7 @@ def test_xtc_frame_that_is_cut_off_stops_the_run(box, capsys, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(app.XTCFile, "writeModel", cut_off)
         message = complaint(capsys, "run", box, *SMALL, "--steps", "40", "--out", "made.xtc")
-    assert "made.xtc: a frame could not be written, OpenMM left it incomplete in the temporary directory" in message
+    assert "made.xtc: a frame could not be written: OpenMM left it incomplete in the temporary directory" in message
     assert "The last checkpoint is made.chk, of step" in message
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "made.chk", "--steps", "40"]) == 0
     assert frames(Path("made.xtc"), box).n_frames == 8

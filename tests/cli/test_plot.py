@@ -188,14 +188,14 @@ def test_a_run_draws_at_its_end(box, capsys):
     for name in ("box.chk", "box.dcd", "box.csv"):
         Path(name).unlink()
     before = contents(Path())
-    assert "a.svg exists: name another file by --plot, or allow --overwrite" in complaint(capsys, *short)
+    assert "a.svg exists: give another name with --plot, or replace it with --overwrite" in complaint(capsys, *short)
     assert contents(Path()) == before
     run(*short, "--overwrite")
 
 
 def test_a_run_too_short_for_a_picture_is_refused_before_it(box, capsys):
     command = ["run", box, *SMALL, "--steps", "10", "--plot", "a.png"]
-    assert "--plot needs a log of 3 rows or more, it would have 2: lower" in complaint(capsys, *command)
+    assert "--plot needs a log of 3 rows or more, and this one would have 2: lower" in complaint(capsys, *command)
     assert not contents(Path())
 
 
@@ -229,10 +229,10 @@ def test_a_log_that_is_being_written_is_drawn():
         (["a.csv", "bath.csv"], "bath.csv is in a bath, at constant volume, a.csv is at constant energy, at constant"),
         (
             ["tensor.csv"],
-            "tensor.csv is no log of openmm-sier run, which has a column Potential Energy (kJ/mole)",
+            "tensor.csv is not a log of openmm-sier run, since it has no column Potential Energy (kJ/mole)",
         ),
-        (["a.dcd"], "a.dcd is no log of openmm-sier run: name the file of --report, which ends in .csv"),
-        (["short.csv"], "short.csv needs 3 rows or more, has 2 so far: let the run go on"),
+        (["a.dcd"], "a.dcd is not a log of openmm-sier run: give the .csv file that --report wrote"),
+        (["short.csv"], "short.csv has 2 rows so far and needs 3 or more: let the run continue"),
         (["a.csv", "--skip", "20"], "--skip 20 leaves nothing: the shortest run has 20 ps"),
     ],
 )
@@ -250,7 +250,7 @@ def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
 def test_a_picture_destroys_no_log(capsys):
     write_log("a.png")
     before = contents(Path())
-    assert "a.png would destroy a.png: name another file" in complaint(capsys, "plot", "a.png", "--out", "a.png")
+    assert "a.png would overwrite a.png: give another name" in complaint(capsys, "plot", "a.png", "--out", "a.png")
     assert contents(Path()) == before
 
 
@@ -275,5 +275,5 @@ def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys):
     assert "warning" not in capsys.readouterr().out
     run("plot", "a.csv", "b.csv", "c.csv")
     said = capsys.readouterr().out
-    assert "warning: c.csv and a.csv are runs with different dt: their mean is of no ensemble" in said
-    assert "warning: c.csv ends after 0.04, a.csv after 0.08: runs of different lengths have the same weight" in said
+    assert "warning: c.csv and a.csv differ in dt: their mean belongs to no ensemble" in said
+    assert "warning: c.csv ends after 0.04, and a.csv after 0.08: means give both the same weight" in said

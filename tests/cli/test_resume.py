@@ -82,7 +82,7 @@ def test_files_without_their_checkpoint_are_refused(box, whole_run, capsys, vict
     shutil.copy(whole_run / victim, ".")
     before = contents(Path())
     message = complaint(capsys, *resume(box, *WHOLE))
-    assert f"{victim} exists, but there is no checkpoint a.chk to go on from: name another file, or allow" in message
+    assert f"{victim} exists, but its checkpoint a.chk does not: give another name, or replace the file with" in message
     assert contents(Path()) == before
     run(*resume(box, *WHOLE, "--overwrite"))
     assert files(".") == files(whole_run)
@@ -95,7 +95,7 @@ def test_a_table_of_somebody_is_refused(box, capsys):
         Path("a.chk").unlink()
     for text in ("mine\n", "Step,Time (ps),\n0,1\n1,2\n", "Stop\n"):
         Path("a.csv").write_text(text)
-        assert "a.csv exists, but there is no checkpoint" in complaint(capsys, *resume(box, "--steps", "1"))
+        assert "a.csv exists, but its checkpoint" in complaint(capsys, *resume(box, "--steps", "1"))
         assert Path("a.csv").read_text() == text
 
 

@@ -43,7 +43,7 @@ def test_from_coordinates_to_a_trajectory(capsys):
     run("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--steps", "20", "--out", "whole.dcd")
     out = capsys.readouterr().out
     assert "rigid: head: A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
-    assert "132 pairs of atoms within 2 rigid bodies, which do no work, are excluded" in out
+    assert "132 pairs of atoms within 2 rigid bodies do no work, and are excluded" in out
     assert "usual steps are 26 fs with SIER4G" in out
     within, among = stretched("whole.dcd")
     # The DCD file has single precision in Angstrom, of coordinates up to 120.

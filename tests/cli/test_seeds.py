@@ -108,10 +108,10 @@ def test_each_complaint_is_told_once():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--seeds", "1-2", "--seed", "3"], "--seed and --seeds both say which seeds"),
+        (["--seeds", "1-2", "--seed", "3"], "--seed and --seeds both set seeds"),
         (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, and each member writes its own"),
         (["--seeds", "1-2", "--pressure-tensor", "b.csv"], "--pressure-tensor names one file"),
-        (["--seeds", "1-2", "--restart", "a.chk"], "leave --restart out"),
+        (["--seeds", "1-2", "--restart", "a.chk"], "leave out --restart"),
         (["--seeds", "1-2", "--workers", "2", "--scheduler", "tcp://a:1"], "--workers is for this machine"),
         (["--workers", "2"], "--workers needs --seeds"),
         (["--scheduler", "tcp://a:1"], "--scheduler needs --seeds"),
@@ -158,7 +158,9 @@ def test_a_second_call_goes_on_after_the_first_was_ended(box, single_runs, name)
     code, _, err = ended(process)
     if name == "SIGINT":
         assert code == 130
-        assert re.fullmatch(r"openmm-sier: stopped, \d of 3 runs are complete; the same command goes on\n", err)
+        assert re.fullmatch(
+            r"openmm-sier: stopped: \d of 3 runs are complete. Give the same command again to continue\n", err
+        )
     # Members complete a step and their files by themselves.
     until = time.monotonic() + LIMIT
     while any(Path(f"/proc/{number}").exists() for number in running):
@@ -175,8 +177,8 @@ def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
     code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
     assert code == 1
     assert err.count("\n") == 1
-    assert "seed 2: a-seed2.csv exists, but there is no checkpoint a-seed2.chk to go on from" in err
-    assert "2 of 3 runs are complete; the same command goes on with the others" in err
+    assert "seed 2: a-seed2.csv exists, but its checkpoint a-seed2.chk does not" in err
+    assert "2 of 3 runs are complete. Give the same command again to continue the others" in err
     assert files(".", (1, 3)) == files(single_runs, (1, 3))
     assert Path("a-seed2.csv").read_text() == "mine\n"
 
@@ -216,7 +218,8 @@ def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
     code, _, err = ended(process)
     assert code == 1
     assert err == (
-        f"openmm-sier: the scheduler {address} went away. The same command goes on with what is not complete\n"
+        f"openmm-sier: the scheduler {address} went away. Give the same command again to continue the runs that are "
+        "not complete\n"
     )
     # On this machine now.
     code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))

@@ -31,13 +31,13 @@ def test_what_is_made_is_read(structure, capsys):
 def test_files_in_the_way(structure, capsys):
     for name, text in (
         ("box.cif", "--out box.cif: expected the name of a PDB file, which ends in .pdb"),
-        ("1VII.pdb", "1VII.pdb would destroy the structure that is read"),
+        ("1VII.pdb", "1VII.pdb is the structure that is read, and would be overwritten"),
         ("none/box.pdb", "there is no directory none for box.pdb"),
     ):
         assert text in complaint(capsys, "setup", structure, "--out", name)
     Path("1VII-water.pdb").write_text("mine")
     before = contents(Path())
-    assert "1VII-water.pdb exists: name another file" in complaint(capsys, "setup", structure)
+    assert "1VII-water.pdb exists: give another name" in complaint(capsys, "setup", structure)
     assert contents(Path()) == before
 
 

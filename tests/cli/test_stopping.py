@@ -90,7 +90,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     name = signal.Signals(signum).name
     # Rows come every 10 steps, the first at step 0. Checkpoints at 25 and 50 are not what is gone on from.
     assert capsys.readouterr().err == (
-        f"openmm-sier: stopped by {name} at step 30 (0.12 ps), all files are written; go on with --restart cut.chk\n"
+        f"openmm-sier: stopped by {name} at step 30 (0.12 ps), all files are written; continue with --restart cut.chk\n"
     )
     assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
     assert frames(Path("cut.dcd"), box).n_frames == 6

@@ -50,12 +50,13 @@ def test_an_error_carries_its_parts():
     assert isinstance(error, openmm.OpenMMException)
     assert (error.finding, error.remedies, error.remark) == (str(error)[:26], remedies, "More do not help")
     assert str(error).startswith(
-        "A step of 9 fs is too long. Take up to 4 fs, or for averages only, make all hydrogens"
+        "A step of 9 fs is too long. Take up to 4 fs, or if you need averages but no dynamics, make all hydrogens"
     )
     assert "prepare_system(" in str(error)
     assert described(error) == (
-        "A step of 9 fs is too long. Take up to 4 fs (--dt), or for averages only, make all hydrogens heavy by "
-        "--hydrogen-mass 4, or hold the bond by --constraints hbonds (bonds to hydrogen) or allbonds. More do not help"
+        "A step of 9 fs is too long. Take up to 4 fs (--dt), or if you need averages but no dynamics, make all "
+        "hydrogens heavy by --hydrogen-mass 4, or constrain the bond by --constraints hbonds (bonds to hydrogen) or "
+        "allbonds. More do not help"
     )
 
 

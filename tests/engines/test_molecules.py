@@ -203,7 +203,7 @@ def test_positions_far_off_the_constraints_are_refused():
     off = positions.copy()
     off[2] += [0.002, 0, 0]
     context.setPositions(off)
-    with pytest.warns(UserWarning, match="not quite in the shape of their constraints"):
+    with pytest.warns(UserWarning, match="not quite have the shape of their constraints"):
         mended = integrator.getBodyState().q
     assert residual(integrator.bodies.constraints, mended) < 1e-13
     integrator.step(1)

@@ -46,7 +46,7 @@ def test_it_is_said_that_the_first_is_taken(tmp_path, lines, occupancies):
     path = tmp_path / "box.pdb"
     path.write_text("".join(in_two_places(in_two_places(lines, 3, occupancies), 5, occupancies)))
     with pytest.warns(
-        UserWarning, match="HOH 3 and 2 residues in all have alternate places; the first is taken"
+        UserWarning, match="HOH 3 has alternate places .* the first is taken \\(2 residues in all\\)"
     ) as told:
         found = read_pdb(path)
     assert "A {:g}, B {:g}".format(*occupancies) in str(told[0].message)
@@ -86,5 +86,5 @@ def test_alternate_places_in_mmcif_files(tmp_path, lines, occupancies, is_refuse
         with pytest.raises(ForceFieldError, match=r"HOH 3 has .* A 0.3, B 0.7, .* by the letter in label_alt_id"):
             read_pdb(path)
     else:
-        with pytest.warns(UserWarning, match="HOH 3 has alternate places; the first is taken"):
+        with pytest.warns(UserWarning, match="HOH 3 has alternate places"):
             assert read_pdb(path).topology.getNumAtoms() == 24

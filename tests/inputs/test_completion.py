@@ -119,7 +119,7 @@ def test_selenomethionine_becomes_methionine(tmp_path):
 def test_a_gap_without_a_sequence_is_refused(tmp_path):
     path = write_incomplete(tmp_path / "a.pdb", sequence=False)
     with pytest.raises(
-        ForceFieldError, match=r"a gap of .* nm between ASP A 44 and ASP A 46, and no sequence that fits"
+        ForceFieldError, match=r"a gap of .* nm between ASP A 44 and ASP A 46, and the file has no sequence that fits"
     ):
         complete(path)
 

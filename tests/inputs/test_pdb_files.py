@@ -38,14 +38,17 @@ def with_edges(lines, a, b, c):
             "edges of 0, 0, 0 Angstrom, expected lengths above 0",
         ),
         (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "expected the edges of the box in Angstrom, got"),
-        (lambda lines: with_edges(lines, "1.000", "1.000", "1.000"), "a volume of 0.001 nm3, too small for its 486"),
+        (
+            lambda lines: with_edges(lines, "1.000", "1.000", "1.000"),
+            "a volume of 0.001 nm3, too small for atoms of 486",
+        ),
         (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
         # The last number of the last atom would be 1.
         (
             lambda lines: [*lines[:-3], lines[-3][:49]],
             "line 83 ends within the coordinates of an atom, before column 54",
         ),
-        (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are no numbers"),
+        (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are not numbers"),
     ],
 )
 def test_boxes_that_are_refused(tmp_path, lines, change, message):
@@ -84,7 +87,7 @@ def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, e
         pdb = app.PDBFile(str(path))
         path = write_pdb(tmp_path / name, pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
     with pytest.warns(
-        UserWarning, match=r"0.26 g/ml in their box, less than a liquid. Unless it is a gas or has surfaces"
+        UserWarning, match=r"is 0.26 g/ml, less than that of a liquid. Unless this is a gas or has surfaces"
     ) as told:
         box = read_input(path, files=["tip3p.xml"])
     assert "at 0.259 g/ml, PME" in describe(box)

@@ -40,7 +40,7 @@ REFUSED = [
     (partial(trials, stepsPerTrial=0), "stepsPerTrial must be at least 1"),
     (partial(trials, stepsPerTrial=2.5), "stepsPerTrial must be a whole number"),
     (partial(trials, scheme=SIER2.with_bath()), "has a bath"),
-    (partial(trials, scheme=CROOKED), "is no palindrome"),
+    (partial(trials, scheme=CROOKED), "is not a palindrome"),
     (partial(VelocityRescaling, -1, 1), "temperature must be at least 0, got -1.0 K"),
     (partial(VelocityRescaling, 300, -1 / unit.picosecond), "rate must be at least 0, got -1.0 1/ps"),
     (partial(VelocityRescaling, 300, 1 * unit.picosecond), "rate must be in units like 1/ps"),

@@ -197,9 +197,12 @@ def drude(system, bodies):
 @pytest.mark.parametrize(
     ("add", "message"),
     [
-        (surfaced, r"implicit water \(GBSAOBCForce\) cannot be carried over.*setSurfaceAreaEnergy\(0\)"),
-        (multipoles, r"AMOEBA \(AmoebaMultipoleForce\) cannot be carried over.*bodies="),
-        (drude, r"Drude \(DrudeForce\) cannot be carried over: atom 3 of a body"),
+        (
+            surfaced,
+            r"implicit water \(GBSAOBCForce\) cannot be copied to a System with frames.*setSurfaceAreaEnergy\(0\)",
+        ),
+        (multipoles, r"AMOEBA \(AmoebaMultipoleForce\) cannot be copied to a System with frames.*bodies="),
+        (drude, r"Drude \(DrudeForce\) cannot be copied to a System with frames: atom 3 of a body"),
     ],
 )
 def test_forces_that_cannot_be_carried_are_refused_by_name(add, message):

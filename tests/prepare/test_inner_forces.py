@@ -58,7 +58,7 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
     system = contained(water[1], name)
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*jump of PME"):
+    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*PME jumps"):
         openmm.Context(system, SIER4GIntegrator(0.004), platform())
     prepare_system(system)
     with silence():
@@ -163,7 +163,7 @@ def test_a_factor_of_energies_counts():
     assert steps == pytest.approx([longest(plain), 2 * longest(plain), np.inf], rel=1e-12)
     # Of an expression that is not linear nothing is known, and it is said.
     bare.addForce(scaled(inner, energy="factor*U^2"))
-    with pytest.warns(UserWarning, match=r"cannot be judged: of CustomCVForce \(CustomCVForce\)"):
+    with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce \(CustomCVForce\)"):
         judged(bare, SIER2Integrator(0.003))
 
 

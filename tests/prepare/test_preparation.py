@@ -462,7 +462,7 @@ def test_bodies_as_plain_lists():
     system = methanols_of(2)
     heavy = [[0, 1, 2, 3], [4, 5], [6, 7, 8, 9], [10, 11]]
     assert prepare_system(system, heavy).fastForceGroups == {1}
-    with pytest.raises(TypeError, match=r"bodies must be .* lists of particle indices, got True and False: not a mask"):
+    with pytest.raises(TypeError, match=r"bodies must be .* lists of particle indices, got a mask of True and False"):
         prepare_system(system, bodies=[[True, False, True]])
 
 

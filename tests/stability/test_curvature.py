@@ -275,7 +275,7 @@ def test_a_force_of_which_nothing_is_known_is_named_once():
         # No bond of a molecule is too fast for this step.
         context = context_at(system, integrator, (x, 0 * x), steps=1)
     integrator.setStepSize(6 * unit.femtoseconds)
-    said = r"A step of 6 fs cannot be judged: of bias \(CustomCVForce\) no stiffness"
+    said = r"A step of 6 fs cannot be judged, since the stiffness of bias \(CustomCVForce\)"
     with pytest.warns(UserWarning, match=said) as told:
         integrator.step(2)
     assert len(told) == 1

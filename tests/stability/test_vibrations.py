@@ -140,7 +140,7 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
     ("masses", "named", "left_out"),
     [
         ((1.0, 16.0), ("make all hydrogens heavy", "constraints=HBonds"), "AllBonds"),
-        ((3.0, 10.0), ("constraints=HBonds", "if createSystem made hydrogens heavy"), "averages only"),
+        ((3.0, 10.0), ("constraints=HBonds", "if createSystem made hydrogens heavy"), "averages but no dynamics"),
         ((14.0, 14.0), ("constraints=AllBonds",), "hydrogens"),
     ],
 )
@@ -206,9 +206,9 @@ FAST, SLOW = "Call prepare_system(system)", "Take a shorter step, or"
 ADVICE = {
     "a bond to hydrogen": (lambda: (diatomic(4e5), None, None), FAST, "constraints=HBonds", "AllBonds"),
     "a bond of light carbon": (group_of_methyl, FAST, "constraints=AllBonds", "HBonds"),
-    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "hold the bond"),
+    "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "constrain the bond"),
     "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
-    "a collective variable": (biased, SLOW, "make bias softer", "hold the bond"),
+    "a collective variable": (biased, SLOW, "make bias softer", "constrain the bond"),
     "a bond of two bodies": (between_bodies, FAST, "into one rigid body", "constraints="),
     "a bond beside a body": (beside_a_body, FAST, "into one rigid body", "constraints="),
 }

@@ -135,7 +135,7 @@ def test_wrong_descriptions_are_named(description, named):
 
 
 def test_one_body_of_chains_that_share_a_name_is_refused():
-    with pytest.raises(ValueError, match="there are 2 chains A: give each chain a line"):
+    with pytest.raises(ValueError, match="there are 2 chains A: describe the body of each chain apart"):
         select_bodies(chains("AAB"), "A:1 B:1")
 
 

@@ -215,7 +215,7 @@ def test_molecules_of_a_pdb_file_are_of_one_species(constrained, digit):
         assert warning.filename == __file__
         message = str(warning.message)
         assert message.startswith("125 bodies like residue MOH 1 (atoms 0, 1, 2, 3, 4, 5) get one shape, their average")
-        deviation = float(re.search(r"differ from it by up to (\S+) nm", message)[1])
+        deviation = float(re.search(r"differ from the average by up to (\S+) nm", message)[1])
         # Each coordinate is off by up to half a digit.
         assert 0.5 * digit < deviation < np.sqrt(3) * digit
     (species,) = bodies.species

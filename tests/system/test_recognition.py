@@ -61,7 +61,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
     topology, _, system = cluster_system(6, "tip3p")
     integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
     context = context_at(system, integrator, (positions, 0 * positions))
-    with pytest.warns(UserWarning, match="6 of 6 bodies are not quite in the shape of their constraints") as said:
+    with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape of their constraints") as said:
         integrator.step(1)
     assert len(said) == 1
     assert said[0].filename == __file__
@@ -99,7 +99,7 @@ def test_small_bodies_are_recognized_within_a_fraction_of_their_distances(rng):
     assert waters_of("TIP3P", 1).species[0].tolerance == FIT_TOLERANCE
     # Two particles at one place are not to be told apart, and a point has no place to miss.
     assert Species.from_coordinates([[0, 1]], [1.0, 1.0], np.zeros((2, 3))).tolerance == FIT_TOLERANCE
-    with pytest.raises(RigidityError, match=r"up to 0.005 nm is corrected"):
+    with pytest.raises(RigidityError, match=r"only 0.005 nm or less is corrected"):
         RigidBodies([small], 2).fit(np.array([[0, 0, 0], [0.032, 0, 0]]))
 
 
@@ -119,7 +119,7 @@ def test_hands_are_told_apart_within_the_tolerance(height, rng):
     bodies.fit(x + rng.uniform(-1, 1, x.shape) * 0.05 * height)
     x[12:16] = x[12:16] * [1, 1, -1]
     with pytest.raises(
-        RigidityError, match=r"atoms 12, 13, 14, 15 does not fit its rigid shape but its mirror image \(1 bodies"
+        RigidityError, match=r"atoms 12, 13, 14, 15 is the mirror image of its rigid shape, as are 1 bodies"
     ):
         bodies.fit(x + rng.uniform(-1, 1, x.shape) * 0.05 * height)
 

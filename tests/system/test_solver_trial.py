@@ -38,12 +38,12 @@ SOLVED = {
 
 #: Molecules that they do not, with the reason, and whether positions are needed to see it.
 UNSOLVED = {
-    "methane": (methane(), "10 constraints join them, where 9 hold them", False),
+    "methane": (methane(), "10 constraints join them, and 9 are enough", False),
     "methane without a constraint": (methane().without((1, 2)), "its iterations for these 9 constraints diverge", True),
     "methane without two": (methane().without((1, 2), (3, 4)), "its iterations for these 8 constraints", True),
     "formate": (formate(), "its iterations for these 6 constraints diverge", False),
     "formate without a constraint": (formate().without((2, 3)), "its iterations for these 5 constraints", True),
-    "benzene": (benzene(), "66 constraints join them, where 30 hold them", False),
+    "benzene": (benzene(), "66 constraints join them, and 30 are enough", False),
     "HDO": (triangle([16, 1, 2]), r"atoms 1 and 2, .* differ in mass \(1 and 2 dalton\)", False),
     "HDO in another order": (triangle([16, 1, 2]).ordered([1, 0, 2]), "atoms 0 and 2, as far from atom 1", False),
     "oxygen isotopes": (triangle([16, 16, 18], np.radians(117), 0.1272), "differ in mass", False),

@@ -150,7 +150,7 @@ def test_restraints_and_external_forces(chain, held, make, engine):
     topology, positions = chain
     force, change = make(held, positions)
     held.addForce(force)
-    with silence(r"\d+ of \d+ bodies are not quite"):
+    with silence(r"\d+ of \d+ bodies do not quite"):
         simulation = simulation_with(topology, held, langevin(engine), positions)
         simulation.step(5)
         change()
@@ -164,7 +164,7 @@ def test_restraints_and_external_forces(chain, held, make, engine):
 def test_a_distance_is_pulled_by_a_collective_variable(chain, held, engine):
     """Steered dynamics: the Force is added to a Context that has run, and its parameter moved every few steps."""
     topology, positions = chain
-    with silence(r"\d+ of \d+ bodies are not quite"):
+    with silence(r"\d+ of \d+ bodies do not quite"):
         simulation = simulation_with(topology, held, langevin(engine), positions)
         simulation.context.setVelocitiesToTemperature(300 * KELVIN, 1)
         simulation.step(5)
@@ -190,7 +190,7 @@ def test_atoms_are_held_by_having_no_mass(engine):
     frozen = [atom.index for atom in topology.atoms() if atom.residue.name != "HOH"]
     for i in frozen:
         system.setParticleMass(i, 0 * unit.dalton)
-    with silence(r"\d+ of \d+ bodies are not quite"):
+    with silence(r"\d+ of \d+ bodies do not quite"):
         simulation = simulation_with(topology, system, langevin(engine), positions)
         simulation.step(5)
     after, _ = phase_point(simulation.context)
@@ -209,7 +209,7 @@ def test_temperature_and_pressure_are_changed_in_a_run(engine):
     system = forcefield().createSystem(
         topology, nonbondedMethod=app.PME, nonbondedCutoff=1 * unit.nanometer, constraints=app.HBonds
     )
-    with silence(r"\d+ of \d+ bodies are not quite"):
+    with silence(r"\d+ of \d+ bodies do not quite"):
         integrator = langevin(engine)
         simulation = simulation_with(topology, system, integrator, positions)
         integrator.step(2)
@@ -233,7 +233,7 @@ def test_drift_at_several_steps_with_heavier_hydrogens(chain, step):
     """Verlet's steps of 1, 2 and 4 fs, with hydrogens of 1.5 dalton that constraints hold."""
     topology, positions = chain
     system = forcefield().createSystem(topology, constraints=app.HBonds, hydrogenMass=1.5 * unit.dalton)
-    with silence(r"\d+ of \d+ bodies are not quite", r"At 4 fs the total energy wanders", "A step of 4 fs is long"):
+    with silence(r"\d+ of \d+ bodies do not quite", r"At 4 fs the total energy wanders", "A step of 4 fs is long"):
         simulation = simulation_with(topology, system, SIERIntegrator(step * FEMTOSECOND), positions)
         simulation.context.setVelocitiesToTemperature(300 * KELVIN, 1)
         simulation.step(10)

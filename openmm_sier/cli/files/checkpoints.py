@@ -39,7 +39,7 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     """State and notes of a checkpoint.
 
     Raises:
-        RecordError: the file is no checkpoint of this command, or of another version of it.
+        RecordError: the file is not a checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
     with _opened(path) as archive:
@@ -64,7 +64,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
-        raise records.RecordError(f"{path} is no checkpoint of openmm-sier run") from error
+        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
 
 
 def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:

@@ -74,11 +74,11 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, ste
     if later is None and last <= next_checkpoint:
         return
     files = ", ".join(str(cut.path) for cut in cuts)
-    reason = f"{later} is a later checkpoint of them" if later else "no killed run goes on so far after its checkpoint"
+    reason = f"{later} is a later checkpoint" if later else "a killed run writes less after its last checkpoint"
     raise RunError(
-        f"{checkpoint} is at {_ps(plan, step)}, but {files} go on to {_ps(plan, last)}, and {reason}: this restart "
-        f"would cut them back. Give {later or 'the last checkpoint of the run'} to --restart; or begin a new run with "
-        f"--start {checkpoint} and another --out; or allow the cut by --overwrite"
+        f"{checkpoint} is at {_ps(plan, step)}, but {files} go on to {_ps(plan, last)}; {reason}. A restart from here "
+        f"would cut these files. Give {later or 'the last checkpoint of the run'} to --restart; or begin a new run "
+        f"with --start {checkpoint} and another --out; or cut the files with --overwrite"
     )
 
 

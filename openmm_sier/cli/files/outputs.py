@@ -41,7 +41,7 @@ class Outputs:
             if name == "trajectory" and not is_trajectory:
                 raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
-                raise records.RecordError(f"{path} is to be a table: name a file that ends in .csv")
+                raise records.RecordError(f"{path} will be a table: give a name that ends in .csv")
 
     # --- before any is opened ---
 
@@ -58,14 +58,14 @@ class Outputs:
         inputs = [*sources, *([start] if start else [])]
         for path, other in product(self.paths, inputs):
             if same_file(path, other):
-                raise RunError(f"{path} would destroy the input {other}: name another file")
+                raise RunError(f"{path} would overwrite the input {other}: give another name")
         for path, other in combinations(self.paths, 2):
             if same_file(path, other):
                 raise RunError(f"{path} and {other} are the same: outputs must be different files")
         for path in (*self._grown.values(), self.checkpoint):
             # For example a device: /dev/null would be replaced by a file.
             if path.exists() and not path.is_file():
-                raise RunError(f"{path} is no regular file")
+                raise RunError(f"{path} is not a regular file")
             if not path.parent.is_dir():
                 raise RunError(f"there is no directory {path.parent} for {path.name}")
 
@@ -80,11 +80,14 @@ class Outputs:
         """
         for path in filter(os.path.lexists, self.paths):
             if not resumes:
-                raise RunError(f"{path} exists. Go on from a checkpoint with --restart FILE, or allow --overwrite")
+                raise RunError(
+                    f"{path} exists. Continue from a checkpoint with --restart FILE, or replace the file with "
+                    "--overwrite"
+                )
             if not self._is_beginning(path):
                 raise RunError(
-                    f"{path} exists, but there is no checkpoint {self.checkpoint} to go on from: name another file, or "
-                    "allow --overwrite"
+                    f"{path} exists, but its checkpoint {self.checkpoint} does not: give another name, or "
+                    "replace the file with --overwrite"
                 )
 
     def _is_beginning(self, path: Path) -> bool:
@@ -189,13 +192,13 @@ def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
     """
     for other in others:
         if same_file(path, other):
-            raise RunError(f"{path} would destroy {other}: name another file")
+            raise RunError(f"{path} would overwrite {other}: give another name")
     if path.exists() and not path.is_file():
-        raise RunError(f"{path} is no regular file")
+        raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")
     if option and path.exists():
-        raise RunError(f"{path} exists: name another file by {option}, or allow --overwrite")
+        raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
 
 
 def same_file(one: Path, two: Path) -> bool:

@@ -168,8 +168,8 @@ def check(path: Path, noted: Noted) -> None:
         )
     if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
         raise RecordError(
-            f"{path} is not the file that the checkpoint belongs to, or was edited: its first {noted.size} bytes "
-            "are not those of the checkpoint"
+            f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
+            "Put the old file back, or begin a new run from the checkpoint with --start"
         )
 
 

@@ -111,7 +111,7 @@ class XTCTrajectory(Trajectory):
             # OpenMM's writer says nothing where the temporary directory is full.
             if not _is_frame(frame, len(positions)):
                 place = f"OpenMM left it incomplete in the temporary directory {tempfile.gettempdir()}"
-                told = f"a frame could not be written, {place}. Is that full? Another one can be named by TMPDIR"
+                told = f"a frame could not be written: {place}. Is its disk full? Set TMPDIR to another directory"
                 raise OSError(errno.EIO, told, str(self.path))
             self.append(frame.read_bytes())
 

@@ -18,7 +18,7 @@ tr { border-bottom: 1px solid #ddd; } .warning { font-weight: bold; } svg { widt
 
 
 def page_of(runs: Runs, title: str, remarks: Sequence[str], picture: str) -> str:
-    """Return a page.
+    """Return an HTML page of runs: title, remarks, means, picture and settings.
 
     Args:
         runs: of one kind.

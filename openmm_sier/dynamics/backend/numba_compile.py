@@ -71,7 +71,7 @@ def with_cache(function: FunctionType) -> Callable[..., Any]:
 
 def _tell_of_no_cache(error: Exception) -> None:
     warnings.warn(
-        f"every process compiles its loops anew, since they cannot be kept on disk ({error}): set NUMBA_CACHE_DIR to "
+        f"each process compiles its loops again, since they cannot be kept on disk ({error}): set NUMBA_CACHE_DIR to "
         "a directory that can be written",
         stacklevel=4,
     )

@@ -144,8 +144,8 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
     """
     if (count := integrator.getNumComputations()) != own:
         raise openmm.OpenMMException(
-            f"This integrator has {own} computations of its own and {count} now: its step is its scheme, and "
-            "addComputePerDof and the like cannot add to it. Use an openmm.CustomIntegrator for steps of your own"
+            f"This integrator had {own} computations and has {count} now. Its scheme defines its step, to which "
+            "addComputePerDof and similar methods cannot add. For a step of your own use an openmm.CustomIntegrator"
         )
 
 

@@ -245,7 +245,7 @@ def write(
 
     def bathe(time: str) -> Line:
         if bath is None:
-            raise ValueError(f"the operator '{BATH}' cannot be written out")
+            raise ValueError(f"OpenMM cannot execute the operator '{BATH}' in a CustomIntegrator")
         keeps = bool(fast) and scheme.bath_divides_drift
         return _bath(bath.velocity(time, FRICTION, THERMAL), counts_heat, keeps)
 
@@ -320,7 +320,7 @@ def _lines(
         elif stage.operator == BATH and bathe is not None:
             lines.append(bathe(time))
         else:
-            raise ValueError(f"the operator '{stage.operator}' cannot be written out")
+            raise ValueError(f"OpenMM cannot execute the operator '{stage.operator}' in a CustomIntegrator")
     return lines
 
 

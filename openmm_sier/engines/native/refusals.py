@@ -28,8 +28,8 @@ def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) 
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
     if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         raise openmm.OpenMMException(
-            "The native engine divides its step, which AndersenThermostat takes for the whole one: use "
-            "SIERLangevinIntegrator without it, or take engine='exact'"
+            "The native engine divides its step, and AndersenThermostat takes each part for a whole step. Remove the "
+            "AndersenThermostat and use SIERLangevinIntegrator, or take engine='exact'"
         )
     if system.getNumConstraints():
         checks.refuse_scaled_atoms(system)
@@ -57,9 +57,9 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
         for pair in combinations(massive, 2):
             if pair not in held:
                 return (
-                    f"keeps rigid what constraints do, and none joins atoms {pair[0]} and {pair[1]} of a body in "
-                    "`bodies`: make a copy of the System by with_frames(system, positions, bodies); or, for up to four "
-                    "atoms, constrain every two of them"
+                    f"keeps bodies rigid only by constraints, and no constraint joins atoms {pair[0]} and {pair[1]} "
+                    "of a body in `bodies`: make a copy of the System by with_frames(system, positions, bodies); or, "
+                    "for a body of up to four atoms, constrain each pair of them"
                 )
     return None
 
@@ -102,9 +102,9 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
         if touched.size:
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
-                f"may act on atom {touched[0]}, a virtual site; virtual sites stay behind within a step of the native "
-                "engine. If this is a copy with frames of a prepared System, prepare the copy too: "
-                "prepare_system(system). Otherwise put the Force into another group with setForceGroup"
+                f"may act on atom {touched[0]}, a virtual site. Virtual sites do not follow their atoms within a step "
+                "of the native engine. If this is a copy with frames of a prepared System, prepare the copy too: "
+                "prepare_system(system). Otherwise put this Force into another group with setForceGroup"
             )
 
 

@@ -38,9 +38,9 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         if not errors[worst] <= NOT_CONVERGED:
             i, j = constraints.pairs[worst].tolist()
             raise RigidityError(
-                f"the constraint of atoms {i} and {j} wants them {constraints.lengths[worst]:.4f} nm apart, "
-                f"and OpenMM could move them no nearer to that than {errors[worst]:.2g} nm: give positions that "
-                f"satisfy the constraints. {IF_CUT}"
+                f"OpenMM could not satisfy the constraint of atoms {i} and {j} of {constraints.lengths[worst]:.4f} nm: "
+                f"their distance is still off by {errors[worst]:.2g} nm. Give positions that satisfy the constraints. "
+                f"{IF_CUT}"
             )
     if not speeds.max() <= OFF:
         own_methods.constrain_velocities(context, tolerance)

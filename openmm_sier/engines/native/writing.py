@@ -60,9 +60,8 @@ def refuse_other_slow_groups(program: Program, system: openmm.System, groups: in
     named, found = program.slow_group, slow_groups(system, groups, fast_groups)
     if named is not None and found != (named,):
         raise openmm.OpenMMException(
-            f"The program of this Context takes its slow forces from force group {named}, and the integration force "
-            f"groups now have them in {found or 'none'}. Set force groups before the Context is made, or take "
-            "engine='exact'"
+            f"Force groups have changed since the Context was made: its slow forces were in force group {named}, and "
+            f"are now in {found or 'none'}. Set force groups before the Context is made, or take engine='exact'"
         )
 
 
