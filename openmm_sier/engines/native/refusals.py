@@ -106,7 +106,8 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
                 f"may act on atom {touched[0]}, a virtual site. Virtual sites do not follow their atoms within a step "
-                "of the native engine. Put this Force into another group with setForceGroup, or take engine='exact'"
+                "of the native engine. If this is a copy with frames of a prepared System, prepare the copy too: "
+                "prepare_system(system). Otherwise put this Force into another group with setForceGroup"
             )
 
 
