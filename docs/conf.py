@@ -86,7 +86,7 @@ nitpick_ignore_regex = [
 ]
 
 # Letters up to which a cell of a table stays on one line, and beyond which it gets a column of some width.
-SHORT_CELL, LONG_CELL = 14, 40
+SHORT_CELL, LONG_CELL = 14, 20
 
 html_theme = "furo"
 html_title = f"openmm_sier {version}"
