@@ -86,7 +86,10 @@ nitpick_ignore_regex = [
 ]
 
 # Letters up to which a cell of a table stays on one line, and beyond which it gets a column of some width.
-SHORT_CELL, LONG_CELL = 14, 40
+SHORT_CELL, LONG_CELL = 14, 20
+
+# A letter with an accent, before an index.
+ACCENTED = re.compile(r"\\(?:tilde|hat|bar|dot|vec) ?(?:\{(?:[^{}]|\{[^{}]*\})*\}|\w)(?=[_^])")
 
 html_theme = "furo"
 html_title = f"openmm_sier {version}"
@@ -103,6 +106,8 @@ copybutton_line_continuation_character = "\\"
 def _formula(translator, node: nodes.Element, block: bool) -> None:
     """A formula as MathML, which browsers show by themselves: no script is loaded, from here or from elsewhere."""
     source = re.sub(r"\s+", " ", node.astext()).strip()
+    # Docutils puts an index under a letter with an accent; one of nothing, after the letter, stands where it should.
+    source = ACCENTED.sub(r"\g<0>{}", source)
     formula = tex2mathml(source, as_block=block)
     translator.body.append(f'<div class="formula">{formula}</div>' if block else formula)
     raise nodes.SkipNode
