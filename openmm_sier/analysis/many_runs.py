@@ -49,7 +49,7 @@ class RunsError(RuntimeError):
 
 @dataclass
 class Member:
-    """One of many runs.
+    """Hold what is known of one of many runs.
 
     Attributes:
         seed: of the run.
@@ -96,7 +96,7 @@ def run_many(
     stop: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> list[Member]:
-    """Run members that differ in their seeds, and go on with those that are not complete.
+    """Do runs that differ in their seeds, and continue those that are not complete.
 
     Members are `openmm-sier run box --resume --seed N` with files named after `out`, to which "-seedN" is added.
     Without a scheduler they run beside each other on this machine. With one they run on its workers, which need this
@@ -120,7 +120,7 @@ def run_many(
         ModuleNotFoundError: Dask is not installed.
     """
     if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
-        raise RunsError(f"the seed {twice[0]} is given twice: each member has its own")
+        raise RunsError(f"the seed {twice[0]} is given twice: give each run a seed of its own")
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: _line(box, member, options) for member in members}
@@ -307,7 +307,8 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
     """
     distributed = _dask()
     if not os.path.isdir(directory):
-        return Ended(1, f"the worker on {os.uname().nodename} has no directory {directory}: it needs the same files")
+        where = f"the worker on {os.uname().nodename} has no directory {directory}"
+        return Ended(1, f"{where}: workers must see the files of the runs under the same names")
     worker, asked = distributed.get_worker(), distributed.Event(stop)
     environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
     with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
@@ -335,7 +336,7 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
     if code and is_leaving:
         raise distributed.Reschedule
     if code < 0:
-        raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after it was begun again")
+        raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after a restart")
     warnings = tuple(text for text in notes if text.startswith("warning: "))
     return Ended(code, complaint[-1].removeprefix("openmm-sier: ") if complaint and code else "", warnings)
 

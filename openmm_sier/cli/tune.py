@@ -41,7 +41,7 @@ def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, sam
     found = tune(context, acceptance, trials, samples, schemes=schemes)
     # The run below has the scheme, whatever this Context has.
     note(str(found._replace(isSet=True)))
-    note(f"These trials are not samples. A run with what was found:\n{run_line(given, found)}")
+    note(f"Do not take averages over these trials. To run with what was found:\n{run_line(given, found)}")
 
 
 def run_line(given: Mapping[str, Any], found: Tuning) -> str:

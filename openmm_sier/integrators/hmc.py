@@ -110,7 +110,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self.binding.change(step=step_size(size))
 
     def getFriction(self) -> unit.Quantity:
-        """Return the friction by which momenta are drawn in part, a quantity in 1/ps; infinite if all are drawn."""
+        """Return the friction for partial draws of momenta, a quantity in 1/ps; infinite if all are drawn anew."""
         friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
@@ -143,7 +143,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def reversalError(self) -> float:
-        """Return the largest distance, nm, from an atom to its start after the first trajectory was run backwards.
+        """Return how far from its start an atom was, at most, after the first trajectory went there and back, nm.
 
         NaN before the first trial, and after the trials were made longer.
         """

@@ -39,7 +39,7 @@ def checked_mass(mass: Any) -> float:
 
 
 def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
-    """Give all hydrogens a mass, in water too, and take it from the atoms that they are bonded to.
+    """Set the mass of all hydrogens, in water too, and take the difference from the atoms that they are bonded to.
 
     The mass of every molecule stays. Hydrogens of an atom that is bonded to another heavy atom get no more than
     `HEAVIEST_IN_CHAINS`, and those of one that would become lighter than `LIGHTEST_CENTRE` get less. It does not
@@ -66,7 +66,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
     if not given:
-        notify("hydrogenMass does nothing: the System has no hydrogens whose mass could be changed")
+        notify("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
-    return f"{said}: averages of positions do not change, motion is slower."
+    return f"{said}: averages of positions do not change, but motion is slower."

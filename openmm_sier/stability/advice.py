@@ -28,7 +28,7 @@ CONSTRAIN = Remedy(
     f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
     "positions=positions)",
 )
-_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}, which leaves other atoms heavier"
+_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
 CONSTRAIN_AND_KEEP = CONSTRAIN._replace(words=f"{CONSTRAIN.words}; {_KEEP}")
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
@@ -61,7 +61,7 @@ def soften(force: str) -> Remedy:
 
 def in_femtoseconds(step: float) -> Remedy:
     """Return the remedy of a unit for a step that was meant in fs."""
-    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a number is a time in ps")
+    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps")
 
 
 class StepError(Advised, openmm.OpenMMException):
@@ -105,7 +105,7 @@ class Remedies:
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
     def hold(self, atoms: tuple[int, ...]) -> Remedy:
-        """Return how to hold a bond."""
+        """Return how to constrain a bond."""
         if self.has_hydrogen(atoms):
             return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP
         if self._beside_bodies[list(atoms)].any():

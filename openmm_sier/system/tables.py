@@ -122,8 +122,8 @@ def constraints(system: openmm.System) -> Constraints:
         row = int(wrong[0])
         still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
         raise RigidityError(
-            f"a constraint joins atom {moving} to atom {still}, which has no mass, and OpenMM refuses that: give both "
-            "a mass, freeze both with the mass 0, or remove the constraint, which a virtual site does not need"
+            f"a constraint joins atom {moving} to atom {still}, which has no mass; OpenMM refuses that. Give both a "
+            f"mass, or freeze both with mass 0; if atom {still} is a virtual site, remove the constraint"
         )
     acting = ~frozen.any(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]

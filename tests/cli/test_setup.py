@@ -20,7 +20,7 @@ def test_what_is_made_is_read(structure, capsys):
     said = capsys.readouterr().out
     for part in ("residues added", "1 between", "heavy atoms added", "hydrogens added", "waters added", "octahedron"):
         assert part in said
-    assert "wrote 1VII-water.pdb; go on with: openmm-sier run 1VII-water.pdb --ensemble npt" in said
+    assert "wrote 1VII-water.pdb; continue with: openmm-sier run 1VII-water.pdb --ensemble npt" in said
     # As `run` does, it reads the force field that the file names, and makes the System.
     run("info", "1VII-water.pdb")
     said = capsys.readouterr().out

@@ -250,8 +250,8 @@ class ExactEngine(Engine):
             self.ledger.go_back(mark)
             if isinstance(error, ConstraintError):
                 raise TrajectoryError(
-                    f"In step {steps + 1} {error}. Is the step size too long, or a force too stiff for it? The Context "
-                    "is left at the last completed step."
+                    f"Step {steps + 1} failed: {error}. Is the step size too long, or a force too stiff for it? The "
+                    "Context is left at the last completed step."
                 ) from error
             raise
         thermal = self._made.motion.after_bath if flow.scheme.bath_divides_drift else None

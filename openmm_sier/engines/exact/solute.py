@@ -52,23 +52,23 @@ def _checked_terms(force: openmm.Force, moving: np.ndarray, rigid: np.ndarray) -
         SoluteError: it is not bonded, or has a term on another atom.
     """
     remedy = (
-        f"Put it into another group than {force.getForceGroup()} with setForceGroup or, if prepare_system put it "
+        f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
         "there, prepare a new System for these bodies: prepare_system(system, bodies)"
     )
     kind = bonded_kind(force)
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
         raise SoluteError(
-            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}; only "
-            f"{possible} can be. {remedy}"
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}, but only "
+            f"{possible} can be fast. {remedy}"
         )
     terms = bonded_terms(force)
     bodies = rigid[terms]
     within_one = (bodies[:, 0] >= 0) & (bodies == bodies[:, :1]).all(axis=1)
     for atoms in terms[~moving[terms].all(axis=1) & ~within_one]:
         raise SoluteError(
-            f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}; atom "
-            f"{atoms[~moving[atoms]][0]} is not among those that move flexibly. {remedy}"
+            f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but atom "
+            f"{atoms[~moving[atoms]][0]} does not move by itself, and fast forces act only on atoms that do. {remedy}"
         )
     return terms
 
