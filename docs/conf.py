@@ -16,7 +16,6 @@ from pathlib import Path
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
-from sphinx.environment import BuildEnvironment
 
 from openmm_sier.version import __version__
 
@@ -142,23 +141,21 @@ def _skip_fields_of_tuples(
     return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
-def _link_back_to_what_is_there(app: Sphinx, environment: BuildEnvironment) -> None:
-    """Give pages of source links back to the reference only for names that it has.
+def _link_back_to_what_is_there(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:
+    """Leave links from the source to the reference only for names that it has.
 
     Sphinx takes one name of a module for all of its objects, but some stand there under another one.
     """
-    known = environment.domains["py"].objects
-    for entry in getattr(environment, "_viewcode_modules", {}).values():
-        if entry:
-            _, _, used, module = entry
-            for name in [name for name in used if f"{module}.{name}" not in known]:
-                del used[name]
+    if page.startswith("_modules/"):
+        known = app.env.domains["py"].objects
+        back = r'<a class="viewcode-back" href="[^"#]*#([^"]*)">[^<]*</a>'
+        context["body"] = re.sub(back, lambda link: link[0] if link[1] in known else "", context["body"])
 
 
 def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", _say_nothing_of_tuples)
     app.connect("autodoc-skip-member", _skip_fields_of_tuples)
-    app.connect("env-check-consistency", _link_back_to_what_is_there)
+    app.connect("html-page-context", _link_back_to_what_is_there)
     app.connect("doctree-resolved", _keep_errors_with_numbers)
     app.connect("doctree-resolved", _mark_cells)
     app.add_html_math_renderer(

@@ -28,7 +28,7 @@ CONSTRAIN = Remedy(
     f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
     "positions=positions)",
 )
-_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}, which leaves other atoms heavier"
+_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
 CONSTRAIN_AND_KEEP = CONSTRAIN._replace(words=f"{CONSTRAIN.words}; {_KEEP}")
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
@@ -81,7 +81,7 @@ class Remedies:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         """Take a System and its bodies."""
-        self._owner, self._moving = bodies.owners.copy(), bodies.owners >= 0
+        self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)

@@ -189,9 +189,9 @@ class Vibrations:
         number = int(self._bodies.owners[libration.atoms[0]])
         body = self._bodies.describe(number)
         described = (
-            f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
+            f"{body} and similar bodies can swing among other molecules with a period of {_fs(libration.period)}. "
             f"{scheme.name} is accurate up to {_fs(accurate)}; with steps of about "
-            f"{_fs(max(accurate, HEATING * stable))} or more liquids heat up"
+            f"{_fs(max(accurate, HEATING * stable))} or more, liquids heat up"
         )
         remedies = [advice.SHORTER_STEP]
         if self._remedies.heavier(self._bodies.atoms_of(number)):

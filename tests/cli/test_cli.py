@@ -219,10 +219,10 @@ def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
 def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")
-    assert "text.pdb is no PDB file with atoms" in complaint(capsys, "info", "text.pdb")
+    assert "text.pdb is not a PDB file with atoms" in complaint(capsys, "info", "text.pdb")
     assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
-    assert "ends in .dcd, .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
+    assert "must end in .dcd or .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
     assert not list(Path().glob("box.*"))
 
 

@@ -263,9 +263,12 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
         ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
-        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
+        (
+            ["amber.prmtop"],
+            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates",
+        ),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
-        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
+        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates are"),
         (
             ["amber.inpcrd", "--topology", "structure.pdb"],
             "structure.pdb is a PDB file, but the topology must be a prmtop",

@@ -244,7 +244,7 @@ def test_a_misfit_names_the_worst_residue(rng, bodies):
     assert f"residue pair 1 (atoms {pair[0]}, {pair[1]})" in message
     # The pair is 0.06 nm too long; the lighter atom lies 16/30 of that off its place.
     assert f"is {0.06 * 15.999 / 30.006:.4f} nm off" in message
-    assert f"up to {FIT_TOLERANCE} nm or less is corrected" in message
+    assert f"only {FIT_TOLERANCE} nm or less is corrected" in message
     assert "(2 of " in message
     assert "periodic boundary" in message
 

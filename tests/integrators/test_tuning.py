@@ -149,7 +149,7 @@ def test_the_cheapest_scheme_is_chosen(monkeypatch, own, is_set):
     assert integrator.getStepSize()._value == pytest.approx(found.stepSize * found.stepsPerTrial, abs=mine.step / 2)
     # Forces of other Contexts are counted too.
     assert found.forceEvaluations > integrator.forceEvaluations - before
-    assert ("make a new integrator" in str(found)) != is_set
+    assert ("make a new one" in str(found)) != is_set
 
 
 def test_the_line_for_a_script_makes_what_was_found(monkeypatch):

@@ -114,7 +114,7 @@ def test_words_with_names_and_files_of_words(tmp_path):
     [
         ("A:1-30", "the chain A has no residue 30; it has 1 to 11"),
         ("A:3-1", "before 3"),
-        ("C:1-2", "no chain C, it has A, B"),
+        ("C:1-2", "no chain C; it has A, B"),
         (":40-50", "no residue 40"),
         ("1-36", "'1-36' describes no body"),
         ("", "'' describes no body"),

@@ -51,7 +51,7 @@ class BodyActions(Actions):
             return
         by_openmm()
         # Velocities may be drawn before there are positions.
-        if not self._holds_all_bodies() and Snapshot(self._context).positions.any():
+        if not self._holds_all_bodies() and Snapshot.of(self._context).positions.any():
             self._make_velocities_rigid()
 
     def _draw_velocities(self, temperature: Any, seed: int | None) -> None:
