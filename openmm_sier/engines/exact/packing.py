@@ -28,8 +28,10 @@ class Packing:
     def pack(self, state: BodyState) -> np.ndarray:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
         values = np.zeros((3, self.bodies.n_particles, 3))
-        numbers = np.concatenate([vectors.ravel() for vectors in self._vectors(state)])
-        values.reshape(-1)[: len(numbers)] = numbers
+        numbers, start = values.reshape(-1), 0
+        for vectors in self._vectors(state):
+            numbers[start : start + vectors.size] = vectors.ravel()
+            start += vectors.size
         return values
 
     def unpack(self, values: np.ndarray) -> BodyState:
