@@ -103,16 +103,17 @@ def several_steps_of_reciprocal(bath: Bath, step: float) -> openmm.Integrator:
     return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(RECIPROCAL, 1), (0, 2)])
 
 
-def with_impulses(bath: Bath, step: float, every: int = 2) -> openmm.Integrator:
+def with_impulses(bath: Bath, step: float, every: int = 2, first: int = 2) -> openmm.Integrator:
     """Return SIER2 in a bath for rigid molecules of atoms, with the reciprocal sum as an impulse every few steps.
 
     The program is kick, half drift, bath, half drift, each half with constraints. The impulse comes with the kick of
-    each step whose number is a multiple of `every`, and is so many times as strong. With 1 all forces are in each kick.
+    the step `first`, from 1 to `every`, and of each `every`-th step after it, and is so many times as strong. Where
+    `every` is 1 all forces are in each kick.
     """
     made = openmm.CustomIntegrator(step)
     made.addGlobalVariable("kept", math.exp(-bath.friction * step))
     made.addGlobalVariable("kT", GAS_CONSTANT * bath.temperature)
-    made.addGlobalVariable("due", 0)
+    made.addGlobalVariable("due", first % every)
     made.addPerDofVariable("free", 0)
     made.addUpdateContextState()
     if every > 1:
@@ -167,6 +168,10 @@ WITH_IMPULSES = Contestant(
     detail="reciprocal sum every 18 fs",
     only_rigid=True,
     reciprocal_group=RECIPROCAL,
+)
+#: Its samples after an even number of steps are at the positions of the impulses, those of the other between two.
+AT_IMPULSES = replace(
+    WITH_IMPULSES, make=partial(with_impulses, first=1), detail=f"{WITH_IMPULSES.detail}, just before it"
 )
 SEVERAL_STEPS_OF_RECIPROCAL = Contestant(
     "MTSLangevin",

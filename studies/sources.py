@@ -31,7 +31,9 @@ COMMANDS = {
     "heat-bath.json": (
         "python -m studies.heat_bath",
         'python -m studies.heat_bath systems/tip3p-512.pdb --methods "SIER2, 9 fs, reciprocal sum every 18 fs" '
-        '"SIER2, 9 fs, 1/ps, rotations 5/ps" --time 75 --starts 2',
+        '"SIER2, 9 fs, 1/ps, rotations 5/ps" --time 75',
+        "python -m studies.heat_bath systems/tip3p-512.pdb --methods "
+        '"SIER2, 9 fs, reciprocal sum every 18 fs, just before it" --time 50',
     ),
     "launches.json": ("python -m studies.launches --processes 2",),
     "long-steps.json": (
