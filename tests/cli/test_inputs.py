@@ -263,7 +263,10 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
         ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
-        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates, and"),
+        (
+            ["amber.prmtop"],
+            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates, and",
+        ),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
         (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates are"),
         (
