@@ -109,7 +109,7 @@ def test_each_complaint_is_told_once():
     ("options", "message"),
     [
         (["--seeds", "1-2", "--seed", "3"], "--seed and --seeds both set seeds"),
-        (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, and each member writes its own"),
+        (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, but each run writes a file of its own"),
         (["--seeds", "1-2", "--pressure-tensor", "b.csv"], "--pressure-tensor names one file"),
         (["--seeds", "1-2", "--restart", "a.chk"], "leave out --restart"),
         (["--seeds", "1-2", "--workers", "2", "--scheduler", "tcp://a:1"], "--workers is for this machine"),
