@@ -141,12 +141,14 @@ def costs_of_trials(record: Record) -> Mapping[str, float]:
     """Forces for an independent energy over those of LangevinMiddle, of trials as they are without arguments."""
     step = SIER2V2.heavy_trial_step or 0.0
     found, accepted = dict[str, float](), []
-    for name in ("tip3p", "spce"):
+    boxes = {"tip3p": "tip3p-64", "spce": "spce-64", "tip4p2005": "tip4p2005-64", "peptide": "peptide"}
+    for name, box in boxes.items():
         method = f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}, {TRIAL_FRICTION:g}/ps"
-        row = one(record.tables["rows"], box=f"{name}-64", method=method)
+        row = one(record.tables["rows"], box=box, method=method)
         found |= {name: row["relative"], f"{name}_error": row["relative_error"]}
         accepted.append(row["accepted"])
-    return found | {"accepted": min(accepted)}
+    costs = [found[name] for name in boxes]
+    return found | {"least": min(costs), "most": max(costs), "accepted": min(accepted)}
 
 
 def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:

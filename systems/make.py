@@ -214,6 +214,8 @@ def make(name: str, n_bodies: int, salt: float, options) -> Path:
         raise ValueError(f"no force field with ions is known here for {name} water; tip3p and spce have one")
     forcefield = forcefields.load([file], HERE)
     path = options.out or HERE / f"{name}{'-nacl' if salt else ''}-{n_bodies}.pdb"
+    if path.exists() and not options.overwrite:
+        raise ValueError(f"{path} exists: give another name with --out, or replace it with --overwrite")
     remarks = [f"FORCEFIELD {file}"]
     if n_bodies == 1:
         write(path, make_topology(1, 0), water_geometry(forcefield) * unit.nanometer, None, remarks)
@@ -264,6 +266,7 @@ def parse(arguments):
     parser.add_argument("--seed", type=int, default=1, help="of lattice, orientations and thermostat (default: 1)")
     parser.add_argument("--threads", type=int, default=2, help="of OpenMM's CPU platform (default: 2)")
     parser.add_argument("--out", type=Path, help="PDB file (default: beside this program, named after the contents)")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
     return parser.parse_args(arguments)
 
 
