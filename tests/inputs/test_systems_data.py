@@ -162,3 +162,14 @@ def test_made_box_is_read_back(tmp_path, capsys):
     assert box.files == ("amber14/spce.xml",)
     assert RigidBodies.from_system(box.system).n == 40
     assert re.search(r"and 1 NaCl, 1\.461 mol/kg", out.read_text())
+
+
+def test_a_file_is_replaced_only_on_request(tmp_path, capsys):
+    out = tmp_path / "made.pdb"
+    out.write_text("mine\n")
+    command = ["--model", "tip3p", "--molecules", "1", "--out", str(out)]
+    assert make.main(command) == 1
+    assert f"{out} exists" in capsys.readouterr().err
+    assert out.read_text() == "mine\n"
+    assert make.main([*command, "--overwrite"]) == 0
+    assert "TIP3P" in out.read_text().upper()
