@@ -86,7 +86,7 @@ def _checked_moments(moments: Any) -> np.ndarray:
         )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
         raise ValueError(
-            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
+            f"moments must be those of a body, the largest at most the sum of the two others, got {found.tolist()}"
         )
     return found
 

@@ -81,7 +81,7 @@ class Remedies:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         """Take a System and its bodies."""
-        self._owner, self._points = bodies.owners.copy(), bodies.point_particles
+        self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
@@ -93,12 +93,12 @@ class Remedies:
     def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
         """Tell whether `prepare_system` would let a term of a Force act within drifts.
 
-        It is bonded and acts on points alone, and so do all terms of the Force, or the Force can be divided.
+        It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
         """
         terms = working_terms(force, self._owner)
         if isinstance(force, DIVISIBLE):
-            return bool(self._points[list(atoms)].all())
-        return bool(len(terms) and self._points[terms].all())
+            return bool(self._moving[list(atoms)].all())
+        return bool(len(terms) and self._moving[terms].all())
 
     def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:
         """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""

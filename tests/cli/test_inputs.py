@@ -265,7 +265,7 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
         (
             ["amber.prmtop"],
-            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates",
+            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates, and",
         ),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
         (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates are"),

@@ -43,5 +43,5 @@ def test_files_in_the_way(structure, capsys):
 
 def test_a_file_that_is_no_structure(capsys):
     Path("a.pdb").write_text("nothing")
-    assert "a.pdb is no PDB file with atoms" in complaint(capsys, "setup", "a.pdb")
+    assert "a.pdb is not a PDB file with atoms" in complaint(capsys, "setup", "a.pdb")
     assert "No such file" in complaint(capsys, "setup", "b.pdb")
