@@ -71,6 +71,7 @@ INNER = (
     "Move",
     "Program",
     "RigidBodies",
+    "Sites",
     "SolverTrial",
     "Species",
     "StepCheck",

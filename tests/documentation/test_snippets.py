@@ -107,7 +107,7 @@ def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypat
     assert names["viscosity"].value == pytest.approx(expected, abs=6 * names["viscosity"].error)
     # 10⁻⁹ m²/s.
     assert names["diffusion"].value == pytest.approx(1e3 * 0.01**2 / 0.2, abs=6 * names["diffusion"].error)
-    assert re.search(r"mPa s\n.* 1e-9 m2/s\n", capsys.readouterr().out)
+    assert re.search(r"mPa s\n.* 1e-9 m2/s in this box\n.* 1e-9 m2/s\n", capsys.readouterr().out)
 
 
 def test_pages_with_code_are_found():
