@@ -126,7 +126,9 @@ class RigidBodies:
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
-            raise ValueError(f"{self.describe(extended[0])} is linked to another body, which only a point can be")
+            raise ValueError(
+                f"{self.describe(extended[0])} is linked to another body, but links join only single atoms"
+            )
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
@@ -177,13 +179,15 @@ class RigidBodies:
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
         if outside.size:
-            raise ValueError(f"bodies name particle {outside[0]}, the system has {self.n_particles} particles")
+            raise ValueError(f"bodies name particle {outside[0]}, but the system has {self.n_particles} particles")
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")
         for s in self.species:
             if not (s.masses > 0).all():
-                raise ValueError(f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}")
+                raise ValueError(
+                    f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
+                )
 
     def restricted(self, bodies: ArrayLike) -> "RigidBodies":
         """Return some of the bodies with the constraints between them. Their atoms keep their numbers.

@@ -19,7 +19,7 @@ from openmm_sier.integrators.binding import Binding
 
 
 def written(integrator: Any) -> openmm.CustomIntegrator:
-    """Return a plain CustomIntegrator that is, and does, all that OpenMM can know of a SIER integrator.
+    """Return a plain CustomIntegrator that makes the steps of a SIER integrator and holds its settings.
 
     Its program is right in any System, unlike that of a Context, which is written for one.
     """
@@ -28,6 +28,11 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     installation.install(program, copied)
     copied.setStepSize(binding.settings.step / max(1, len(program.parts)))
     return copied
+
+
+def pickled(integrator: Any) -> str:
+    """Return the XML of what `unpickled` needs from OpenMM, which gets its program with a Context."""
+    return openmm.XmlSerializer.serialize(installation.without_program(integrator))
 
 
 def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
@@ -50,7 +55,7 @@ def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[st
     """Return an integrator from its XML, with the settings, which XML does not hold in full.
 
     Args:
-        xml: what OpenMM wrote of it.
+        xml: what `pickled` returned.
         cls: its class.
         given: its settings.
         attributes: others of a subclass, by name.
@@ -65,7 +70,9 @@ def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
     if missing := {installation.PARTS, *found.ensemble.counts} - variables:
-        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
+        raise settings.SettingsError(
+            f"A stored SIER integrator lacks the variable {missing.pop()}: create the integrator anew"
+        )
     parts = int(plain.getGlobalVariableByName(installation.PARTS)) or 1
     step = plain.getStepSize().value_in_unit(unit.picosecond) * parts
     installation.uninstall(plain)

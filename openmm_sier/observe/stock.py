@@ -31,7 +31,7 @@ BAROSTAT_INTERVAL = 25
 
 
 class StockIntegrator(openmm.Integrator):
-    """Give OpenMM's integrators the interface of this package's. Call `bind` before anything else.
+    """Give OpenMM's integrators the interface of this package's integrators. Call `bind` before anything else.
 
     Attributes:
         bodies: the rigid bodies of the Context.
@@ -107,7 +107,7 @@ def make_stock(
     friction: float = 1.0,
     pressure: float | None = None,
 ) -> tuple[openmm.System, StockIntegrator]:
-    """Make an integrator of OpenMM, and a copy of a System with its thermostat and barostat.
+    """Make an integrator of OpenMM, and a copy of a System; add the thermostat and barostat to the copy.
 
     Args:
         system: to be simulated.
@@ -157,7 +157,7 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     Raises:
         NotFiniteError, RigidityError: the positions do not form the bodies.
     """
-    integrator, now = context.getIntegrator(), Snapshot(context)
+    integrator, now = context.getIntegrator(), Snapshot.of(context)
     q, A = bodies.fit(now.positions)
     p, L = bodies.momenta(now.velocities, A)
     if isinstance(integrator, openmm.VerletIntegrator):
@@ -176,7 +176,7 @@ def shift_velocities(context: openmm.Context, time: float) -> None:
     Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
     undoes this.
     """
-    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
+    masses, velocities = tables.masses(context.getSystem()), Snapshot.of(context).velocities
     massive = masses > 0
     velocities[massive] += time * _forces(context)[massive] / masses[massive, None]
     context.setVelocities(velocities)

@@ -15,7 +15,7 @@ from openmm_sier.system.notices import notify
 
 
 class FastForces:
-    """The Forces of a System by whether they can be fast, for some bodies.
+    """Sort the Forces of a System into those that can be fast, with some bodies, and those that cannot.
 
     A Force can be fast if it is a bonded one, does work, and acts on nothing but bodies, rigid ones and points: no
     virtual site or frozen atom. Forces that the preparation added are left out.
@@ -89,9 +89,9 @@ def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) 
     mask = sum(1 << group for group in groups)
     if says and (left := [force.getName() for force in fast.values() if force.getForceGroup() in taken]):
         notify(
-            f"Force groups were changed after prepare_system: {', '.join(left)} now share a group with slow forces and "
-            f"act in the kicks, where they limit the step (fast force groups: {groups_of(mask) or 'none'}). Set force "
-            "groups first and call prepare_system(system) after that, or give these Forces groups of their own"
+            f"Force groups were changed after prepare_system: {', '.join(left)} now share a group with slow forces, so "
+            f"that they act as slow forces and limit the step (fast force groups: {groups_of(mask) or 'none'}). Set "
+            "force groups before you call prepare_system(system), or give these Forces groups of their own"
         )
     return mask
 

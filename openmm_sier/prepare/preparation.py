@@ -110,7 +110,10 @@ def prepare_system(
         )
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     if heavy is not None and isinstance(bodies, RigidBodies):
-        raise ValueError("Bodies hold old masses: call prepare_system(hydrogenMass=…) before RigidBodies.from_system")
+        raise ValueError(
+            "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, hydrogenMass=…) "
+            "before RigidBodies.from_system"
+        )
     done = []
     if meshed_forces(system):
         balance_pme(system)
@@ -119,7 +122,7 @@ def prepare_system(
         system.removeForce(i)
     if joined := join_bodies(system, known.owner):
         done.append(
-            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each for one "
+            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
             "molecule, in trajectories and with barostats."
         )
     if heavy is not None:
@@ -131,14 +134,14 @@ def prepare_system(
     elif coarse:
         done.append(describe_coarse(coarse))
     elif not known.slow and not known.inner:
-        done.append("All molecules with bonded forces are rigid, so no force is fast.")
+        done.append("All molecules with bonded forces are rigid, so there are no fast forces.")
     left = [force.getName() for force in known.slow]
     if left and not coarse:
         why = "they act on virtual sites or frozen atoms"
-        done.append(f"These stay in the kicks, since {why}: {', '.join(left)}.")
+        done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
-            f"These stay in the kicks, since another Force contains them: {', '.join(known.inner)}. Add them "
+            f"These stay slow forces, since another Force contains them: {', '.join(known.inner)}. Add them "
             "to the System itself to make them fast, if the other Force does not change what they do."
         )
     excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
@@ -195,8 +198,8 @@ def _inside_bodies(
     if useless := useless_terms(system, owner):
         counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
         done.append(
-            f"Bonded terms within rigid bodies or between frozen atoms do no work and cost time ({counts}): leave "
-            "elastic networks out where you make the Forces. Bonds along chains are cheap, and keep molecules whole."
+            f"Bonded terms within rigid bodies or between frozen atoms do no work but cost time ({counts}): leave "
+            "elastic networks out when you make the Forces. Bonds along chains are cheap, and keep molecules whole."
         )
     return done
 

@@ -143,8 +143,8 @@ def test_what_is_refused():
     bond = openmm.HarmonicBondForce()
     bond.addBond(FLEXIBLE[0], SITE, 0.15, 2e5)
     for force, message in (
-        (external, r"trap \(CustomExternalForce\) is in the fast force group 3; only HarmonicBondForce"),
-        (bond, "bond of HarmonicBondForce acts on the atoms 9, 11; atom 11 is a virtual site or frozen"),
+        (external, r"trap \(CustomExternalForce\) is in the fast force group 3, but only HarmonicBondForce"),
+        (bond, "bond of HarmonicBondForce acts on the atoms 9, 11, but atom 11 is a virtual site or frozen"),
     ):
         with pytest.raises(SoluteError, match=message):
             solute_forces(whole_system([force]), {FAST}, OWNER, MOVING)

@@ -46,20 +46,20 @@ def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarra
 def _refuse(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> None:
     """Refuse a Force that is not bonded, or has a term on a particle that moves with no body."""
     remedy = (
-        f"Put it into another group than {force.getForceGroup()} with setForceGroup or, if prepare_system put it "
+        f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
         "there, prepare a new System for these bodies: prepare_system(system, bodies)"
     )
     kind = bonded_kind(force)
     if kind is None:
         possible = ", ".join(kind.__name__ for kind in TERMS)
         raise SoluteError(
-            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}; only "
-            f"{possible} can be. {remedy}"
+            f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}, but only "
+            f"{possible} can be fast. {remedy}"
         )
     terms = working_terms(force, owner)
     for atoms in terms[~moving[terms].all(axis=1)]:
         raise SoluteError(
-            f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}; atom "
+            f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but atom "
             f"{atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
         )
 

@@ -5,18 +5,21 @@ from typing import Any
 import openmm
 
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.engines.native.program import Program, write
+from openmm_sier.engines.native.program import write
+from openmm_sier.engines.program import Program
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 
 
 def general_program(flow: Flow) -> Program:
-    """Return a program that follows a flow in any System; one without parts where the flow cannot be written out."""
+    """Return a program that follows a flow in any System; one without parts if OpenMM cannot execute the flow."""
     return _written(flow)
 
 
 def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool) -> Program:
     """Return the program that follows a flow in a System, and costs least there.
+
+    It leaves velocities at the end of its steps to the engine, which constrains them after a call of `step`.
 
     Args:
         flow: what to follow.
@@ -25,7 +28,7 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         counts_heat: whether to count the heat of a bath where the flow leaves that open.
 
     Returns:
-        A program, or one without parts where the flow cannot be written out.
+        A program, or one without parts if OpenMM cannot execute the flow.
     """
     slow = slow_groups(system, groups, flow.fast_groups)
     return _written(
@@ -34,6 +37,7 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
         has_virtual_sites=any(map(system.isVirtualSite, range(system.getNumParticles()))),
         counts_heat=counts_heat if flow.counts_heat is None else flow.counts_heat,
+        ends_constrained=False,
     )
 
 
