@@ -48,8 +48,8 @@ def _nested(model: Model, step: float) -> openmm.Integrator:
 
 INTEGRATORS = {
     "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIER4GIntegrator(step, bodies=model.bodies)),
-    "linkers": Integrator("SIER4G, bonds of linkers in inner steps", False, 3, _nested, (LINKERS,)),
-    "inner": Integrator("SIER4G, all bonds in inner steps", False, 3, _nested, (LINKERS, JOINTS)),
+    "sier4g-linkers": Integrator("SIER4G, bonds of linkers in inner steps", False, 3, _nested, (LINKERS,)),
+    "sier4g-inner": Integrator("SIER4G, all bonds in inner steps", False, 3, _nested, (LINKERS, JOINTS)),
     "verlet": Integrator("Verlet, springs", True, 1, lambda model, step: openmm.VerletIntegrator(step)),
 }
 

@@ -58,7 +58,7 @@ PLANS = {
         },
         energies={
             "sier4g": (10.0, 20.0, 30.0, 60.0),
-            "inner": (30.0, 60.0),
+            "sier4g-inner": (30.0, 60.0),
             "verlet": (5 / 3, 10 / 3, 10.0),
         },
         energy_time=6.0,
@@ -75,8 +75,8 @@ PLANS = {
         baths={},
         energies={
             "sier4g": (3.0, 4.0),
-            "linkers": (3.0, 4.0, 6.0),
-            "inner": (3.0, 4.0, 6.0, 9.0),
+            "sier4g-linkers": (3.0, 4.0, 6.0),
+            "sier4g-inner": (3.0, 4.0, 6.0, 9.0),
         },
         energy_time=1.2,
     ),
