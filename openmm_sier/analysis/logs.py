@@ -28,5 +28,5 @@ def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict
         try:
             rows = np.loadtxt(lines, delimiter=",", ndmin=2).reshape(-1, len(columns))
         except ValueError as error:
-            raise ValueError(f"{os.fspath(path)} below its heading: {error}") from error
+            raise ValueError(f"cannot read the rows of {os.fspath(path)} below its heading: {error}") from error
     return dict(zip(columns, rows.T, strict=True))

@@ -34,6 +34,9 @@ LOOK, REFRESH = 0.2, 0.5
 #: s, for a scheduler to answer, and for members that are stopped to complete their step and their files.
 PATIENCE, LAST_STEP = 30.0, 60.0
 
+#: Exit code of a member that was asked to stop.
+STOPPED = 128 + signal.SIGTERM
+
 #: Bytes at the end of a log in which its last row is.
 LAST_ROW = 2**13
 
@@ -49,7 +52,7 @@ class RunsError(RuntimeError):
 
 @dataclass
 class Member:
-    """One of many runs.
+    """Hold what is known of one of many runs.
 
     Attributes:
         seed: of the run.
@@ -96,7 +99,7 @@ def run_many(
     stop: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> list[Member]:
-    """Run members that differ in their seeds, and go on with those that are not complete.
+    """Do runs that differ in their seeds, and continue those that are not complete.
 
     Members are `openmm-sier run box --resume --seed N` with files named after `out`, to which "-seedN" is added.
     Without a scheduler they run beside each other on this machine. With one they run on its workers, which need this
@@ -120,7 +123,7 @@ def run_many(
         ModuleNotFoundError: Dask is not installed.
     """
     if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
-        raise RunsError(f"the seed {twice[0]} is given twice: each member has its own")
+        raise RunsError(f"the seed {twice[0]} is given twice: give each run a seed of its own")
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: _line(box, member, options) for member in members}
@@ -307,8 +310,11 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
     """
     distributed = _dask()
     if not os.path.isdir(directory):
-        return Ended(1, f"the worker on {os.uname().nodename} has no directory {directory}: it needs the same files")
+        where = f"the worker on {os.uname().nodename} has no directory {directory}"
+        return Ended(1, f"{where}: workers must see the files of the runs under the same names")
     worker, asked = distributed.get_worker(), distributed.Event(stop)
+    if asked.is_set():
+        return Ended(STOPPED)
     environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
     with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
         process = subprocess.Popen(
@@ -334,8 +340,11 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
         complaint, notes = _lines(complained), _lines(said)
     if code and is_leaving:
         raise distributed.Reschedule
+    if code < 0 and asked.is_set():
+        # Before its first step the signal ends a process at once.
+        return Ended(STOPPED)
     if code < 0:
-        raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after it was begun again")
+        raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after a restart")
     warnings = tuple(text for text in notes if text.startswith("warning: "))
     return Ended(code, complaint[-1].removeprefix("openmm-sier: ") if complaint and code else "", warnings)
 

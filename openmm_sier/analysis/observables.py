@@ -58,13 +58,13 @@ def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.
 
 
 def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
-    """Return values in blocks of about `BLOCK`, each of at least `FEWEST` of them."""
+    """Split values into blocks of about `BLOCK`, each of at least `FEWEST` values."""
     number = min(round((time[-1] - time[0]) / BLOCK), len(values) // FEWEST)
     return np.array_split(np.asarray(values, dtype=float), max(1, number))
 
 
 def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """Return the scatter of means of H over 1 ps, over rms(V): the energy error without the oscillations.
+    """Return the energy error without its oscillations: the scatter of means of H over 1 ps, divided by rms(V).
 
     Args:
         time: ps, (n,), evenly spaced.

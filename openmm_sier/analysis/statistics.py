@@ -141,7 +141,7 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
 
 
 def settled_from(series: np.ndarray) -> int:
-    """Return the index from which on a series (n,) fluctuates about one mean; 0 where its beginning is no other.
+    """Return the index from which a series (n,) fluctuates about one mean; 0 if it does so from the start.
 
     It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
     by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled: its length is returned.

@@ -66,8 +66,8 @@ def shear_viscosity(
     n, lags = len(tensors), max(1, round(last / interval))
     if n < 2 * lags:
         raise TooShortError(
-            f"viscosity needs a run of {2 * last:g} ps or more, and many times that for an error of some per cent, got "
-            f"{n * interval:g} ps"
+            f"viscosity needs a run of {2 * last:g} ps or more, got {n * interval:g} ps; for an error of a few per "
+            "cent it needs many times that"
         )
     xx, yy, zz, xy, xz, yz = np.asarray(tensors, dtype=float).T * BAR
     shears = np.stack([xy, xz, yz, (xx - yy) / 2, (xx + yy - 2 * zz) / math.sqrt(12)])
@@ -99,8 +99,8 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
     """
     if len(centres) * interval <= 3 * last or interval > last / 5 * (1 + 1e-9):
         raise TooShortError(
-            f"self-diffusion needs a run of more than {3 * last:g} ps with frames {last / 5:g} ps apart or less, got "
-            f"{len(centres) * interval:g} ps with frames {interval:g} ps apart"
+            f"self-diffusion needs a run of more than {3 * last:g} ps, got {len(centres) * interval:g} ps, and a frame "
+            f"every {last / 5:g} ps or more often, got one every {interval:g} ps"
         )
     lags = np.unique(np.linspace(first / interval, last / interval, SLOPE_POINTS).round().astype(int))
     origins = len(centres) - lags[-1]

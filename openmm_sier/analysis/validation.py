@@ -21,7 +21,7 @@ GROUPS = dict(zip(("translation", "rotation", "flexible molecules"), TEMPERATURE
 
 
 def independent(*series: np.ndarray) -> np.ndarray:
-    """Return one sample in g of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
+    """Return every g-th sample of k series (n,), with g the largest statistical inefficiency among them; (k, n/g)."""
     every = math.ceil(max(inefficiency(values) for values in series))
     return np.array(series)[:, ::every]
 

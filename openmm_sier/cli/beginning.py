@@ -66,8 +66,8 @@ class Simulated:
         if settings.moves_volume and settings.interval(settings.checkpoint_every) < stock.BAROSTAT_INTERVAL:
             raise RunError(
                 f"--checkpoint-every {settings.checkpoint_every:g} is too short: OpenMM's barostat counts its "
-                f"{stock.BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give a time of "
-                f"{stock.BAROSTAT_INTERVAL} steps or more"
+                f"{stock.BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give "
+                f"{stock.BAROSTAT_INTERVAL * settings.step_time:g} ps or more"
             )
         bath = settings.temperature if settings.ensemble != "nve" else None
         piston = settings.pressure if settings.moves_volume else None

@@ -27,7 +27,7 @@ EXIT_CODES = """Exit codes:
 - 3: the temperature ran away, for example because the step is too long. The last checkpoint is kept
 - 4: the run that --restart should continue is already complete; with --resume that is 0
 - 129, 130, 143: ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint
-  included, and --restart goes on
+  included, and --restart continues the run
 """
 
 #: Settings of a run as options, of which none has to be given.
@@ -47,7 +47,7 @@ Debug = Annotated[bool, Parameter(negative="", help="show the traceback of an er
 Logs = Annotated[
     list[Path],
     Parameter(
-        help="logs of runs of one kind, which may still be going on; runs that differ in their seeds count as one "
+        help="logs of runs of one kind, which need not have ended; runs that differ in their seeds count as one "
         "sample each"
     ),
 ]
@@ -55,8 +55,8 @@ Skip = Annotated[
     float | None,
     Parameter(
         validator=Number(gte=0, lte=1e9),
-        help="time in ps, or with hmc trials, at the beginning of each run that means leave out (default: what had not "
-        "settled, if anything)",
+        help="time in ps, or with hmc trials, at the beginning of each run to leave out of means (default: what had "
+        "not settled, if anything)",
     ),
 ]
 Picture = Annotated[
@@ -86,22 +86,23 @@ def run(
     options: Annotated[OfRun, FLAT] = NOTHING,
     *,
     config: Annotated[
-        Path | None, _in_words("none", "a TOML file with settings under the names of options, which take their place")
+        Path | None,
+        _in_words("none", "a TOML file with settings under the names of options; options that are given override it"),
     ] = None,
     seeds: Annotated[
         str | None,
         _in_words(
             "one run",
-            "run members beside each other that differ in their seeds, such as 1-24 or 1-4,7, each with files of its "
-            "own, -seedN added to their names; go on with those that are not complete, and print means over all",
+            "do several runs side by side that differ in their seeds, such as 1-24 or 1-4,7; -seedN is added to the "
+            "names of their files. Continue those that are not complete, and print means over all",
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        _in_words("one for each core, or one on a GPU", "members that run at a time on this machine", gte=1, lte=10**4),
+        _in_words("one for each core, or one on a GPU", "runs at a time on this machine", gte=1, lte=10**4),
     ] = None,
     scheduler: Annotated[
-        str | None, _in_words("this machine", "address of a scheduler of Dask, whose workers run the members")
+        str | None, _in_words("this machine", "address of a scheduler of Dask, whose workers do the runs")
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -109,7 +110,7 @@ def run(
 
     Read coordinates with a force field or a topology, equilibrate them at a temperature and simulate them at
     constant energy, temperature or pressure. Writes a trajectory of the atoms that the coordinates list, a log (CSV)
-    and a checkpoint, from which --restart goes on without a gap and --start begins a new run, in another ensemble say.
+    and a checkpoint. From it --restart continues without a gap, and --start begins a new run, in another ensemble say.
     """
     _execute("run", options.given(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 
@@ -142,13 +143,14 @@ def setup(
     ph: Annotated[float, _in_words(f"{PH:g}", "by which hydrogens of residues are chosen", gte=0, lte=14)] = PH,
     leave_out: Annotated[list[str] | None, _in_words("none", "names of residues to leave out")] = None,
     ends: Annotated[
-        bool, Parameter(negative="", help="add residues that are missing at the ends of chains too, not within alone")
+        bool,
+        Parameter(negative="", help="add residues that are missing at the ends of chains too, not only within them"),
     ] = False,
     seed: Annotated[int, _in_words("1", "of the places of what is added", gte=1, lt=2**31)] = 1,
     overwrite: Annotated[bool, Parameter(negative="", help="replace an earlier file")] = False,
     debug: Debug = False,
 ) -> None:
-    """Make of a structure of an archive what `run` reads.
+    """Complete a structure, such as one from the Protein Data Bank, for `run`.
 
     Add what a structure lacks, by PDBFixer and OpenMM's Modeller: residues within chains, heavy atoms and hydrogens,
     then water and ions in a periodic box. Says what was added, and names the force field in the file that it writes.
@@ -222,7 +224,7 @@ def summary(
 
 @app.command
 def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) -> None:
-    """Show what rigid bodies there are.
+    """List the rigid bodies of the input.
 
     Show the kinds of rigid body that coordinates have, with a force field or a topology.
     """

@@ -45,7 +45,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a TOML file, with those of the command line in their place."""
+    """Return the settings of a TOML file; those of the command line override them."""
     is_length_given = any(name in of_line for name in LENGTHS)
     kept = {name: value for name, value in of_file.items() if not (is_length_given and name in LENGTHS)}
     return kept | dict(of_line)

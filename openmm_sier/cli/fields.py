@@ -156,7 +156,7 @@ def switch(help: str, default: bool | None = False, **more: Any) -> Any:
 
 
 def known_of(field: FieldInfo) -> dict[str, Any]:
-    """Return what is known of a field: `expected`, `restart` and what else `setting` was told."""
+    """Return what `setting` stored for a field: `expected`, `restart` and others."""
     extra = field.json_schema_extra
     return dict(extra) if isinstance(extra, dict) else {}
 

@@ -94,7 +94,7 @@ class Run(NamedTuple):
 
     @property
     def clock(self) -> np.ndarray:
-        """Return where its rows are since its first one, (n,), ps, or steps where these are trials."""
+        """Return the time of each row since the first row, (n,), ps; with hybrid Monte Carlo the number of trials."""
         column = self.log["Step" if self.ensemble == "hmc" else "Time (ps)"]
         return column - column[0]
 
@@ -206,7 +206,7 @@ def read_run(path: Path) -> Run:
     if missing := [name for name in NEEDED if name not in log]:
         raise RunError(
             f"{path} is not a log of openmm-sier run, since it has no column {missing[0]}: give the file that "
-            "--report wrote"
+            "--report wrote, or that of a ConservationReporter"
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
         raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")
@@ -241,7 +241,7 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
     for run in others:
         if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):
             raise RunError(
-                f"{run.path} is {_described(run)}, {first.path} is {_described(first)}: give runs of one kind together"
+                f"{run.path} is {_described(run)}, but {first.path} is {_described(first)}: give runs of one kind"
             )
     _warn_of_differences(found)
     runs = Runs(found)
@@ -253,7 +253,9 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
 
 
 def _described(run: Run) -> str:
-    kind = {"nve": "at constant energy", "nvt": "in a bath", "hmc": "of trials"}[run.ensemble]
+    kind = {"nve": "a run at constant energy", "nvt": "a run in a heat bath", "hmc": "a run of hybrid Monte Carlo"}[
+        run.ensemble
+    ]
     return f"{kind}, {'at constant pressure' if run.moves_volume else 'at constant volume'}"
 
 
@@ -261,9 +263,10 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
     ends = [float(run.clock[-1]) for run in runs]
     shortest, longest = int(np.argmin(ends)), int(np.argmax(ends))
     if ends[shortest] < 0.99 * ends[longest]:
+        unit = Runs(list(runs)).unit
         warnings.warn(
-            f"{runs[shortest].path} ends after {ends[shortest]:g}, and {runs[longest].path} after {ends[longest]:g}: "
-            "means give both the same weight. Compare runs of one length",
+            f"{runs[shortest].path} ends after {ends[shortest]:g} {unit}, and {runs[longest].path} after "
+            f"{ends[longest]:g} {unit}: means give both the same weight. Give runs of one length",
             stacklevel=3,
         )
     first = runs[0].plan

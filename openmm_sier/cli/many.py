@@ -112,7 +112,9 @@ def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequ
     """Refuse files of which each member needs its own under another name."""
     for name in OF_MEMBERS:
         if options.get(name):
-            raise RunError(f"{flag(name)} names one file, and each member writes its own: leave it out")
+            raise RunError(
+                f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}"
+            )
     for seed in seeds:
         for read in (settings.box, settings.topology):
             if read and same_file(named(settings.out, seed), read):

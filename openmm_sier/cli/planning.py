@@ -96,7 +96,7 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
     kind = topology_kind(topology)
     for name in IGNORED[kind]:
         if name in given:
-            raise RunError(f"{flag(name)} does nothing with {topology}, which is {kind}: leave it out")
+            raise RunError(f"{flag(name)} has no effect with {topology}, which is {kind}: leave it out")
     return IGNORED[kind]
 
 
@@ -116,7 +116,7 @@ def _check(settings: RunSettings) -> None:
     """Refuse what no run can have."""
     if settings.ensemble not in settings.method.ensembles:
         possible = ", ".join(settings.method.ensembles)
-        raise RunError(f"{settings.method.name} has the ensembles {possible}, got {settings.ensemble}")
+        raise RunError(f"{settings.method.name} supports the ensembles {possible}, got {settings.ensemble}")
     if settings.rigid and settings.method.scheme is None:
         raise RunError(
             f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} keeps "
@@ -143,7 +143,7 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
     try:
         settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
     except ValidationError as error:
-        raise RunError(f"{checkpoint}: plan: {': '.join(refusal(error, RunSettings))}") from None
+        raise RunError(f"{checkpoint} has a wrong setting: {': '.join(refusal(error, RunSettings))}") from None
     here = os.path.dirname(checkpoint)
     files = {name: path for name in FILES if (path := getattr(settings, name)) is not None}
     beside = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}
@@ -169,7 +169,7 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
         if value is not None and not _same(value, before):
             option = flag(name) + ("" if value is True else f" {_shown(value)}")
             raise RunError(
-                f"{option} differs from {_shown(before)} of {checkpoint}; leave it out, or begin a new run with --start"
+                f"{option} differs from {_shown(before)} in {checkpoint}; leave it out, or begin a new run with --start"
             )
     for name in OUTPUTS:
         if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):

@@ -36,19 +36,19 @@ def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, s
     here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if noted[NAME] not in here:
         raise RunError(
-            f"{checkpoint} is of a run on the {noted[NAME]} platform, which OpenMM does not have here: choose one of "
-            f"{', '.join(here)} by --platform"
+            f"{checkpoint} was written on the {noted[NAME]} platform, which OpenMM does not have here: choose one of "
+            f"{', '.join(here)} with --platform"
         )
     return settings.model_copy(update={"platform": noted[NAME]})
 
 
 def tell_of_another_platform(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> None:
-    """Say in one line where a run goes on with another platform, precision or number of threads than before."""
+    """Say in one line that a run continues with another platform, precision or number of threads than before."""
     now = platform_of(context)
     if noted != now:
         note(
-            f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: both "
-            "differ by the rounding of forces"
+            f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: the "
+            "two round forces differently"
         )
 
 

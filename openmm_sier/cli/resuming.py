@@ -103,7 +103,7 @@ def _check_unfinished(settings: RunSettings, outputs: Outputs, notes: Mapping[st
     if step < settings.steps:
         return
     message = (
-        f"{checkpoint} is at step {settings.length(step)}, the run is to end at step {settings.steps}; "
+        f"{checkpoint} is at step {settings.length(step)}, and the run ends at step {settings.steps}; "
         "ask for more with --steps or --time"
     )
     if step > settings.steps:
@@ -121,8 +121,8 @@ def _restored(simulated: Simulated, state: openmm.State, checkpoint: Path, notes
     if abs(energy - notes["potential_energy"]) > ENERGY_TOLERANCE * (abs(energy) + 1):
         raise RunError(
             f"the positions of {checkpoint} have the energy {energy:.6g} kJ/mol in the system of "
-            f"{simulated.settings.box}, in the run they had {notes['potential_energy']:.6g}: it is another system or "
-            "force field"
+            f"{simulated.settings.box}, but had {notes['potential_energy']:.6g} in the run: the molecules or the force "
+            "field are not those of the run. Give the files of the run"
         )
     return context
 
@@ -132,6 +132,6 @@ def _refuse_other_inputs(simulated: Simulated, checkpoint: Path, noted: Mapping[
     for use, path in simulated.box.sources.items():
         if simulated.inputs[use] != noted.get(use):
             raise RunError(
-                f"{path} is not the file that the run of {checkpoint} read, or was edited. Give that, or begin a new "
-                "run with --start"
+                f"{path} is not the file that the run of {checkpoint} read, or was edited. Give the original file, or "
+                "begin a new run with --start"
             )

@@ -71,9 +71,10 @@ def likely_cause(plan: RunSettings) -> str:
     if plan.dt > usual:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
     return (
-        f"the step of {plan.dt:g} fs is not above the {usual:g} fs that is usual for {name} and rigid water: flexible "
-        "bonds, overlaps at the start (--minimize) or too short an equilibration may be the cause. If a shorter step "
-        "changes nothing, openmm_sier.check_forces, in a script, tells which Force is not the gradient of its energy"
+        f"the step of {plan.dt:g} fs should be short enough for {name} and rigid water, for which {usual:g} fs is "
+        "usual. The cause may be flexible bonds, overlaps at the start (--minimize) or too short an equilibration. If "
+        "a shorter step changes nothing, call openmm_sier.check_forces in a script: it tells which Force is not the "
+        "gradient of its energy"
     )
 
 

@@ -53,7 +53,8 @@ def tell_of_settings(settings: RunSettings) -> None:
         note(f"{settings.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
     if settings.ensemble == "nve" and is_heavy(settings.hydrogen_mass):
         note(
-            f"hydrogens of {settings.hydrogen_mass:g} dalton slow motion; at constant energy leave their mass as it is"
+            f"hydrogens of {settings.hydrogen_mass:g} dalton make motion slower: at constant energy keep their usual "
+            "mass"
         )
 
 

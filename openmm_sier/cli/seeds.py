@@ -22,7 +22,7 @@ def read_seeds(text: str) -> list[int]:
         first, last = int(found[1]), int(found[2] or found[1])
         if not 1 <= first <= last < 2**31:
             raise Misused(
-                f"--seeds: expected seeds from 1 to {2**31 - 1}, the least first, got {part.strip()!r} of {text!r}"
+                f"--seeds: expected seeds from 1 to {2**31 - 1}, the lower one first, got {part.strip()!r} in {text!r}"
             )
         if last - first >= MOST:
             raise Misused(f"--seeds: expected at most {MOST} seeds, got {text!r}")

@@ -21,7 +21,7 @@ from openmm_sier.cli.methods import (
     Method,
     is_heavy,
 )
-from openmm_sier.dynamics.acceptance import TRIAL_LENGTH, usual_steps
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_steps
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
@@ -76,7 +76,7 @@ def _usual_step(before: dict[str, Any]) -> float:
 
 def _usual_friction(before: dict[str, Any]) -> float:
     if before["ensemble"] == "hmc":
-        return 0.0
+        return TRIAL_FRICTION
     is_long = is_heavy(before["hydrogen_mass"]) and before["thermostat"] == "langevin"
     return HEAVY_FRICTION if is_long else FRICTION
 
@@ -102,9 +102,9 @@ class RunSettings(BaseModel):
     # --- the molecules ---
 
     box: File = fields.setting(
-        "coordinates of whole molecules with hydrogens: a PDB or PDBx/mmCIF file, to which virtual sites are added, or "
-        "with --topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of "
-        "OpenMM in XML",
+        "coordinates of whole molecules with hydrogens: a PDB or PDBx/mmCIF file (virtual sites are added); or with "
+        "--topology an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM, or a State of OpenMM "
+        "in XML",
         FILE,
         restart="may change",
         positional=True,
@@ -128,9 +128,10 @@ class RunSettings(BaseModel):
         otherwise="the box of the coordinates",
     )
     rigid: list[Name] | None = fields.several(
-        "what, besides water, is to be held rigid in the geometry that it has in the coordinates, but for bonds that "
-        "constraints hold: names of residues; ranges of them, as A:1-36, one body each; chains, as 'chain A'; atoms, "
-        "as 'atoms 0-35'; selections of MDTraj; or a file with one of these in each line",
+        "what to keep rigid besides water, with the geometry that it has in the coordinates (constrained bonds have "
+        "the lengths of their constraints): names of residues; ranges of residues, such as A:1-36, one body each; "
+        "chains, such as 'chain A'; atoms, such as 'atoms 0-35'; selections of MDTraj; or a file with one of these in "
+        "each line",
         NAME,
         otherwise="none",
     )
@@ -175,7 +176,7 @@ class RunSettings(BaseModel):
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=_usual_friction,
-        otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta for each trial without it",
+        otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta anew where it is 0",
     )
     pressure: float | None = fields.number(
         *("with npt or hmc", "bar (1 bar is 100000 Pa)", -5000, 50000),
@@ -189,7 +190,7 @@ class RunSettings(BaseModel):
         otherwise=f"as many as make {1000 * TRIAL_LENGTH:g} fs",
     )
     time: float | None = fields.time(
-        "length of the whole trajectory, of which a restart does what is left",
+        "length of the whole trajectory; a restart does what is left of it",
         otherwise=f"{DEFAULT_TIME:g}; that of the checkpoint with --restart",
         restart="of the call",
     )
@@ -260,15 +261,15 @@ class RunSettings(BaseModel):
     # --- how it begins and goes on ---
 
     start: File | None = fields.file(
-        "checkpoint (.chk) of any run, whose positions, velocities and box a new run begins with; unless given, the "
-        "options that make the System, and --temperature, are those of that run",
+        "checkpoint (.chk) of any run: the new run begins with its positions, velocities and box. The options that "
+        "make the System, and --temperature, are those of that run unless you give them",
         otherwise="none",
         restart="of the call",
     )
     restart: File | None = fields.file("checkpoint (.chk) to continue from", otherwise="none", restart="of the call")
     resume: Switch = fields.switch(
-        "continue from the checkpoint beside --out where there is one, begin where there is none, and end well "
-        "where the run is complete: one command line for a job that may be killed",
+        "continue from the checkpoint beside --out if there is one, begin a new run if there is none, and succeed if "
+        "the run is complete: one command line for a job that may be killed",
         otherwise="begin",
         restart="of the call",
     )
@@ -307,7 +308,7 @@ class RunSettings(BaseModel):
 
     @property
     def stand_in(self) -> "RunSettings":
-        """These with a method of this package, by which all runs begin."""
+        """Return these settings with a method of this package, with which all runs begin."""
         if self.method.scheme:
             return self
         scheme = RECOMMENDED[self.ensemble]

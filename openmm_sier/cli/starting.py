@@ -134,5 +134,5 @@ def _equilibrate(context: openmm.Context, settings: RunSettings, positions: Any,
     except openmm.OpenMMException as error:
         if not run_checks.is_runaway(error):
             raise
-        raise run_checks.Runaway(f"the equilibration broke down, do atoms overlap? {first_line(error)}") from error
+        raise run_checks.Runaway(f"the equilibration failed (do atoms overlap?): {first_line(error)}") from error
     return found.described if found.doubtful else None

@@ -63,7 +63,7 @@ class StopRequests:
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the Ctrl-C of which Python has made an error, or None.
+    """Return the KeyboardInterrupt that caused an error, or None.
 
     Python runs the handlers of signals also within calls of OpenMM's wrappers. These are made by SWIG, and return as if
     nothing had been raised; Python then raises a SystemError, whose cause is what the handler had raised.

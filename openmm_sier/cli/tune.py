@@ -29,7 +29,7 @@ def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, sam
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     if "box" not in given:
-        raise Misused("tune needs BOX, the coordinates (see openmm-sier tune --help)")
+        raise Misused("tune needs BOX, a file of coordinates (see openmm-sier tune --help)")
     origin = read_origin(given.get("start"))
     settings = new_settings({**given, "ensemble": "hmc"}, origin.settings if origin else None)
     context, _ = begin(Simulated(settings), origin)
@@ -41,7 +41,7 @@ def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, sam
     found = tune(context, acceptance, trials, samples, schemes=schemes)
     # The run below has the scheme, whatever this Context has.
     note(str(found._replace(isSet=True)))
-    note(f"These trials are not samples. A run with what was found:\n{run_line(given, found)}")
+    note(f"Do not take averages over these trials. To run with what was found:\n{run_line(given, found)}")
 
 
 def run_line(given: Mapping[str, Any], found: Tuning) -> str:

@@ -144,7 +144,7 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         if state.q.shape != (3, bodies.n):
-            raise ValueError(f"the state of {bodies.n} bodies has q of shape {(3, bodies.n)}, got {state.q.shape}")
+            raise ValueError(f"a state of {bodies.n} bodies must have q of shape {(3, bodies.n)}, got {state.q.shape}")
         q, A, L = free_motion(state, h)
         return BodyState(q, state.p, A, L)
 

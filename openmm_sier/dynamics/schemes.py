@@ -76,7 +76,7 @@ class Scheme:
         for flow in dict.fromkeys(stage.flow for stage in self.stages):
             total = math.fsum(stage.fraction for stage in self.stages if stage.flow == flow)
             if not math.isclose(total, 1.0, rel_tol=0.0, abs_tol=1e-14):
-                raise ValueError(f"scheme {self.name}: fractions of '{flow}' must sum to 1, they sum to {total!r}")
+                raise ValueError(f"scheme {self.name}: fractions of '{flow}' must sum to 1, got {total!r}")
 
     @property
     def operators(self) -> tuple[str, ...]:

@@ -40,9 +40,9 @@ def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
     energy = own_methods.get_state(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     notify(
         f"After the minimization, at {energy:.5g} kJ/mol, {overlapping.size} bodies or atoms still overlap with "
-        f"others, most of all {bodies.describe(worst)}: its neighbours hold it with {stiffness[worst]:.2g} kJ/mol/nm2, "
-        "where all bonds of an atom have up to 1e6. Minimize for longer if the iterations were limited. Otherwise it "
-        "cannot pass them, as an atom inside a rigid body cannot: give other positions"
+        f"others, most of all {bodies.describe(worst)}: the stiffness of its contacts is {stiffness[worst]:.2g} "
+        "kJ/mol/nm2, and that of all bonds of an atom is up to 1e6. Minimize for longer if the iterations were "
+        "limited. Otherwise it is trapped, as an atom inside a rigid body is: give other positions"
     )
 
 

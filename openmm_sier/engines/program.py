@@ -92,7 +92,7 @@ class Program(NamedTuple):
     Attributes:
         name: of the scheme.
         parts: the lines of each native step.
-        refusal: why there are none, for a scheme that cannot be written out.
+        refusal: why there are none, for a scheme that OpenMM cannot execute.
         inner_fraction: the longest inner step in units of h; 1 where there are none.
         counts_heat: whether it counts the heat of its bath.
         ends_constrained: whether velocities at the end of a step satisfy the constraints.

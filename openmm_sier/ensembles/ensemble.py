@@ -162,7 +162,7 @@ class ConstantTemperature(Ensemble):
             if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
                 raise openmm.OpenMMException(
                     f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "
-                    f"{error} A larger box or a shorter cut-off would help. The Context is left at the last completed "
+                    f"{error} Take a larger box or a shorter cut-off. The Context is left at the last completed "
                     "step"
                 ) from error
             raise

@@ -35,7 +35,7 @@ class Place(NamedTuple):
 
 
 class Alternates(NamedTuple):
-    """The alternate places of a residue.
+    """The alternate locations of a residue.
 
     Attributes:
         residue: its name and number.

@@ -187,7 +187,7 @@ def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[t
     there = _names(fixer.topology)
     for name in names:
         if name not in there:
-            raise ForceFieldError(f"{path} has no residue {name} to leave out, it has {' '.join(sorted(there))}")
+            raise ForceFieldError(f"{path} has no residue {name} to leave out; it has {' '.join(sorted(there))}")
     found = [residue for residue in fixer.topology.residues() if residue.name in names]
     modeller = app.Modeller(fixer.topology, fixer.positions)
     modeller.delete(found)

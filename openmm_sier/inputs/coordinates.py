@@ -50,7 +50,7 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
         names = [atom.name for atom in pdb.topology.atoms()]
         return Coordinates(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors(), names, pdb.topology)
     if kind not in _READERS:
-        raise ForceFieldError(f"{path} is {kind}, expected coordinates")
+        raise ForceFieldError(f"{path} is {kind}, but coordinates are expected")
     with refusing(f"cannot read {path} as {kind}"):
         found = _READERS[kind](str(path))
     return found._replace(box=box_of(path, found.box, edges))
@@ -97,7 +97,7 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
     """
     number, expected = len(found.positions), topology.getNumAtoms()
     if number != expected:
-        raise ForceFieldError(f"{path} has {number} atoms, expected the {expected} of {source}")
+        raise ForceFieldError(f"{path} has {number} atoms, but {source} has {expected}")
     for atom, name in zip(topology.atoms(), found.names, strict=False):
         one, two = (_letter(each) for each in (atom.name, name))
         if one and two and one != two and len(atom.residue) > 1:

@@ -198,7 +198,7 @@ def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]
         raise ForceFieldError(f"a cut-off of {cutoff:g} nm needs a box wider than {2 * cutoff:g} nm, got {width:.4g}")
     switch = cutoff * SWITCH / CUTOFF if interactions.switch is None else interactions.switch
     if switch >= cutoff:
-        raise ForceFieldError(f"the switch begins below the cut-off of {cutoff:g} nm, got {switch:g}")
+        raise ForceFieldError(f"the switch must begin below the cut-off of {cutoff:g} nm, got {switch:g} nm")
     return {
         "nonbondedMethod": app.PME,
         "nonbondedCutoff": cutoff * unit.nanometer,
@@ -219,7 +219,7 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
             vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
             raise ForceFieldError(
                 f"the box of {extent(np.array(vectors))} needs a mesh of {' x '.join(map(str, mesh))} points for PME, "
-                f"more than {MOST_MESH_POINTS}: is it in Angstrom?"
+                f"more than {MOST_MESH_POINTS}: are the edges of the box in Angstrom?"
             )
 
 

@@ -108,10 +108,10 @@ def _refuse_half(path: str | Path) -> None:
     kind = kind_of(path)
     if kind in TOPOLOGIES:
         remedy = Remedy("this is the topology", "give coordinates, and this file as `topology`", str(path))
-        raise ForceFieldError(f"{path} is {kind}", remedy)
+        raise ForceFieldError(f"{path} is {kind}, but coordinates are expected", remedy)
     if kind in POSITIONS:
         kinds = "a prmtop, top or psf file, or a System of OpenMM in XML"
-        remedy = Remedy("name the topology", f"name its `topology`, {kinds}", kinds)
+        remedy = Remedy("name the topology", f"give its `topology` too: {kinds}", kinds)
         raise ForceFieldError(f"{path} is {kind}, without a force field", remedy)
 
 
@@ -138,10 +138,13 @@ def _box_of_topology(
 ) -> Box:
     path, found, topology, kind = source
     if kind_of(path) == STATE:
-        raise ForceFieldError(f"{path} is {STATE}, which goes with a System of OpenMM; {topology} is {kind}")
+        raise ForceFieldError(
+            f"{path} is {STATE} and needs a System of OpenMM as its topology, but {topology} is {kind}: give the "
+            "System of that State"
+        )
     if kind == PSF and not files:
         such = "par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
-        remedy = Remedy("name the parameters", f"name all their files as `files`, such as {such}", such)
+        remedy = Remedy("name the parameters", f"give all its parameter files as `files`, such as {such}", such)
         raise ForceFieldError(f"{topology} is {kind}, which needs its parameters", remedy)
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
@@ -152,7 +155,7 @@ def _box_of_topology(
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
         remedy = Remedy("give a box", "give coordinates with their box, or its `edges`")
-        raise ForceFieldError(f"{path} has no periodic box, and {topology} was made for one", remedy)
+        raise ForceFieldError(f"{path} has no periodic box, but {topology} was made for one", remedy)
     refuse_other_atoms(path, found, file.topology, topology)
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)

@@ -50,7 +50,7 @@ def tell_stale_bonds(
         if _unmatched(other) == residue:
             return ""
     one, two = (f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in listed[0])
-    more = f", and has {len(listed) - 1} more such bonds," if len(listed) > 1 else ""
+    more = f" (there are {len(listed) - 1} more such bonds)" if len(listed) > 1 else ""
     return (
         f". A record of the file bonds {one} to {two}{more}; without it the residue has a template. If the record is "
         "left from another file, remove it (CONECT in a PDB file, _struct_conn in a PDBx/mmCIF file)"

@@ -62,7 +62,7 @@ def check_records(path: str | Path) -> str:
     """Return the kind of a PDB or PDBx/mmCIF file, after all reasons to refuse its atoms.
 
     Raises:
-        ForceFieldError: it is none, is cut off, or has the rarer of two alternate places first.
+        ForceFieldError: it is none, is cut off, or has the rarer of two alternate locations first.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -177,19 +177,20 @@ def _check_lines(path: str | Path) -> None:
 
 
 def _check_alternates(path: str | Path, kind: str) -> None:
-    """Warn of atoms in alternate places, of which OpenMM takes the first, and refuse those whose first is rarer."""
+    """Warn of atoms in alternate locations, of which OpenMM takes the first; refuse those whose first is rarer."""
     found = find_alternates(path, kind)
     column = "column 17" if kind == PDB else "label_alt_id"
     for each in found:
         if each.is_rarer:
             raise ForceFieldError(
-                f"{path}: {each.residue} has alternate places with the occupancies {each}, and the first, which OpenMM "
-                f"takes, is a rarer one: keep the atoms of one place, by the letter in {column}"
+                f"{path}: {each.residue} has alternate locations with the occupancies {each}. OpenMM takes the first, "
+                f"which is a rarer one: keep the atoms of one location, by the letter in {column}"
             )
     if found:
         more = f" ({len(found)} residues in all)" if len(found) > 1 else ""
         notify(
-            f"{path}: {found[0].residue} has alternate places with the occupancies {found[0]}; the first is taken{more}"
+            f"{path}: {found[0].residue} has alternate locations with the occupancies {found[0]}; the first is taken"
+            f"{more}"
         )
 
 
@@ -206,7 +207,7 @@ def _check_edges(path: str | Path) -> None:
         if not all(0 < edge < np.inf for edge in edges):
             raise ForceFieldError(
                 f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
-                "above 0; leave out the record CRYST1 where there is no box"
+                "above 0. If the system has no box, remove the record CRYST1"
             )
 
 

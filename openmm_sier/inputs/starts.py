@@ -201,7 +201,9 @@ def equilibrate(
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
     step = integrator.getStepSize().value_in_unit(unit.picosecond)
     if step < STEP:
-        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or spins are too fast for longer ones")
+        report.note(
+            f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or rotations are too fast for longer ones"
+        )
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that no short one counts as much as a long one.
     each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
@@ -294,8 +296,8 @@ def _tell(found: Equilibration, report: Report) -> None:
     """Tell of an equilibration, with a warning of a doubtful one."""
     if found.doubtful:
         warnings.warn(
-            f"not equilibrated after {found.described}; a temperature is out of bounds, or the potential energy still "
-            "changes. Equilibrate for longer, or minimize first, unless you have",
+            f"not equilibrated after {found.described}: a temperature is out of bounds, or the potential energy still "
+            "changes. Equilibrate for longer. If you have not minimized the energy, do that first",
             EquilibrationWarning,
             stacklevel=4,
         )

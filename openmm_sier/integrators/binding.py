@@ -86,7 +86,7 @@ class Binding:
             openmm.OpenMMException: there is no Context.
         """
         if self._engine is None:
-            raise openmm.OpenMMException("This integrator is not bound to a Context: create one with it first")
+            raise openmm.OpenMMException("This integrator has no Context: create a Context or Simulation with it first")
         return self._engine
 
     @property
@@ -253,7 +253,9 @@ class Binding:
         """Refuse to let two threads step one Context."""
         # To wait would hang a process that was forked while another thread had the lock.
         if not self._stepping.acquire(blocking=False):
-            raise openmm.OpenMMException("Another thread is stepping this Context: give each a Context of its own")
+            raise openmm.OpenMMException(
+                "Another thread is stepping this Context: give each thread a Context of its own"
+            )
         try:
             yield
         finally:
@@ -340,7 +342,7 @@ class Binding:
         self.moved()
 
     def take_over_state(self, set_state: Callable[[], None], has_parameters: bool) -> None:
-        """Let a State be set by a function, and take over what it holds, but neither its seed nor noise that was used.
+        """Call a function that sets a State, and take over what the State holds, except its seed and its used noise.
 
         Runs with different seeds from one State differ, and so do replicas that share a Context.
 
@@ -362,8 +364,9 @@ class Binding:
         if is_lost and not self._told_of_noise and BATH in self.flow().scheme.operators:
             self._told_of_noise = True
             notify(
-                "With the native engine the noise of Langevin dynamics is OpenMM's, which no State holds: the run goes "
-                "on in the same ensemble, but not on the same trajectory. A checkpoint repeats it bit for bit"
+                "With the native engine a State does not hold the noise of Langevin dynamics, which is OpenMM's: the "
+                "run continues in the same ensemble, but on another trajectory. To continue the same trajectory, load "
+                "a checkpoint"
             )
 
 

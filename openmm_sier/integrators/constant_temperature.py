@@ -16,7 +16,7 @@ from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, quantity
 
 
 class SIERThermostatIntegrator(SIERIntegrator):
-    """Keep a constant temperature, and a pressure if one is given, by a thermostat that you choose.
+    """Keep the temperature constant, and the pressure if one is given, with a thermostat that you choose.
 
     Take `VelocityRescaling` where the bath should hardly disturb the motion. `SIERLangevinIntegrator` and
     `SIERHMCIntegrator` are subclasses with thermostats of their own.
@@ -71,18 +71,18 @@ class SIERThermostatIntegrator(SIERIntegrator):
         self._change_ensemble(temperature=temp)
 
     def getPressure(self) -> unit.Quantity | None:
-        """Return the pressure that is kept, a quantity in bar; None if the volume is kept."""
+        """Return the pressure, a quantity in bar; None at constant volume."""
         pressure = self.binding.ensemble.pressure
         return None if pressure is None else pressure * unit.bar
 
     def setPressure(self, pressure: Quantity) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
         if self.binding.ensemble.pressure is None:
-            raise ValueError("this integrator keeps the volume: create it with a pressure")
+            raise ValueError("this integrator runs at constant volume: create it with a pressure")
         self._change_ensemble(pressure=quantity_to_float("pressure", pressure, unit.bar, "bar"))
 
     def getBarostatInterval(self) -> int | None:
-        """Return the number of steps between attempts to change the volume; None if the volume is kept."""
+        """Return the number of steps between attempts to change the volume; None at constant volume."""
         return None if self.binding.ensemble.pressure is None else self.binding.ensemble.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
@@ -90,7 +90,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         super().setRandomNumberSeed(whole_number("seed", seed, most=2**31 - 1))
 
     def getHeat(self) -> unit.Quantity:
-        """Return the energy that the bath, volume moves and a CMMotionRemover gave to the bodies, a quantity.
+        """Return the energy that the bodies got from the bath, volume moves and a CMMotionRemover, a quantity.
 
         The total energy less this heat is conserved. The heat does not include the work P dV, nor the energy that a
         thermostat or barostat of OpenMM in the System gives, which nobody counts.

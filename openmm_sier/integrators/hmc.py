@@ -4,7 +4,7 @@ import math
 
 from openmm import unit
 
-from openmm_sier.dynamics.acceptance import usual_steps
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2V2, Scheme
@@ -55,7 +55,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         stepSize: Quantity,
         scheme: Scheme | str = SIER2V2,
         stepsPerTrial: int | None = None,
-        frictionCoeff: Quantity | None = None,
+        frictionCoeff: Quantity | None = TRIAL_FRICTION,
         pressure: Quantity | None = None,
         barostatInterval: int = 1,
         bodies: Bodies = None,
@@ -69,9 +69,10 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             temperature: a quantity or a number in K, above zero.
             stepSize: the step of the scheme, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
-            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 0.15 ps.
+            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 72 fs.
             frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
-                of length t, and the rest is drawn anew. None draws all of them anew.
+                of length t, and the rest is drawn anew. None draws all of them anew, which is for trials of 0.15 ps or
+                more.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
             barostatInterval: number of trials between attempts to change the volume, at least 1.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
@@ -110,7 +111,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self.binding.change(step=step_size(size))
 
     def getFriction(self) -> unit.Quantity:
-        """Return the friction by which momenta are drawn in part, a quantity in 1/ps; infinite if all are drawn."""
+        """Return the friction for partial draws of momenta, a quantity in 1/ps; infinite if all are drawn anew."""
         friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
@@ -143,7 +144,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def reversalError(self) -> float:
-        """Return the largest distance, nm, from an atom to its start after the first trajectory was run backwards.
+        """Return how far from its start an atom was, at most, after the first trajectory went there and back, nm.
 
         NaN before the first trial, and after the trials were made longer.
         """

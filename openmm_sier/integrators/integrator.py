@@ -94,12 +94,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def substeps(self) -> int | None:
-        """Return the number of steps in a drift that was requested; None leaves it to the engine."""
+        """Return the requested number of steps in a drift; None leaves it to the engine."""
         return self.binding.settings.substeps
 
     @property
     def fastForceGroups(self) -> set[int]:
-        """Return the force groups that act within drifts."""
+        """Return the force groups of the fast forces, which act within drifts."""
         return set(arguments.groups_of(self.binding.flow().fast_groups))
 
     @property
@@ -107,7 +107,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Return the program that the native engine executes; print it to read it.
 
         Raises:
-            ValueError: the scheme has an operator that cannot be written out.
+            ValueError: OpenMM cannot execute an operator of the scheme in a CustomIntegrator.
         """
         if self.binding.program.refusal:
             raise ValueError(self.binding.program.refusal)
@@ -169,7 +169,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self.binding.engine.state()
 
     def getWholeStepState(self) -> BodyState:
-        """Return the state at which the energy less the heat is conserved, within the error of the scheme.
+        """Return the state at a whole step, at which energy minus heat is conserved within the error of the scheme.
 
         It is what `getBodyState` returns, except for SIER2 in a heat bath. There velocities lag half a kick behind, as
         with OpenMM's LangevinMiddleIntegrator, and this method advances them by a further force evaluation.
@@ -216,7 +216,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return {}
 
     def forcesChanged(self) -> None:
-        """Tell the integrator that something else than a method of the Context or its Forces changed the potential.
+        """Tell the integrator that something other than a method of the Context or its Forces changed the potential.
 
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.

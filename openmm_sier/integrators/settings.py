@@ -197,9 +197,9 @@ def _made(kind: Any, values: Any) -> Any:
     """Return a dataclass from a table of all its fields."""
     names = {field.name for field in fields(kind)}
     if not isinstance(values, dict):
-        raise TypeError(f"expected a table of {_listed(names)}")
+        raise TypeError(f"expected a table with the fields {_listed(names)}")
     if values.keys() != names:
-        raise TypeError(f"expected a table of {_listed(names)}, got one of {_listed(values.keys())}")
+        raise TypeError(f"expected a table with the fields {_listed(names)}, got the fields {_listed(values.keys())}")
     return kind(**values)
 
 
@@ -267,7 +267,7 @@ def place_of(thing: Callable[..., Any] | type) -> str:
 
 
 def class_at(place: str, base: type) -> type:
-    """Return the subclass of a base at a place that `place_of` gave; no module is imported for it.
+    """Return the subclass of `base` that a string from `place_of` names; no module is imported for it.
 
     Raises:
         SettingsError: there is no such class in a module that is imported.

@@ -19,7 +19,7 @@ from openmm_sier.integrators.binding import Binding
 
 
 def written(integrator: Any) -> openmm.CustomIntegrator:
-    """Return a plain CustomIntegrator that is, and does, all that OpenMM can know of a SIER integrator.
+    """Return a plain CustomIntegrator that makes the steps of a SIER integrator and holds its settings.
 
     Its program is right in any System, unlike that of a Context, which is written for one.
     """
@@ -70,7 +70,9 @@ def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
     if missing := {installation.PARTS, *found.ensemble.counts} - variables:
-        raise settings.SettingsError(f"A stored SIER integrator has no variable {missing.pop()}")
+        raise settings.SettingsError(
+            f"A stored SIER integrator lacks the variable {missing.pop()}: create the integrator anew"
+        )
     parts = int(plain.getGlobalVariableByName(installation.PARTS)) or 1
     step = plain.getStepSize().value_in_unit(unit.picosecond) * parts
     installation.uninstall(plain)

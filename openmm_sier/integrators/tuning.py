@@ -43,7 +43,7 @@ def tune(
     lengths: Sequence[int] | None = None,
     schemes: Sequence[Scheme | str] | None = None,
 ) -> Tuning:
-    """Find scheme, step and trial length for a Context's hybrid Monte Carlo, and set step and length in its integrator.
+    """Find scheme, step and trial length of hybrid Monte Carlo for a Context; set step and length in its integrator.
 
     Equilibrate roughly before. Trials of the tuning are no samples, so leave them out of averages. Afterwards `trials`
     and `accepted` count from zero.

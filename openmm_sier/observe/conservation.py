@@ -53,7 +53,7 @@ def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator
     """
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERIntegrator | StockIntegrator):
-        raise TypeError(f"this report needs a SIER integrator, the Context has a {type(integrator).__name__}")
+        raise TypeError(f"this report needs a SIER integrator, but the Context has a {type(integrator).__name__}")
     return integrator
 
 

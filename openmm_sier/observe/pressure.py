@@ -113,7 +113,7 @@ class MolecularPressure:
 def _check(system: openmm.System) -> None:
     needs = "a pressure tensor needs"
     if not system.usesPeriodicBoundaryConditions():
-        raise ValueError(f"{needs} a System with periodic boundary conditions, this one has none")
+        raise ValueError(f"{needs} a System with periodic boundary conditions, but this one has none")
     for force in (part.force for part in parts(system)):
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(
@@ -137,7 +137,7 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
     totals = np.bincount(owners, masses)
     if (totals == 0).any():
         atom = int(np.flatnonzero(totals[owners] == 0)[0])
-        raise ValueError(f"a pressure tensor needs molecules that move, but that of atom {atom} has no mass")
+        raise ValueError(f"a pressure tensor needs molecules that move, but the molecule of atom {atom} has no mass")
     return owners, totals
 
 

@@ -64,8 +64,8 @@ class _TableReporter(_Reporter):
             self._out.write(conservation.csv_line(columns))
         if self._header != columns:
             raise ValueError(
-                f"{self._path} cannot be continued: it has {len(self._header)} columns, and this integrator has "
-                f"{len(columns)} to report"
+                f"{self._path} cannot be continued: it has {len(self._header)} columns, but this integrator reports "
+                f"{len(columns)}. Name another file"
             )
         self._out.write(conservation.csv_line(row))
         self._out.flush()

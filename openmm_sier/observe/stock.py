@@ -31,7 +31,7 @@ BAROSTAT_INTERVAL = 25
 
 
 class StockIntegrator(openmm.Integrator):
-    """Give OpenMM's integrators the interface of this package's. Call `bind` before anything else.
+    """Give OpenMM's integrators the interface of this package's integrators. Call `bind` before anything else.
 
     Attributes:
         bodies: the rigid bodies of the Context.
@@ -107,7 +107,7 @@ def make_stock(
     friction: float = 1.0,
     pressure: float | None = None,
 ) -> tuple[openmm.System, StockIntegrator]:
-    """Make an integrator of OpenMM, and a copy of a System with its thermostat and barostat.
+    """Make an integrator of OpenMM, and a copy of a System; add the thermostat and barostat to the copy.
 
     Args:
         system: to be simulated.

@@ -69,7 +69,7 @@ def carry_forces(system: openmm.System, added: Added) -> None:
         if carry is not None:
             carry(part, force, added)
         elif not isinstance(force, UNCHANGED):
-            raise _refusal(part, "this package does not know how to leave the particles of frames out of it")
+            raise _refusal(part, "this package does not know how to exclude the particles of frames from it")
 
 
 def _refusal(part: Part, why: str, remedy: str = "") -> ValueError:

@@ -230,10 +230,10 @@ def with_frames(
 
     Raises:
         TypeError: `system` is no System, such as a Simulation.
-        ValueError: no body needs a frame, or a Force cannot be carried over: multipoles of AMOEBA and HIPPO, plugins, a
+        ValueError: no body needs a frame, or a Force cannot be copied: multipoles of AMOEBA and HIPPO, plugins, a
             GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
-            body; or a barostat scales every atom apart.
+            body; or a barostat scales the position of each atom separately.
     """
     system = checked_system(system)
     x = checked_positions(positions, system.getNumParticles())
@@ -266,7 +266,7 @@ def _copied(system: openmm.System) -> openmm.System:
     try:
         return copy.deepcopy(system)
     except Exception as error:
-        raise ValueError(f"the System cannot be copied, which with_frames does by XML: {error}") from error
+        raise ValueError(f"with_frames cannot copy the System by XML: {error}") from error
 
 
 def _refuse_cut(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> None:

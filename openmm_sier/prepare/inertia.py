@@ -81,10 +81,12 @@ def set_inertia(
 def _checked_moments(moments: Any) -> np.ndarray:
     found = np.array([quantity_to_float("moments", value, _MOMENT, "dalton nm^2") for value in moments])
     if found.shape != (3,) or (np.diff(found) < 0).any() or found[0] < 0:
-        raise ValueError(f"moments must be three, in ascending order and not negative, got {found.tolist()}")
+        raise ValueError(
+            f"moments must be three numbers in ascending order, none of them negative, got {found.tolist()}"
+        )
     if found[2] > found[0] + found[1] + ACCURACY * found[2]:
         raise ValueError(
-            f"no body has such moments: the largest must not exceed the sum of the two others, got {found.tolist()}"
+            f"moments must be those of a body, the largest at most the sum of the two others, got {found.tolist()}"
         )
     return found
 
@@ -132,9 +134,10 @@ def _bounded(rows: np.ndarray, wanted: np.ndarray, least: float, name: str, mome
         if _are_right(rows, wanted, shares, least):
             return shares
     raise ValueError(
-        f"no masses of {name} have the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 about their "
-        f"centre and axes: {_range(rows, wanted, least)}. Add particles without interactions to the body, further out "
-        "for larger moments and at its centre for smaller ones"
+        f"no choice of masses gives {name} the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 "
+        f"about their centre and axes; {_range(rows, wanted, least)}. "
+        "Add particles without interactions to the body, further out for larger moments and at its centre for smaller "
+        "ones"
     )
 
 
@@ -151,6 +154,6 @@ def _range(rows: np.ndarray, wanted: np.ndarray, least: float) -> str:
         cost = np.append(np.zeros(count), sign)
         found = linprog(cost, A_eq=equations, b_eq=wanted - squares, bounds=bounds)
         if not found.success:
-            return "nor any moments in these proportions"
+            return "no others in these proportions are possible either"
         ends.append(found.x[count])
-    return f"some have {ends[0]:.3g} to {ends[1]:.3g} times these"
+    return f"possible are {ends[0]:.3g} to {ends[1]:.3g} times these"

@@ -179,7 +179,7 @@ def _refusal(system: openmm.System, bodies: RigidBodies, wanted: dict[Species, n
             for i in range(force.getNumExceptionParameterOffsets()):
                 offsets += force.getExceptionParameters(force.getExceptionParameterOffset(i)[1])[:2]
             if inside.intersection(offsets):
-                return f"the energy of {name} within them depends on a global parameter"
+                return f"the energy of {name} within bodies depends on a global parameter"
         if isinstance(force, openmm.CustomNonbondedForce) and force.getNumEnergyParameterDerivatives():
             return f"{name} gives derivatives of its energy by a global parameter"
     return ""

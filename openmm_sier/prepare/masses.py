@@ -14,13 +14,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.notices import notify
-from openmm_sier.system.tables import HEAVIEST_HYDROGEN
-
-#: Dalton. The most that hydrogens get whose atom is bonded to another heavy atom, to which its loss matters. With 4
-#: the bonds of aromatic carbons would have a period of 21.3 fs in place of 22.4, and bear no kicks every 10 fs; those
-#: of a methyl's carbon would become 1.6 times as fast as they were, in place of 1.2, and LangevinMiddle fails at steps
-#: of 5 fs. Water has no such bonds.
-HEAVIEST_IN_CHAINS = 3.0
+from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
 
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0
@@ -45,7 +39,7 @@ def checked_mass(mass: Any) -> float:
 
 
 def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
-    """Give all hydrogens a mass, in water too, and take it from the atoms that they are bonded to.
+    """Set the mass of all hydrogens, in water too, and take the difference from the atoms that they are bonded to.
 
     The mass of every molecule stays. Hydrogens of an atom that is bonded to another heavy atom get no more than
     `HEAVIEST_IN_CHAINS`, and those of one that would become lighter than `LIGHTEST_CENTRE` get less. It does not
@@ -72,7 +66,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
     if not given:
-        notify("hydrogenMass does nothing: the System has no hydrogens whose mass could be changed")
+        notify("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
-    return f"{said}: averages of positions do not change, motion is slower."
+    return f"{said}: averages of positions do not change, but motion is slower."

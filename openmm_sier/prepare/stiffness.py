@@ -82,7 +82,7 @@ def describe_coarse(motion: Stiffest) -> str:
     kind = "bond between atoms" if len(motion.atoms) == 2 else "angle of atoms"
     energy, bath = (f"{1000 * step:.2g} fs with {scheme.name}" for scheme, step in usual_steps(motion).items())
     return (
-        f"No force is fast, since all bonds and angles are slow. The stiffest that does work, the {kind} "
+        f"There are no fast forces, since all bonds and angles are slow. The stiffest of them, the {kind} "
         f"{', '.join(map(str, motion.atoms))}, has a period of {1000 * motion.period:.3g} fs: usual steps are {energy} "
         f"at constant energy and {bath} in a heat bath."
     )

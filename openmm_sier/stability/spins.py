@@ -74,8 +74,8 @@ class Spins:
             return
         turned = h * math.sqrt(GAS_CONSTANT * temperature / self._moment)
         described = (
-            f"{self._name}, and others like it, have a moment of inertia of only {self._moment:.2g} dalton nm^2, and "
-            f"at {temperature:g} K turn about that axis by {turned:.2g} radians from one kick to the next. "
+            f"{self._name} and similar bodies have a moment of inertia of only {self._moment:.2g} dalton nm^2 about "
+            f"one axis. At {temperature:g} K they turn about it by {turned:.2g} radians from one kick to the next. "
             f"{scheme.name} is accurate up to {1000 * accurate:.2g} fs"
         )
         remedies = advice.SHORTER_STEP, advice.STRAIGHTEN

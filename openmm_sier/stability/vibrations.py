@@ -189,9 +189,9 @@ class Vibrations:
         number = int(self._bodies.owners[libration.atoms[0]])
         body = self._bodies.describe(number)
         described = (
-            f"{body}, and others like it, can swing with a period of {_fs(libration.period)} among other molecules. "
+            f"{body} and similar bodies can swing among other molecules with a period of {_fs(libration.period)}. "
             f"{scheme.name} is accurate up to {_fs(accurate)}; with steps of about "
-            f"{_fs(max(accurate, HEATING * stable))} or more liquids heat up"
+            f"{_fs(max(accurate, HEATING * stable))} or more, liquids heat up"
         )
         remedies = [advice.SHORTER_STEP]
         if self._remedies.heavier(self._bodies.atoms_of(number)):
@@ -330,7 +330,7 @@ class Vibrations:
             by = f" by {bond.force}" if bond.force else ""
             return f"the bond between atoms {bond.atoms[0]} and {bond.atoms[1]}{residues}{by}"
         plural = "s" if len(bond.atoms) > 1 else ""
-        return f"the motion that {bond.force} causes of atom{plural} {', '.join(map(str, bond.atoms))}{residues}"
+        return f"the motion of atom{plural} {', '.join(map(str, bond.atoms))}{residues} by {bond.force}"
 
     def _tell_once(self, warning: advice.StepWarning) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.

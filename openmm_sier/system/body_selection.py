@@ -21,8 +21,8 @@ Description = str | os.PathLike[str] | Sequence[int] | Sequence[Any] | Mapping[s
 
 #: The forms that a description in words may have.
 FORMS = (
-    "residues, as A:1-36 or A:1-36,50-60, or :1-36 in each chain; a chain, as chain A; atoms, as atoms 0-35; the name "
-    "of a residue; or an MDTraj selection, as 'name CA and resSeq 1 to 36'"
+    "residues, such as A:1-36 or A:1-36,50-60, or :1-36 in each chain; a chain, such as chain A; atoms, such as atoms "
+    "0-35; the name of a residue; or an MDTraj selection, such as 'name CA and resSeq 1 to 36'"
 )
 
 #: Endings of files that hold JSON.
@@ -184,7 +184,9 @@ def _in_file(path: Path) -> Iterator[tuple[str | None, Any]]:
         except json.JSONDecodeError as error:
             raise ValueError(f"{path}: {error}") from None
         if not isinstance(found, list | dict):
-            raise ValueError(f"{path} must have a list of bodies, or an object with their names, got {found!r}")
+            raise ValueError(
+                f"{path} must have a JSON list of bodies, or a JSON object of bodies by name, got {found!r}"
+            )
         yield from _entries(found)
         return
     empty = True

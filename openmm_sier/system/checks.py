@@ -56,9 +56,9 @@ def refuse_drude_particles(system: openmm.System) -> None:
     for part in parts(system):
         if isinstance(part.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
-                f"{part.name} is a DrudeForce: these integrators have no cold bath for Drude particles, and heat "
-                "them from 1 K to hundreds, with a wrong polarization. Take openmm.DrudeLangevinIntegrator, "
-                "DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
+                f"{part.name} is a DrudeForce. These integrators have no cold bath for Drude particles: the particles "
+                "would heat up from 1 K to hundreds of kelvins, and the polarization would be wrong. Take "
+                "openmm.DrudeLangevinIntegrator, DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
             )
 
 
@@ -90,7 +90,7 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
         openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
     """
     if not system.usesPeriodicBoundaryConditions():
-        raise openmm.OpenMMException("A pressure needs a System that is periodic (nonbondedMethod=PME)")
+        raise openmm.OpenMMException("A constant pressure needs a periodic System (nonbondedMethod=PME)")
     for force in barostats(system):
         raise openmm.OpenMMException(
             f"Two barostats: pressure= of the integrator and a {type(force).__name__} in the System. Remove one"
@@ -98,9 +98,9 @@ def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None
     for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
             raise openmm.OpenMMException(
-                f"At constant pressure all particles move with the box, and particle {i} belongs to no body, since it "
-                "has no mass or was left out of `bodies`: leave out `pressure`, or give it a mass and restrain it by a "
-                "force"
+                f"At constant pressure all particles move with the box, but particle {i} belongs to no body: it has no "
+                "mass, or was left out of `bodies`. Leave out `pressure`, or give the particle a mass and restrain it "
+                "by a force"
             )
 
 

@@ -50,6 +50,6 @@ def cut_molecules(system: openmm.System, positions: np.ndarray, box: Any) -> str
     one, other = pairs[worst].tolist()
     more = f" ({len(cut)} constraints are cut)" if len(cut) > 1 else ""
     return (
-        f"atoms {one} and {other} are {found[worst]:.4g} nm apart, where a constraint wants {lengths[worst]:.4f} nm: "
-        f"the periodic boundary cuts their molecule{more}. {MAKE_WHOLE}"
+        f"atoms {one} and {other} are {found[worst]:.4g} nm apart, but their constraint has the length "
+        f"{lengths[worst]:.4f} nm: the periodic boundary cuts their molecule{more}. {MAKE_WHOLE}"
     )

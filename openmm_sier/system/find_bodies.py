@@ -217,7 +217,7 @@ class BodyPlan:
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
                 raise RigidityError(
-                    f"{self._describe(cluster)}: its atoms lie on one point, but its shape comes from positions. "
+                    f"all atoms of {self._describe(cluster)} are at one point, but its shape comes from the positions. "
                     "Set the positions first"
                 )
 
@@ -274,8 +274,8 @@ def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Clu
         grouped.add(light.index)
     if not groups:
         raise ValueError(
-            f'"{HYDROGEN_GROUPS}" needs bonds of hydrogens in the topology, which has {topology.getNumBonds()} bonds '
-            "and none of a hydrogen to a heavy atom"
+            f'"{HYDROGEN_GROUPS}" needs bonds between hydrogens and heavy atoms, but none of the '
+            f"{topology.getNumBonds()} bonds of the topology is one: add them to the topology"
         )
     return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
 
@@ -283,7 +283,7 @@ def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Clu
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:
     labels = [f"{atom.residue.name} {atom.residue.id}" for atom in topology.atoms()]
     if len(labels) != n_particles:
-        raise ValueError(f"the topology has {len(labels)} atoms, the System {n_particles} particles")
+        raise ValueError(f"the topology has {len(labels)} atoms, but the System has {n_particles} particles")
     return labels
 
 
@@ -324,8 +324,8 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
             body, site = wrong[0]
             atom = species.atoms[body, site]
             raise ValueError(
-                f"{bodies.describe_atoms(species.atoms[body])} was made with a mass of {species.masses[site]} for atom "
-                f"{atom}, but the System has {masses[atom]}: make the bodies again"
+                f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
+                f"dalton in the bodies, but {masses[atom]} dalton in the System: make the bodies from this System again"
             )
     return Links(system).link(bodies)
 
@@ -402,7 +402,7 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     """Return the error for a constraint that joins a rigid body to a particle outside."""
     return RigidityError(
         f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
-        "by constraints into one body; or leave them all out of `bodies`, so that constraints alone hold them; or "
+        "by constraints into one body; or leave them all out of `bodies`, so that only constraints hold them; or "
         "build the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
     )
 

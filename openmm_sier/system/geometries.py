@@ -38,7 +38,7 @@ Lengths = dict[tuple[int, int], float]
 
 
 class Sharing(NamedTuple):
-    """Bodies that share one geometry, and how far their own differ from it.
+    """Bodies that share one geometry, and how far each deviates from it.
 
     Attributes:
         clusters: particle indices of each, (m, k).
@@ -70,7 +70,7 @@ class Kind(NamedTuple):
 
     @property
     def needs_positions(self) -> bool:
-        """Tell whether constraints leave the geometry or the choice between two mirror images open."""
+        """Tell whether only positions decide the geometry, or which of two mirror images it is."""
         return self.model is None or self.model.mirror_distance > 0
 
 

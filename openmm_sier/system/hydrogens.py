@@ -42,7 +42,7 @@ def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, floa
 
 
 def partners_of(system: openmm.System) -> dict[int, dict[int, float]]:
-    """Find the partners of each moving particle by bonds and constraints, with distances in nm, 0 if custom."""
+    """Find the partners of each moving particle by bonds and constraints, with distances in nm; 0 for custom bonds."""
     masses, links = tables.masses(system), Links(system)
     lengths = dict(zip(map(tuple, np.sort(links.bonds).tolist()), links.lengths.tolist(), strict=True))
     lengths |= links.constraints.by_pair()

@@ -29,7 +29,7 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
     if len(loose):
         first, centre, second = loose[0].tolist()
         notify(
-            f"Nothing holds the angle of atoms {first}, {centre} and {second}, and of {len(loose) - 1} other "
+            f"Nothing fixes the angle of atoms {first}, {centre} and {second}, nor that of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
             "constraints, of which a file of another program may have only two: call createSystem with rigidWater=True"
         )

@@ -34,7 +34,7 @@ Told = TypeVar("Told", bound="Advised")
 
 
 class Advised(Exception):
-    """An error or a warning that carries its parts, of which whoever shows it makes the sentence.
+    """Hold the parts of an error or a warning, from which scripts and the command make their sentences.
 
     Attributes:
         finding: what is wrong.

@@ -57,7 +57,9 @@ class _Chain:
         if len(there) != 1:
             many = f"{len(there)} residues" if there else "no residue"
             known = f"{self.numbers[0]} to {self.numbers[-1]}" if self.numbers else "none"
-            raise ValueError(f"{self} has {many} {number}, but those of {known}: correct it, or give 'atoms 0-35'")
+            raise ValueError(
+                f"{self} has {many} {number}; it has {known}. Correct the range, or name atoms, as in 'atoms 0-35'"
+            )
         return there[0]
 
     def __str__(self) -> str:
@@ -96,7 +98,7 @@ class ResidueRanges:
                 chains = f"chains {chain}" if chain else "chains"
                 raise ValueError(
                     f"{words!r} must be one body, but there are {len(found)} {chains}: describe the body of "
-                    "each chain apart, or name atoms, as in 'atoms 0-35'"
+                    "each chain by itself, or name atoms, as in 'atoms 0-35'"
                 )
             body += found[0]
         return [body]
@@ -135,7 +137,7 @@ class ResidueRanges:
         chains = self._named.get(name, []) if name else self._chains
         if not chains:
             known = ", ".join(each or "(no name)" for each in self._named)
-            raise ValueError(f"the topology has no chain {name}, it has {known}")
+            raise ValueError(f"the topology has no chain {name}; it has {known}")
         found, missing = [], None
         for chain in chains:
             try:

@@ -64,7 +64,7 @@ class Unsolved(NamedTuple):
     def __str__(self) -> str:
         """Return the constraints and why, for messages."""
         shown = ", ".join(map(str, self.atoms[:NAMED])) + (", …" if len(self.atoms) > NAMED else "")
-        return f"those of atoms {shown} ({self.why})"
+        return f"the constraints of atoms {shown} ({self.why})"
 
 
 class Cluster(NamedTuple):
@@ -208,8 +208,8 @@ def _mixed_triangle(atoms: np.ndarray, masses: np.ndarray, pairs: np.ndarray, le
             row, weights = atoms[mixed[0]], masses[mixed[0]]
             return Unsolved(
                 tuple(row.tolist()),
-                f"atoms {row[one]} and {row[other]} are equally far from atom {row[corner]} but differ in mass, "
-                f"{weights[one]:g} and {weights[other]:g} dalton, and OpenMM takes the masses for equal",
+                f"atoms {row[one]} and {row[other]} are equally far from atom {row[corner]} but differ in mass "
+                f"({weights[one]:g} and {weights[other]:g} dalton), and OpenMM takes the masses for equal",
             )
     return None
 

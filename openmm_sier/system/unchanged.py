@@ -49,9 +49,9 @@ class UnchangedSystem:
             return
         for name, before, now in _differences(self._then, _outline(system)):
             raise openmm.OpenMMException(
-                "The System was changed after its Context was created, so that OpenMM does not see the change: its "
-                f"{name} was {before} and is {now}. Call prepare_system, and make other changes, before "
-                "the Context or Simulation is made; or make a new one"
+                "The System was changed after its Context was created, and OpenMM does not see the change: its "
+                f"{name} was {before} and is {now}. Call prepare_system, and make other changes, before the Context "
+                "or Simulation is made; or make a new Context"
             )
         self._seen = seen
 

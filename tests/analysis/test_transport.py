@@ -31,10 +31,11 @@ def test_diffusion_of_brownian_motion():
 
 def test_diffusion_of_too_short_a_run_or_of_rare_frames():
     with pytest.raises(
-        transport.TooShortError, match=r"more than 15 ps with frames 1 ps apart or less, got 8 ps .* 0.2 ps apart"
+        transport.TooShortError,
+        match=r"more than 15 ps, got 8 ps, and a frame every 1 ps or more often, got one every 0.2 ps",
     ):
         transport.self_diffusion(np.zeros((40, 3, 3)), 0.2)
-    with pytest.raises(transport.TooShortError, match=r"got 80 ps with frames 2 ps apart"):
+    with pytest.raises(transport.TooShortError, match=r"got 80 ps, and a frame .* got one every 2 ps"):
         transport.self_diffusion(np.zeros((40, 3, 3)), 2.0)
 
 

@@ -200,7 +200,10 @@ def test_checkpoint_of_another_version_is_refused(box, whole_run, capsys):
     rewrite_notes("old.chk", lambda notes: notes.update(format=7))
     for use in ("--restart", "--start"):
         message = complaint(capsys, "run", box, use, "old.chk", "--time", "1")
-        assert "old.chk was written by another version of openmm-sier, in format 7 in place of 1: finish" in message
+        assert (
+            "old.chk was written by another version of openmm-sier, in format 7; this version reads format 1: finish"
+            in message
+        )
 
 
 def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
@@ -209,17 +212,17 @@ def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
         shutil.copy(path, Path())
     rewrite_notes("whole.chk", lambda notes: notes.update(potential_energy=1.001 * notes["potential_energy"]))
     command = "run", box, "--restart", "whole.chk", "--time", "1", "--platform", "Reference"
-    assert "it is another system or force field" in complaint(capsys, *command)
+    assert "the molecules or the force field are not those of the run" in complaint(capsys, *command)
 
 
 @pytest.mark.slow
 def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")
-    assert "text.pdb is no PDB file with atoms" in complaint(capsys, "info", "text.pdb")
+    assert "text.pdb is not a PDB file with atoms" in complaint(capsys, "info", "text.pdb")
     assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
-    assert "ends in .dcd, .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
+    assert "must end in .dcd or .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
     assert not list(Path().glob("box.*"))
 
 

@@ -258,26 +258,38 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, without a force field: name its topology by"),
+        (
+            ["amber.inpcrd"],
+            "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
+        ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
-        (["amber.prmtop"], "amber.prmtop is a prmtop file of AMBER: give coordinates, and this file by --topology"),
+        (
+            ["amber.prmtop"],
+            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates, and",
+        ),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
-        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, expected coordinates"),
+        (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates are"),
         (
             ["amber.inpcrd", "--topology", "structure.pdb"],
             "structure.pdb is a PDB file, but the topology must be a prmtop",
         ),
         (["amber.inpcrd", "--topology", "molecules.rtf"], "molecules.rtf: No such file"),
         (["charmm.crd", "--topology", "charmm.psf"], "charmm.psf is a psf file of CHARMM, which needs its parameters"),
-        ([*AMBER.arguments, "--forcefield", "tip3p.xml"], "--forcefield does nothing with amber.prmtop, which is a pr"),
-        ([*GROMACS.arguments, "--forcefield", "a.xml"], "--forcefield does nothing with gromacs.top"),
+        (
+            [*AMBER.arguments, "--forcefield", "tip3p.xml"],
+            "--forcefield has no effect with amber.prmtop, which is a pr",
+        ),
+        ([*GROMACS.arguments, "--forcefield", "a.xml"], "--forcefield has no effect with gromacs.top"),
         *(
-            ([*STATE.arguments, *words.split()], f"{words.split()[0]} does nothing with openmm-system.xml, which is a")
+            ([*STATE.arguments, *words.split()], f"{words.split()[0]} has no effect with openmm-system.xml, which is a")
             for words in OF_A_SYSTEM
         ),
         ([*AMBER.arguments, *EDGES.split()], "amber.inpcrd has a periodic box of its own: leave out --edges"),
-        (["openmm-state.xml", "--topology", "amber.prmtop"], "openmm-state.xml is a State of OpenMM, which goes with"),
-        (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, and amber.prmtop was"),
+        (
+            ["openmm-state.xml", "--topology", "amber.prmtop"],
+            "openmm-state.xml is a State of OpenMM and needs a System",
+        ),
+        (["vacuum.inpcrd", "--topology", "amber.prmtop"], "vacuum.inpcrd has no periodic box, but amber.prmtop was"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "none.prm"], "none.prm"),
         (["charmm.crd", "--topology", "charmm.psf", "--forcefield", "charmm.crd"], "Unrecognized file type"),
     ],
@@ -293,7 +305,7 @@ def test_coordinates_of_other_atoms_are_refused(capsys):
     message = complaint(capsys, "info", "other.gro", "--topology", "gromacs.top")
     assert "other.gro has H1 where gromacs.top has atom 5 (O of HOH 2): are the atoms in another order?" in message
     Path("short.gro").write_text("".join([lines[0], "   79\n", *lines[2:-4], lines[-1]]))
-    assert "short.gro has 79 atoms, expected the 82 of gromacs.top" in complaint(
+    assert "short.gro has 79 atoms, but gromacs.top has 82" in complaint(
         capsys, "info", "short.gro", "--topology", "gromacs.top"
     )
     Path("twice.gro").write_text("".join([*lines[:9], f"{lines[9][:20]}{lines[6][20:]}", *lines[10:]]))

@@ -87,16 +87,16 @@ def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
 @pytest.mark.parametrize(
     ("given", "scheme", "dt", "steps"),
     [
-        ({}, "sier2v2", 6, 25),
-        ({"hydrogen_mass": 4.0}, "sier2v2", 9, 17),
-        ({"scheme": "sier4g", "hydrogen_mass": 4.0}, "sier4g", 9, 17),
-        ({"hydrogen_mass": 4.0, "dt": 10.0}, "sier2v2", 10, 15),
+        ({}, "sier2v2", 6, 12),
+        ({"hydrogen_mass": 4.0}, "sier2v2", 9, 8),
+        ({"scheme": "sier4g", "hydrogen_mass": 4.0}, "sier4g", 9, 8),
+        ({"hydrogen_mass": 4.0, "dt": 10.0}, "sier2v2", 10, 7),
     ],
 )
 def test_trials_have_steps_and_a_length_of_their_own(given, scheme, dt, steps):
-    """Trials of 150 fs, in steps that are not those of a bath."""
+    """Trials of 72 fs, in steps that are not those of a bath."""
     made = new_settings({"box": Path("box.pdb"), "ensemble": "hmc", **given})
-    assert (made.scheme, made.steps_per_trial, made.friction) == (scheme, steps, 0)
+    assert (made.scheme, made.steps_per_trial, made.friction) == (scheme, steps, 1)
     assert made.dt == pytest.approx(dt)
 
 
@@ -133,7 +133,7 @@ def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
     for name, change in (("bodies", lambda plan: plan.update(bodies="b.h5")), ("dt", lambda plan: plan.pop("dt"))):
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", lambda notes, change=change: change(notes["plan"]))
-        refuse(capsys, copied, "box.chk: plan: ", name, "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
+        refuse(capsys, copied, "box.chk ", f"setting {name}", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
 
 
 # --- outputs of a restart ---
@@ -154,7 +154,7 @@ def test_a_checkpoint_from_elsewhere_overwrites_nothing(copied, tmp_path, capsys
     for option in ("report", "out", "pressure_tensor"):
         rewrite_notes(place / "box.chk", lambda notes, option=option: notes["plan"].update({option: name}))
         command = ["run", "box.pdb", "--platform", "Reference", "--restart", "theirs/box.chk", "--steps", "4"]
-        refuse(capsys, tmp_path, "theirs/box.chk", f"plan: {option}: ", *command)
+        refuse(capsys, tmp_path, "theirs/box.chk", f"for --{option.replace('_', '-')}", *command)
         shutil.copy(copied / "box.chk", place)
 
 
@@ -165,6 +165,6 @@ def test_outputs_elsewhere_are_named_again_at_a_restart(copied, capsys):
     assert main([*short, *outputs, "--steps", "1"]) == 0
     capsys.readouterr()
     again = ["run", "box.pdb", "--platform", "Reference", "--restart", "there/a.chk", "--steps", "2"]
-    assert "say so by --report a.csv" in complaint(capsys, *again)
+    assert "to write there, give --report a.csv" in complaint(capsys, *again)
     assert main([*again, "--report", str(Path("a.csv").resolve())]) == 0
     assert len(Path("a.csv").read_text().splitlines()) == 2

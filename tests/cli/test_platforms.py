@@ -38,7 +38,9 @@ def differences(capsys):
 def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, part, capsys):
     run("run", "--restart", part, "--steps", 20)
     assert part.with_suffix(".dcd").read_bytes() == (begun / "whole.dcd").read_bytes()
-    assert "run needs BOX, the coordinates, or --restart" in complaint(capsys, "run", "--steps", "2", code=MISUSED)
+    assert "run needs BOX, a file of coordinates, or --restart" in complaint(
+        capsys, "run", "--steps", "2", code=MISUSED
+    )
 
 
 def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):
@@ -52,6 +54,6 @@ def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):
 def test_a_platform_that_is_not_here_must_be_replaced_by_name(box, part, capsys):
     rewrite_notes(part, lambda notes: notes.update(platform={"Platform": "Abacus"}))
     message = complaint(capsys, "run", box, "--restart", part, "--steps", 11)
-    assert "part.chk is of a run on the Abacus platform, which OpenMM does not have here: choose one of" in message
+    assert "part.chk was written on the Abacus platform, which OpenMM does not have here: choose one of" in message
     assert "Reference" in message
     run("run", box, "--restart", part, "--steps", 11, "--platform", "Reference")

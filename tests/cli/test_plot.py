@@ -222,11 +222,14 @@ def test_a_log_that_is_being_written_is_drawn():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.csv", "--out", "a.jpg"], "a picture ends in .png, .svg, .html, got a.jpg"),
+        (["a.csv", "--out", "a.jpg"], "the name of a picture must end in .png, .svg, .html, got a.jpg"),
         (["a.csv", "--out", "none/a.png"], "there is no directory none for a.png"),
         (["none.csv"], "none.csv: No such file or directory"),
         (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),
-        (["a.csv", "bath.csv"], "bath.csv is in a bath, at constant volume, a.csv is at constant energy, at constant"),
+        (
+            ["a.csv", "bath.csv"],
+            "bath.csv is a run in a heat bath, at constant volume, but a.csv is a run at constant energy, at",
+        ),
         (
             ["tensor.csv"],
             "tensor.csv is not a log of openmm-sier run, since it has no column Potential Energy (kJ/mole)",

@@ -102,8 +102,8 @@ def test_a_table_of_somebody_is_refused(box, capsys):
 def test_options_must_be_those_of_the_run(box, whole_run, capsys):
     shutil.copytree(whole_run, ".", dirs_exist_ok=True)
     before = contents(Path())
-    assert "--seed 2 differs from 1 of a.chk" in complaint(capsys, *resume(box, *WHOLE, "--seed", "2"))
-    assert "is at step 50 (0.2 ps), the run is to end at step 25" in complaint(capsys, *resume(box, *PART))
+    assert "--seed 2 differs from 1 in a.chk" in complaint(capsys, *resume(box, *WHOLE, "--seed", "2"))
+    assert "is at step 50 (0.2 ps), and the run ends at step 25" in complaint(capsys, *resume(box, *PART))
     both = complaint(capsys, *resume(box, *WHOLE, "--restart", "a.chk"))
     assert "--resume finds the checkpoint beside --out: leave --restart out" in both
     assert contents(Path()) == before

@@ -20,7 +20,7 @@ def test_what_is_made_is_read(structure, capsys):
     said = capsys.readouterr().out
     for part in ("residues added", "1 between", "heavy atoms added", "hydrogens added", "waters added", "octahedron"):
         assert part in said
-    assert "wrote 1VII-water.pdb; go on with: openmm-sier run 1VII-water.pdb --ensemble npt" in said
+    assert "wrote 1VII-water.pdb; continue with: openmm-sier run 1VII-water.pdb --ensemble npt" in said
     # As `run` does, it reads the force field that the file names, and makes the System.
     run("info", "1VII-water.pdb")
     said = capsys.readouterr().out
@@ -43,5 +43,5 @@ def test_files_in_the_way(structure, capsys):
 
 def test_a_file_that_is_no_structure(capsys):
     Path("a.pdb").write_text("nothing")
-    assert "a.pdb is no PDB file with atoms" in complaint(capsys, "setup", "a.pdb")
+    assert "a.pdb is not a PDB file with atoms" in complaint(capsys, "setup", "a.pdb")
     assert "No such file" in complaint(capsys, "setup", "b.pdb")

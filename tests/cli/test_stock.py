@@ -25,9 +25,9 @@ def test_runs_that_start_from_each_other_have_the_same_motion(box):
 
 def test_what_they_cannot_do_is_refused(box, capsys):
     said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve")
-    assert "OpenMM LangevinMiddle has the ensembles nvt, npt, got nve" in said
+    assert "OpenMM LangevinMiddle supports the ensembles nvt, npt, got nve" in said
     said = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc")
-    assert "OpenMM Verlet has the ensembles nve, nvt, npt, got hmc" in said
+    assert "OpenMM Verlet supports the ensembles nve, nvt, npt, got hmc" in said
     said = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH")
     assert "--rigid HOH needs a scheme of this package" in said
     seldom = ["--scheme", "verlet", "--ensemble", "npt", "--checkpoint-every", "0.02"]

@@ -55,8 +55,8 @@ def test_an_error_carries_its_parts():
     assert "prepare_system(" in str(error)
     assert described(error) == (
         "A step of 9 fs is too long. Take up to 4 fs (--dt), or if you need averages but no dynamics, make all "
-        "hydrogens heavy by --hydrogen-mass 4, or constrain the bond by --constraints hbonds (bonds to hydrogen) or "
-        "allbonds. More do not help"
+        "hydrogens heavy with --hydrogen-mass 4, or constrain the bond with --constraints hbonds (bonds to hydrogen) "
+        "or allbonds. More do not help"
     )
 
 

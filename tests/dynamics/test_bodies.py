@@ -244,7 +244,7 @@ def test_a_misfit_names_the_worst_residue(rng, bodies):
     assert f"residue pair 1 (atoms {pair[0]}, {pair[1]})" in message
     # The pair is 0.06 nm too long; the lighter atom lies 16/30 of that off its place.
     assert f"is {0.06 * 15.999 / 30.006:.4f} nm off" in message
-    assert f"up to {FIT_TOLERANCE} nm or less is corrected" in message
+    assert f"only {FIT_TOLERANCE} nm or less is corrected" in message
     assert "(2 of " in message
     assert "periodic boundary" in message
 
@@ -307,9 +307,9 @@ def test_bodies_that_cannot_be():
         RigidBodies([species("water", [[0, 1, 2], [2, 3, 4]])], 5)
     with pytest.raises(ValueError, match="particle 4 is in more than one body"):
         RigidBodies([species("water", [[0, 1, 4]]), species("water", [[2, 3, 4]])], 5)
-    with pytest.raises(ValueError, match="bodies name particle 5, the system has 5 particles"):
+    with pytest.raises(ValueError, match="bodies name particle 5, but the system has 5 particles"):
         RigidBodies([species("water", [[0, 1, 5]])], 5)
-    with pytest.raises(ValueError, match="bodies name particle -1, the system has 5 particles"):
+    with pytest.raises(ValueError, match="bodies name particle -1, but the system has 5 particles"):
         RigidBodies([species("water", [[0, -1, 2]])], 5)
     with pytest.raises(ValueError, match=r"atoms 0, 1, 2.* has an atom of mass 0\.0"):
         RigidBodies([Species.from_coordinates([[0, 1, 2]], [16.0, 1.0, 0.0], GEOMETRIES["water"][1])], 3)
@@ -324,7 +324,7 @@ def test_bodies_are_named(bodies):
     ion = bodies.species[6].atoms[0, 0]
     assert named.describe(24) == f"residue ion 0 (atom {ion})"
     assert named.describe_atoms([atoms[0], ion]) == f"residue water 1 and ion 0 (atoms {atoms[0]}, {ion})"
-    with pytest.raises(IndexError, match="there is no body 28, only 28"):
+    with pytest.raises(IndexError, match="there is no body 28: there are 28 bodies"):
         bodies.atoms_of(28)
 
 

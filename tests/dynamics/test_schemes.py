@@ -133,8 +133,8 @@ def test_schemes_are_frozen_values():
     ("stages", "message"),
     [
         ((), "scheme X has no stages"),
-        (((KICK, 0.5), (DRIFT, 1.0)), r"scheme X: .*'kick' must sum to 1, they sum to 0\.5"),
-        (((KICK, 1.0), (DRIFT, 1.1)), r"'drift' must sum to 1, they sum to 1\.1"),
+        (((KICK, 0.5), (DRIFT, 1.0)), r"scheme X: .*'kick' must sum to 1, got 0\.5"),
+        (((KICK, 1.0), (DRIFT, 1.1)), r"'drift' must sum to 1, got 1\.1"),
         (((KICK, float("nan")), (DRIFT, 1.0)), r"fractions and shifts must be finite, got \('kick', nan, 0\.0\)"),
         (
             ((KICK, 0.5, 0.1), (DRIFT, 1.0), (KICK, 0.5, 0.1)),

@@ -131,7 +131,7 @@ def test_bonded_forces_on_atoms_are_taken():
 
 def test_fast_forces_that_may_act_on_virtual_sites_are_refused():
     system = waters("tip4pew")
-    with pytest.raises(openmm.OpenMMException, match=r"NonbondedForce.*force group 0.*virtual sites.*setForceGroup"):
+    with pytest.raises(openmm.OpenMMException, match=r"NonbondedForce.*force group 0.*Virtual sites.*setForceGroup"):
         refuse(system, {0}, 0xFFFFFFFF)
     bonds = openmm.HarmonicBondForce()
     bonds.addBond(0, 1, 0.1, 1.0)

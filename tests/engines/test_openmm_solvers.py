@@ -125,7 +125,7 @@ def test_energy_is_minimized(kind, name):
 @pytest.mark.parametrize("make", [SIERIntegrator, SIERHMCIntegrator, SIERLangevinIntegrator])
 def test_the_native_engine_refuses(kind, make):
     arguments = {SIERIntegrator: (0.002,), SIERHMCIntegrator: (300, 0.002), SIERLangevinIntegrator: (300, 1, 0.002)}
-    told = r"which cannot satisfy those of atoms 0, 1, 2.*\. Take engine='exact'"
+    told = r"OpenMM cannot satisfy the constraints of atoms 0, 1, 2.*\. Take engine='exact'"
 
     def first_step():
         context, _ = context_of(kind, make(*arguments[make], engine="native"))
@@ -161,7 +161,7 @@ def test_a_line_has_a_remedy_of_its_own():
 
 def test_integrators_of_openmm_are_not_given_them():
     system, _ = gas(methane())
-    with pytest.raises(openmm.OpenMMException, match="OpenMM's integrators cannot satisfy those of atoms 0"):
+    with pytest.raises(openmm.OpenMMException, match="OpenMM's integrators cannot satisfy the constraints of atoms 0"):
         make_stock(system, "verlet", 0.002)
 
 

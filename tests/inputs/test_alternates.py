@@ -31,9 +31,7 @@ def in_two_places(lines, residue, occupancies, names="O H1 H2"):
 def test_the_first_of_alternate_places_is_not_the_rarer_one(tmp_path, lines, names):
     path = tmp_path / "box.pdb"
     path.write_text("".join(in_two_places(lines, 3, (0.3, 0.7), names)))
-    message = (
-        "HOH 3 has alternate places with the occupancies A 0.3, B 0.7, and the first, .* by the letter in column 17"
-    )
+    message = "HOH 3 has alternate locations with the occupancies A 0.3, B 0.7. OpenMM .* by the letter in column 17"
     with pytest.raises(ForceFieldError, match=message):
         read_pdb(path)
     # As the message says.
@@ -46,7 +44,7 @@ def test_it_is_said_that_the_first_is_taken(tmp_path, lines, occupancies):
     path = tmp_path / "box.pdb"
     path.write_text("".join(in_two_places(in_two_places(lines, 3, occupancies), 5, occupancies)))
     with pytest.warns(
-        UserWarning, match="HOH 3 has alternate places .* the first is taken \\(2 residues in all\\)"
+        UserWarning, match="HOH 3 has alternate locations .* the first is taken \\(2 residues in all\\)"
     ) as told:
         found = read_pdb(path)
     assert "A {:g}, B {:g}".format(*occupancies) in str(told[0].message)
@@ -83,8 +81,8 @@ def test_alternate_places_in_mmcif_files(tmp_path, lines, occupancies, is_refuse
             made.append(line)
     path.write_text("\n".join(made) + "\n")
     if is_refused:
-        with pytest.raises(ForceFieldError, match=r"HOH 3 has .* A 0.3, B 0.7, .* by the letter in label_alt_id"):
+        with pytest.raises(ForceFieldError, match=r"HOH 3 has .* A 0.3, B 0.7. .* by the letter in label_alt_id"):
             read_pdb(path)
     else:
-        with pytest.warns(UserWarning, match="HOH 3 has alternate places"):
+        with pytest.warns(UserWarning, match="HOH 3 has alternate locations"):
             assert read_pdb(path).topology.getNumAtoms() == 24

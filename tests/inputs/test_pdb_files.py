@@ -126,7 +126,7 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
     ("name", "interactions", "message"),
     [
         ("tip3p-512.pdb", Interactions(1.5), "a cut-off of 1.5 nm needs a box wider than 3 nm, got 2.48"),
-        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch begins below the cut-off of 0.9 nm, got 0.9"),
+        ("tip3p-512.pdb", Interactions(switch=0.9), "the switch must begin below the cut-off of 0.9 nm, got 0.9"),
         ("tip4p-1.pdb", Interactions(0.9), "a cut-off or switch needs a periodic box"),
     ],
 )

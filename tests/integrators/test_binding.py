@@ -63,7 +63,7 @@ def test_private_names_of_a_class_are_used_in_its_own_module():
 def test_an_integrator_whose_context_was_refused_says_so():
     _, _positions, system = cluster_system(2)
     integrator = SIERLangevinIntegrator(300, 5, 0.002, pressure=1)
-    with pytest.raises(openmm.OpenMMException, match="A pressure needs a System that is periodic"):
+    with pytest.raises(openmm.OpenMMException, match="A constant pressure needs a periodic System"):
         openmm.Context(system, integrator)
     with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists, or was refused"):
         openmm.Context(system, integrator)

@@ -104,7 +104,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
 
 
 def test_steps_without_a_context_are_refused():
-    with pytest.raises(openmm.OpenMMException, match="not bound to a Context"):
+    with pytest.raises(openmm.OpenMMException, match="This integrator has no Context"):
         SIER2Integrator(0.001).step(1)
 
 

@@ -128,7 +128,9 @@ def judged(system, integrator):
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_librations_are_seen_wherever_the_charges_are(water, name):
     assert longest(contained(water[1], name)) == longest(water[1])
-    with pytest.warns(UserWarning, match=r"A step of 20 fs is long: .*can swing with a period of 31\.5 fs"):
+    with pytest.warns(
+        UserWarning, match=r"A step of 20 fs is long: .*can swing among other molecules with a period of 31\.5 fs"
+    ):
         judged(contained(water[1], name), SIER2Integrator(0.02))
 
 
@@ -199,7 +201,7 @@ def test_bonds_are_seen_wherever_they_are(name, kind):
     system = assembled([1.0, 1.0])
     system.addForce(CONTAINERS[name](system, bond))
     done = str(prepare_system(system))
-    assert f"stay in the kicks, since another Force contains them: {kind.__name__} in {name}." in done
+    assert f"stay slow forces, since another Force contains them: {kind.__name__} in {name}." in done
     positions = np.array([[0, 0, 0], [0.1, 0, 0]])
     # The period is 2 pi sqrt(0.5/4e5) ps = 7.02 fs, and SIER4G is unstable from a tenth above half of it on.
     for one in (bare, system):

@@ -241,7 +241,7 @@ def test_frames_keep_what_is_excluded():
 def test_bonded_terms_within_bodies_are_told_of():
     system, bodies, _ = chains(1)
     told = (
-        "within rigid bodies or between frozen atoms do no work and cost time (24 of 39 of HarmonicBondForce, 22 of 38"
+        "within rigid bodies or between frozen atoms do no work but cost time (24 of 39 of HarmonicBondForce, 22 of 38"
     )
     assert told in str(prepare_system(system, bodies))
     assert "do no work" not in str(prepare_system(domain_system(1)))

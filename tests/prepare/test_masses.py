@@ -10,8 +10,7 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies, prepare_system
 from openmm_sier.prepare.close_pairs import NAME
-from openmm_sier.prepare.masses import HEAVIEST_IN_CHAINS
-from openmm_sier.system.tables import masses
+from openmm_sier.system.tables import HEAVIEST_IN_CHAINS, masses
 from tests.support.peptides import capped_alanine_box
 from tests.support.waters import cluster_system
 
@@ -112,7 +111,7 @@ def test_beads_of_a_coarse_chain_are_no_hydrogens():
         if i:
             bonds.addBond(i - 1, i, 0.35, 1e4)
     system.addForce(bonds)
-    with pytest.warns(UserWarning, match="hydrogenMass does nothing"):
+    with pytest.warns(UserWarning, match="hydrogenMass has no effect"):
         prepare_system(system, hydrogenMass=4)
     assert masses(system).tolist() == [1.0] * 4
 
@@ -120,7 +119,7 @@ def test_beads_of_a_coarse_chain_are_no_hydrogens():
 def test_masses_that_change_nothing_are_told():
     system = openmm.System()
     system.addParticle(40.0)
-    with pytest.warns(UserWarning, match="hydrogenMass does nothing: the System has no hydrogens"):
+    with pytest.warns(UserWarning, match="hydrogenMass has no effect: the System has no hydrogens"):
         prepare_system(system, hydrogenMass=4)
 
 

@@ -46,19 +46,19 @@ def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
     scheme = make(0.001).scheme
     limit = scheme.accuracy_limit / (FAST * np.sqrt(GAS_CONSTANT * 300 / moment(177)))
     made(system, make(0.99 * limit, engine=engine))
-    told = r"fs is long: the body of atoms 0, 1, 2, and others like it, have a moment of inertia of only 8e-05"
+    told = r"fs is long: the body of atoms 0, 1, 2 and similar bodies have a moment of inertia of only 8e-05"
     with pytest.warns(UserWarning, match=told):
         context = made(system, make(1.01 * limit, engine=engine), silently=False)
     with silence():
         context.getIntegrator().setStepSize(1.02 * limit)
     aliased = np.pi / np.sqrt(GAS_CONSTANT * 300 / moment(177))
-    with pytest.raises(openmm.OpenMMException, match=r"is too long: .* turn about that axis by 3\.2 radians"):
+    with pytest.raises(openmm.OpenMMException, match=r"is too long: .* turn about it by 3\.2 radians"):
         made(system, make(1.01 * aliased, engine=engine))
 
 
 def test_the_temperature_of_a_bath_counts():
     system, _ = trimers(177)
-    with pytest.warns(UserWarning, match="at 300 K turn about"):
+    with pytest.warns(UserWarning, match="At 300 K they turn about"):
         made(system, SIERLangevinIntegrator(300, 1, 0.008), silently=False)
     made(system, SIERLangevinIntegrator(60, 1, 0.008))
     made(system, SIERLangevinIntegrator(0, 1, 0.008))
@@ -124,4 +124,4 @@ def test_an_equilibration_takes_steps_that_they_bear():
     with silence():
         equilibrate(context, 300, time=0.02, report=told)
     # Three quarters of 6.5 fs of SIER4G.
-    assert "equilibrates in steps of 4.9 fs, since bonds or spins are too fast" in told.notes[0]
+    assert "equilibrates in steps of 4.9 fs, since bonds or rotations are too fast" in told.notes[0]

@@ -112,9 +112,9 @@ def test_words_with_names_and_files_of_words(tmp_path):
 @pytest.mark.parametrize(
     ("description", "named"),
     [
-        ("A:1-30", "the chain A has no residue 30, it has those of 1 to 11"),
+        ("A:1-30", "the chain A has no residue 30; it has 1 to 11"),
         ("A:3-1", "before 3"),
-        ("C:1-2", "no chain C, it has A, B"),
+        ("C:1-2", "no chain C; it has A, B"),
         (":40-50", "no residue 40"),
         ("1-36", "'1-36' describes no body"),
         ("", "'' describes no body"),
@@ -135,7 +135,7 @@ def test_wrong_descriptions_are_named(description, named):
 
 
 def test_one_body_of_chains_that_share_a_name_is_refused():
-    with pytest.raises(ValueError, match="there are 2 chains A: describe the body of each chain apart"):
+    with pytest.raises(ValueError, match="there are 2 chains A: describe the body of each chain by itself"):
         select_bodies(chains("AAB"), "A:1 B:1")
 
 

@@ -71,7 +71,7 @@ HELD = {
 
 @pytest.mark.parametrize("system", LOOSE.values(), ids=LOOSE)
 def test_hydrogens_that_nothing_holds_are_told_of(system):
-    with pytest.warns(UserWarning, match="Nothing holds the angle of atoms 1, 0 and 2, and of 0 other molecules"):
+    with pytest.warns(UserWarning, match="Nothing fixes the angle of atoms 1, 0 and 2, nor that of 0 other molecules"):
         openmm.Context(system, SIER2Integrator(0.0005), platform())
 
 

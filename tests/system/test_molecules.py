@@ -135,7 +135,7 @@ def test_bonds_of_the_topology_alone_count_too(peptide):
     positions = positions.copy()
     positions[0] += 0.5
     assert np.array_equal(make_whole(system, positions), positions)
-    with pytest.raises(ValueError, match=r"of ACE 1 are bonded, and are .*is the bond left from another file"):
+    with pytest.raises(ValueError, match=r"of ACE 1 are bonded, but are .*is the bond left from another file"):
         make_whole(system, positions, topology)
 
 

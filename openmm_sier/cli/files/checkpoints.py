@@ -75,6 +75,6 @@ def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
 def _refuse_other_version(path: Path, notes: dict[str, Any]) -> None:
     if (version := notes.get("format")) != FORMAT:
         raise records.RecordError(
-            f"{path} was written by another version of openmm-sier, in format {version} in place of {FORMAT}: finish "
-            "the run with that version, or begin a new one"
+            f"{path} was written by another version of openmm-sier, in format {version}; this version reads format "
+            f"{FORMAT}: finish the run with that version, or begin a new one"
         )

@@ -40,7 +40,7 @@ def trajectory_format(path: Path) -> type[Trajectory]:
 
 
 def table_format(path: Path) -> type[Log]:
-    """Return the class of all tables."""
+    """Return the class that writes a table, the same for all."""
     return Log
 
 

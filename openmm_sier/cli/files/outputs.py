@@ -39,14 +39,14 @@ class Outputs:
         for name, path in self._grown.items():
             is_trajectory = path.suffix.lower() in FORMATS
             if name == "trajectory" and not is_trajectory:
-                raise records.RecordError(f"a trajectory ends in {', '.join(FORMATS)}, got {path}")
+                raise records.RecordError(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
                 raise records.RecordError(f"{path} will be a table: give a name that ends in .csv")
 
     # --- before any is opened ---
 
     def check(self, sources: Iterable[Path]) -> None:
-        """Refuse outputs that cannot be written, and any that would destroy an input or another output.
+        """Refuse outputs that cannot be written, and any that would overwrite an input or another output.
 
         Args:
             sources: files of the System.
@@ -180,7 +180,7 @@ class Outputs:
 
 
 def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
-    """Refuse a file that would destroy another or cannot be written.
+    """Refuse a file that would overwrite another or cannot be written.
 
     Args:
         path: of the file.

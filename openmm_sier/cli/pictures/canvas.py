@@ -44,7 +44,7 @@ RC: Any = {
 
 
 def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
-    """Refuse a picture that cannot be drawn, or would destroy another file.
+    """Refuse a picture that cannot be drawn, or would overwrite another file.
 
     Args:
         path: of the picture.
@@ -56,7 +56,7 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
         ModuleNotFoundError: there is no matplotlib; the message says how to install it.
     """
     if path.suffix.lower() not in FORMATS:
-        raise RunError(f"a picture ends in {', '.join(FORMATS)}, got {path}")
+        raise RunError(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
     check_place(path, others, "" if may_replace else "--plot")
     try:
         import matplotlib.figure  # noqa: F401

@@ -91,7 +91,7 @@ def panels(runs: Runs) -> list[Panel]:
 
 
 def title_of(runs: Runs) -> str:
-    """Say whether the runs had settled, and so what the means of all panels are taken of."""
+    """Say whether the runs had settled, and from which part of them all means are taken."""
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length, runs.begin))
     if not runs.settled:
         return f"Not settled in {length}: {listed(runs.moving)}. Means are of the last half"

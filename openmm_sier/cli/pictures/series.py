@@ -145,6 +145,6 @@ def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
 
 
 def shade_unsettled(axes: Axes, runs: Runs) -> None:
-    """Shade what means leave out."""
+    """Shade the beginning of the runs, which is left out of means."""
     if runs.begin:
         axes.axvspan(0, runs.begin, facecolor="0.94", edgecolor="0.8", hatch="//", lw=0, zorder=0)

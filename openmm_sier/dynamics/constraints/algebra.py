@@ -109,7 +109,9 @@ class Constraints:
         ends = number[self.pairs]
         cut = np.flatnonzero((ends < 0).any(axis=1) & (ends >= 0).any(axis=1))
         if len(cut):
-            raise ConstraintError(f"the constraint of {self._name(*self.pairs[cut[0]])} leaves the subset of bodies")
+            raise ConstraintError(
+                f"the constraint of {self._name(*self.pairs[cut[0]])} joins the subset to another body"
+            )
         kept = (ends >= 0).all(axis=1)
         return Constraints(
             ends[kept], self.lengths[kept], self.masses[bodies], lambda body: self._describe(int(bodies[body]))
@@ -133,8 +135,8 @@ class Constraints:
         if q is not None and len(lower := np.flatnonzero(self._ranks(q) < generic)):
             raise ConstraintError(
                 f"the constraints of {self._name(*np.flatnonzero(self.groups == lower[0]))} do not determine how "
-                "these atoms move, which are in a plane or on a line. Make them one rigid body, or give fewer "
-                "constraints and virtual sites"
+                "these atoms move, since the atoms are in a plane or on a line. Put them into one rigid body, or "
+                "remove constraints and make some of the atoms virtual sites"
             )
         return int(generic.sum())
 
@@ -201,6 +203,6 @@ class Constraints:
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(
-                f"the constraints of {self._name(*bodies)} cannot be satisfied: atoms are far from where they "
-                "belong (overlap? minimize first), move too fast for the step, or the constraints contradict each other"
+                f"the constraints of {self._name(*bodies)} cannot be satisfied: atoms are far from their places (do "
+                "they overlap? minimize first), move too fast for the step, or the constraints contradict each other"
             )

@@ -105,7 +105,7 @@ def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tupl
     if not math.isfinite(h):
         raise ValueError(f"h must be finite, got {h}")
     if axes.rates.ndim == 2 and axes.rates.shape[1] != A.shape[2]:
-        raise ValueError(f"moments are given for {axes.rates.shape[1]} bodies, A and L for {A.shape[2]}")
+        raise ValueError(f"moments are given for {axes.rates.shape[1]} bodies, but A and L for {A.shape[2]}")
     if not np.isfinite(L).all():
         raise ValueError(f"the angular momentum of body {np.isfinite(L).all(axis=0).argmin()} is not finite")
     return axes, A, L, h

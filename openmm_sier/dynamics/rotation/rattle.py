@@ -59,5 +59,5 @@ def _half_turn(body_L: np.ndarray, moments: np.ndarray, h: float) -> np.ndarray:
                 return g
     # Rounding may keep the last bit of a body from settling.
     if not (settled | (moved <= 8 * ROUNDING * np.abs(g).max(axis=0))).all():
-        raise ConstraintError(f"RATTLE finds no rotation of body {int(settled.argmin())} in a step of {h:g}")
+        raise ConstraintError(f"RATTLE does not converge for body {int(settled.argmin())} in a step of {h:g}")
     return g

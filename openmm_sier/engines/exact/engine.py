@@ -16,13 +16,13 @@ from openmm import unit
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.engines import interrupts, neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
-from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.exact.forces import BodyForces, blown_up
 from openmm_sier.engines.exact.motion import Motion
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.exact.packing import sites_of_atoms
@@ -248,10 +248,12 @@ class ExactEngine(Engine):
             self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         except BaseException as error:
             self.ledger.go_back(mark)
+            if isinstance(error, NotFiniteError):
+                raise blown_up(error, steps + 1) from None
             if isinstance(error, ConstraintError):
                 raise TrajectoryError(
-                    f"In step {steps + 1} {error}. Is the step size too long, or a force too stiff for it? The Context "
-                    "is left at the last completed step."
+                    f"Step {steps + 1} failed: {error}. Is the step size too long, or a force too stiff for it? The "
+                    "Context is left at the last completed step."
                 ) from error
             raise
         thermal = self._made.motion.after_bath if flow.scheme.bath_divides_drift else None

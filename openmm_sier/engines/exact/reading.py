@@ -109,7 +109,7 @@ def _onto_constraints(bodies: RigidBodies, q: np.ndarray) -> tuple[np.ndarray, n
     if not moved.max() <= FARTHEST:
         worst = int(np.where(np.isfinite(moved), moved, np.inf).argmax())
         raise RigidityError(
-            f"{bodies.describe(worst)} is {moved[worst]:.4f} nm from where its constraints want it, at most "
-            f"{FARTHEST} nm can be mended. {IF_CUT}. Otherwise context.applyConstraints(1e-6) may mend it"
+            f"{bodies.describe(worst)} is {moved[worst]:.4f} nm from where its constraints put it, and at most "
+            f"{FARTHEST} nm can be corrected. {IF_CUT}. Otherwise context.applyConstraints(1e-6) may help"
         )
     return satisfied, moved

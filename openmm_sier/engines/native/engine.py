@@ -282,7 +282,11 @@ class NativeEngine(Engine):
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
-        self._known.shift(velocity)
+        self._known.scale(1.0, velocity)
+        self._has_force = False
+
+    def _scale_velocities(self, factor: float, shift: np.ndarray) -> None:
+        self._known.scale(factor, shift)
         self._has_force = False
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:

@@ -40,9 +40,9 @@ def why_not(flow: Flow, program: Program) -> str | None:
     if program.refusal:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
     if flow.rotation is not exact:
-        return "has no other free-rotation maps: leave out `rotation`"
+        return "has only the exact free-rotation map: leave out `rotation`"
     if flow.bath is not None and flow.bath.rotational_friction != flow.bath.friction:
-        return "has one friction for all motion: leave out `rotationalFriction`"
+        return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
 
 
@@ -73,7 +73,7 @@ def refuse_unsolved(unsolved: Unsolved | None) -> None:
     if unsolved is not None:
         remedy = LINE_REMEDY if unsolved.is_line else "Take engine='exact', which any platform runs"
         raise openmm.OpenMMException(
-            f"The native engine leaves constraints to OpenMM, which cannot satisfy {unsolved}. {remedy}"
+            f"The native engine leaves constraints to OpenMM, but OpenMM cannot satisfy {unsolved}. {remedy}"
         )
 
 
@@ -93,7 +93,10 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             site.
     """
     if idle := [group for group in sorted(groups) if not integration_groups >> group & 1]:
-        raise openmm.OpenMMException(f"The fast force group {idle[0]} is not among the integration force groups")
+        raise openmm.OpenMMException(
+            f"The fast force group {idle[0]} is not among the integration force groups: add it with "
+            "setIntegrationForceGroups, or leave it out of fastForceGroups"
+        )
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
     for force in system.getForces() if sites else []:
         if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
@@ -103,7 +106,8 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
                 f"may act on atom {touched[0]}, a virtual site. Virtual sites do not follow their atoms within a step "
-                "of the native engine. Put this Force into another group with setForceGroup, or take engine='exact'"
+                "of the native engine. If this is a copy with frames of a prepared System, prepare the copy too: "
+                "prepare_system(system). Otherwise put this Force into another group with setForceGroup"
             )
 
 

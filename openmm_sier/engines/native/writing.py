@@ -12,7 +12,7 @@ from openmm_sier.system.bonded_terms import WITHOUT_FORCES
 
 
 def general_program(flow: Flow) -> Program:
-    """Return a program that follows a flow in any System; one without parts where the flow cannot be written out."""
+    """Return a program that follows a flow in any System; one without parts if OpenMM cannot execute the flow."""
     return _written(flow)
 
 
@@ -28,7 +28,7 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         counts_heat: whether to count the heat of a bath where the flow leaves that open.
 
     Returns:
-        A program, or one without parts where the flow cannot be written out.
+        A program, or one without parts if OpenMM cannot execute the flow.
     """
     slow = slow_groups(system, groups, flow.fast_groups)
     return _written(

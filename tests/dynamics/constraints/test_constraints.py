@@ -290,7 +290,7 @@ def test_a_subset_has_numbers_of_its_own(rng, executed_by):
     found = part.drift(q[:, members], p[:, members], 0.002)
     assert np.array_equal(found[0], whole[0][:, members])
     assert np.array_equal(found[1], whole[1][:, members])
-    with pytest.raises(ConstraintError, match=f"atom {100 + members[0]}.* leaves the subset"):
+    with pytest.raises(ConstraintError, match=f"atom {100 + members[0]}.* joins the subset to another body"):
         constraints.restricted(members[1:])
 
 

@@ -135,7 +135,7 @@ NOT_FINITE = np.array([[1.0, 1.0], [1.0, np.nan], [1.0, 1.0]])
         (A_2, L_2.T, (1, 2, 3), 0.1, r"L \(3, n\), got .* \(2, 3\)"),
         (A_2, L_2[:, :1], (1, 2, 3), 0.1, r"got \(3, 3, 2\) and \(3, 1\)"),
         (A_2, L_2, (1, 2), 0.1, r"moments must have shape \(3,\) or \(3, n\), got \(2,\)"),
-        (A_2, L_2, np.ones((3, 5)), 0.1, "moments are given for 5 bodies, A and L for 2"),
+        (A_2, L_2, np.ones((3, 5)), 0.1, "moments are given for 5 bodies, but A and L for 2"),
         (A_2, L_2, (1, -2, 3), 0.1, r"moments must be finite and not negative, got -2\.0"),
         (A_2, L_2, [[1, 1], [1, 1], [1, np.inf]], 0.1, "got inf for body 1"),
         (A_2, L_2, (0, 1, 2), 0.1, "one zero moment is linear and its other two must be equal"),
