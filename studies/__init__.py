@@ -29,6 +29,7 @@ STUDIES = {
     "studies.hmc.mixture": "9 min of one core for all runs of the page of sampling",
     "studies.native.accuracy": "",
     "studies.native.cost": "",
+    "studies.native.substeps": "13 min of one core",
     "studies.launches": "half an hour of two cores of a busy machine",
     "studies.figures": "seconds",
     "studies.claims": "seconds",
