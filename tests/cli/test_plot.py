@@ -279,4 +279,4 @@ def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys):
     run("plot", "a.csv", "b.csv", "c.csv")
     said = capsys.readouterr().out
     assert "warning: c.csv and a.csv differ in dt: their mean belongs to no ensemble" in said
-    assert "warning: c.csv ends after 0.04, and a.csv after 0.08: means give both the same weight" in said
+    assert "warning: c.csv ends after 0.04 ps, and a.csv after 0.08 ps: means give both the same weight" in said

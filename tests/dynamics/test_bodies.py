@@ -324,7 +324,7 @@ def test_bodies_are_named(bodies):
     ion = bodies.species[6].atoms[0, 0]
     assert named.describe(24) == f"residue ion 0 (atom {ion})"
     assert named.describe_atoms([atoms[0], ion]) == f"residue water 1 and ion 0 (atoms {atoms[0]}, {ion})"
-    with pytest.raises(IndexError, match="there is no body 28: there are 28 bodies"):
+    with pytest.raises(IndexError, match="there is no body 28: there are 28, numbered"):
         bodies.atoms_of(28)
 
 
