@@ -244,7 +244,7 @@ def test_a_misfit_names_the_worst_residue(rng, bodies):
     assert f"residue pair 1 (atoms {pair[0]}, {pair[1]})" in message
     # The pair is 0.06 nm too long; the lighter atom lies 16/30 of that off its place.
     assert f"is {0.06 * 15.999 / 30.006:.4f} nm off" in message
-    assert f"up to {FIT_TOLERANCE} nm or less is corrected" in message
+    assert f"only {FIT_TOLERANCE} nm or less is corrected" in message
     assert "(2 of " in message
     assert "periodic boundary" in message
 
@@ -271,7 +271,7 @@ def test_the_tolerance_is_what_it_says(rng):
 def test_a_mirror_image_does_not_fit(rng):
     handed = scattered(["handed"], each=1)
     x, _ = atoms_of(handed, random_state(rng, handed))
-    with pytest.raises(RigidityError, match="does not fit its rigid shape"):
+    with pytest.raises(RigidityError, match="is the mirror image of its rigid shape"):
         handed.fit(x * [1, 1, -1])
 
 
