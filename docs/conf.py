@@ -16,7 +16,6 @@ from pathlib import Path
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
-from sphinx.environment import BuildEnvironment
 
 from openmm_sier.version import __version__
 
@@ -86,7 +85,10 @@ nitpick_ignore_regex = [
 ]
 
 # Letters up to which a cell of a table stays on one line, and beyond which it gets a column of some width.
-SHORT_CELL, LONG_CELL = 14, 40
+SHORT_CELL, LONG_CELL = 14, 20
+
+# A letter with an accent, before an index.
+ACCENTED = re.compile(r"\\(?:tilde|hat|bar|dot|vec) ?(?:\{(?:[^{}]|\{[^{}]*\})*\}|\w)(?=[_^])")
 
 html_theme = "furo"
 html_title = f"openmm_sier {version}"
@@ -103,6 +105,8 @@ copybutton_line_continuation_character = "\\"
 def _formula(translator, node: nodes.Element, block: bool) -> None:
     """A formula as MathML, which browsers show by themselves: no script is loaded, from here or from elsewhere."""
     source = re.sub(r"\s+", " ", node.astext()).strip()
+    # Docutils puts an index under a letter with an accent; one of nothing, after the letter, stands where it should.
+    source = ACCENTED.sub(r"\g<0>{}", source)
     formula = tex2mathml(source, as_block=block)
     translator.body.append(f'<div class="formula">{formula}</div>' if block else formula)
     raise nodes.SkipNode
@@ -137,23 +141,21 @@ def _skip_fields_of_tuples(
     return True if (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
-def _link_back_to_what_is_there(app: Sphinx, environment: BuildEnvironment) -> None:
-    """Give pages of source links back to the reference only for names that it has.
+def _link_back_to_what_is_there(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:
+    """Leave links from the source to the reference only for names that it has.
 
     Sphinx takes one name of a module for all of its objects, but some stand there under another one.
     """
-    known = environment.domains["py"].objects
-    for entry in getattr(environment, "_viewcode_modules", {}).values():
-        if entry:
-            _, _, used, module = entry
-            for name in [name for name in used if f"{module}.{name}" not in known]:
-                del used[name]
+    if page.startswith("_modules/"):
+        known = app.env.domains["py"].objects
+        back = r'<a class="viewcode-back" href="[^"#]*#([^"]*)">[^<]*</a>'
+        context["body"] = re.sub(back, lambda link: link[0] if link[1] in known else "", context["body"])
 
 
 def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", _say_nothing_of_tuples)
     app.connect("autodoc-skip-member", _skip_fields_of_tuples)
-    app.connect("env-check-consistency", _link_back_to_what_is_there)
+    app.connect("html-page-context", _link_back_to_what_is_there)
     app.connect("doctree-resolved", _keep_errors_with_numbers)
     app.connect("doctree-resolved", _mark_cells)
     app.add_html_math_renderer(

@@ -11,6 +11,7 @@ STUDIES = {
     "studies.schemes": "3 to 10 min of one core a liquid",
     "studies.equipartition": "",
     "studies.defaults": "13 min, as two commands with one thread each",
+    "studies.reciprocal": "4 min of one core",
     "studies.speed": "20 min of one core of a busy machine",
     "studies.gpu": "4 min of an H200",
     "studies.bench.accuracy": "15 min of one core of a busy machine",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from openmm_sier.dynamics.acceptance import usual_steps
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.schemes import SIER2, SIER2V2, SIER4G
 from studies.records import Record
 from studies.trust import one
@@ -142,7 +142,7 @@ def costs_of_trials(record: Record) -> Mapping[str, float]:
     step = SIER2V2.heavy_trial_step or 0.0
     found, accepted = dict[str, float](), []
     for name in ("tip3p", "spce"):
-        method = f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}"
+        method = f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}, {TRIAL_FRICTION:g}/ps"
         row = one(record.tables["rows"], box=f"{name}-64", method=method)
         found |= {name: row["relative"], f"{name}_error": row["relative_error"]}
         accepted.append(row["accepted"])
@@ -206,7 +206,7 @@ RIGID, SPRINGS = "SIER2", "LangevinMiddle, springs"
 
 
 def domains_at_constant_energy(record: Record) -> Mapping[str, float]:
-    row = one(record.tables["gains"], key="chain", step=30.0)
+    row = one(record.tables["gains"], key="chain", method="SIER4G", step=30.0)
     return {"verlet": row["verlet"], "gain": row["gain"]}
 
 

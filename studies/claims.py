@@ -158,7 +158,7 @@ EXACT_AVERAGES = (
         figures.costs_of_trials,
         {"tip3p": (0, 1.5), "spce": (0, 2.5), "accepted": (0.9, 1)},
         in_readme=True,
-        command='python -m studies.hmc.trials tip3p-64.pdb --methods "SIER2V2 HMC, 9 fs x 17" --time 300',
+        command='python -m studies.hmc.trials tip3p-64.pdb --methods "SIER2V2 HMC, 9 fs x 8, 1/ps"',
     ),
     Claim(
         "Of DHFR in water, 23558 atoms, {accepted:.0f} % of {trials:.0f} trials of 36 fs are accepted with SIER4G at 9 "

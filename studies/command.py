@@ -48,8 +48,14 @@ class Settings:
 
     def recorded(self) -> dict[str, Any]:
         """Return what is written beside results: files by their names, and not where results go."""
-        values = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "out"}
-        return {name: value.name if isinstance(value, Path) else value for name, value in values.items()}
+        return {each.name: _named(getattr(self, each.name)) for each in fields(self) if each.name != "out"}
+
+
+def _named(value: Any) -> Any:
+    """Return a value with files by their names, also in tuples."""
+    if isinstance(value, tuple):
+        return tuple(map(_named, value))
+    return value.name if isinstance(value, Path) else value
 
 
 @dataclass(frozen=True)

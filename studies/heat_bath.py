@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import openmm
@@ -41,13 +41,17 @@ from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.contestants import (
+    AT_IMPULSES,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
+    SEVERAL_STEPS_OF_RECIPROCAL,
+    WITH_IMPULSES,
     Bath,
     Contestant,
     exact,
     middle,
     own,
+    turned_more,
 )
 from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
@@ -109,9 +113,13 @@ METHODS = {
         *(Contestant("LangevinMiddle", step, middle, hydrogens=3.0) for step in (4, 5)),
         MIDDLE_IN_RIGID_WATER,
         SEVERAL_STEPS,
+        SEVERAL_STEPS_OF_RECIPROCAL,
+        WITH_IMPULSES,
+        AT_IMPULSES,
         *(own(step, hydrogens=None, detail="light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
         *(own(9, hydrogens=mass, detail=f"hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
+        *(turned_more(9, friction) for friction in (5.0, 10.0)),
         *(exact(step, steps) for step, steps in ((8, 5), (9, 4))),
     )
 }
@@ -143,14 +151,22 @@ class BathSettings(RunsSettings):
     pressure: float | None = None
     tolerance: float = 1e-4
 
-    SHARED = ("temperature", "tolerance", "equilibrate")
+    SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance", "equilibrate")
     FIRST = "box"
 
 
 class Observer:
     """Sample what is averaged, from the States of a Context."""
 
-    def __init__(self, box: Any, system: openmm.System):
+    def __init__(self, box: Any, system: openmm.System, at_ends: bool = False):
+        """
+        Args:
+            box: has topology.
+            system: openmm.System.
+            at_ends: whether temperatures are those of velocities at the end of steps with all integrators; without it
+                they are those that the integrators show.
+        """
+        self._at_ends = at_ends
         self._masses = tables.masses(system)
         self._total = self._masses.sum() / (unit.AVOGADRO_CONSTANT_NA._value * 1e-21)
         solute = np.array([atom.residue.name not in boxes.WATERS for atom in box.topology.atoms()])
@@ -183,7 +199,7 @@ class Observer:
         return found
 
     def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
-        if isinstance(integrator, SIERIntegrator):
+        if isinstance(integrator, SIERIntegrator) and not self._at_ends:
             known = integrator.computeTemperatures().in_kelvin()
             return known._asdict() | {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
         twice = self._masses * (speeds**2).sum(axis=1)
@@ -221,8 +237,11 @@ def run(task: Task) -> dict[str, Any]:
     return task.point | measure(task.settings, METHODS[task.method], task.point["seed"])
 
 
-def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, Any]:
-    """Return averages and costs of a run with their errors, and its speed in fs per second of processor time."""
+def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool = False) -> dict[str, Any]:
+    """Return averages and costs of a run with their errors, and its speed in fs per second of processor time.
+
+    `at_ends` is as of `Observer`.
+    """
     box = read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
     integrator = method.integrator(bath)
@@ -243,7 +262,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
             context.setState(warmed.state)
         else:
             integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
-        samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
+        samples, processor = _sampled(context, Observer(box, box.system, at_ends), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
     series = pd.DataFrame(samples).dropna(axis="columns")

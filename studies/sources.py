@@ -28,7 +28,13 @@ COMMANDS = {
     "gpu.json": (
         "python -m studies.gpu --platform CUDA --benchmarks benchmarks --rounds 3 --turn 0.3 --time 60 --settle 5",
     ),
-    "heat-bath.json": ("python -m studies.heat_bath",),
+    "heat-bath.json": (
+        "python -m studies.heat_bath",
+        'python -m studies.heat_bath systems/tip3p-512.pdb --methods "SIER2, 9 fs, reciprocal sum every 18 fs" '
+        '"SIER2, 9 fs, 1/ps, rotations 5/ps" --time 75',
+        "python -m studies.heat_bath systems/tip3p-512.pdb --methods "
+        '"SIER2, 9 fs, reciprocal sum every 18 fs, just before it" --time 50',
+    ),
     "launches.json": ("python -m studies.launches --processes 2",),
     "long-steps.json": (
         "python -m studies.step_study --boxes tip3p-512 --methods langevinmiddle sier2p3 --per-force 5 4 --times 50 40 "
@@ -53,6 +59,7 @@ COMMANDS = {
     "paper-free-rotation.json": ("python -m studies.paper free-rotation --quick",),
     "paper-water.json": ("python -m studies.paper water",),
     "processed.json": ("python -m studies.processed --time 50 --starts 1",),
+    "reciprocal.json": ("OPENMM_CPU_THREADS=1 python -m studies.reciprocal",),
     "schemes.json": (
         "python -m studies.schemes systems/tip3p-512.pdb --starts 2",
         "python -m studies.schemes systems/BOX.pdb --schemes sier2p3 --dt 4",

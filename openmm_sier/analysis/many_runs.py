@@ -34,6 +34,9 @@ LOOK, REFRESH = 0.2, 0.5
 #: s, for a scheduler to answer, and for members that are stopped to complete their step and their files.
 PATIENCE, LAST_STEP = 30.0, 60.0
 
+#: Exit code of a member that was asked to stop.
+STOPPED = 128 + signal.SIGTERM
+
 #: Bytes at the end of a log in which its last row is.
 LAST_ROW = 2**13
 
@@ -310,6 +313,8 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
         where = f"the worker on {os.uname().nodename} has no directory {directory}"
         return Ended(1, f"{where}: workers must see the files of the runs under the same names")
     worker, asked = distributed.get_worker(), distributed.Event(stop)
+    if asked.is_set():
+        return Ended(STOPPED)
     environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
     with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
         process = subprocess.Popen(
@@ -335,6 +340,9 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
         complaint, notes = _lines(complained), _lines(said)
     if code and is_leaving:
         raise distributed.Reschedule
+    if code < 0 and asked.is_set():
+        # Before its first step the signal ends a process at once.
+        return Ended(STOPPED)
     if code < 0:
         raise DiedError(f"its process was killed by {signal.Signals(-code).name}, also after a restart")
     warnings = tuple(text for text in notes if text.startswith("warning: "))

@@ -61,7 +61,7 @@ def execute(given: Mapping[str, Any]) -> None:
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
     if "box" not in given:
-        raise Misused("info needs BOX, the coordinates (see openmm-sier info --help)")
+        raise Misused("info needs BOX, a file of coordinates (see openmm-sier info --help)")
     asked = new_settings(given)
     read = read_input(asked.box, asked.topology, asked.forcefield, asked.constraints, edges=asked.edges)
     bodies = rigid_bodies(read, asked.rigid)

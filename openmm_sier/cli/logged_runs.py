@@ -206,7 +206,7 @@ def read_run(path: Path) -> Run:
     if missing := [name for name in NEEDED if name not in log]:
         raise RunError(
             f"{path} is not a log of openmm-sier run, since it has no column {missing[0]}: give the file that "
-            "--report wrote"
+            "--report wrote, or that of a ConservationReporter"
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
         raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")

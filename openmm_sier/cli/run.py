@@ -42,7 +42,7 @@ def execute(
     if config:
         given = joined(read_config(config), given)
     if "box" not in given and "restart" not in given:
-        raise Misused("run needs BOX, the coordinates, or --restart (see openmm-sier run --help)")
+        raise Misused("run needs BOX, a file of coordinates, or --restart (see openmm-sier run --help)")
     if seeds:
         many.execute(given, seeds, workers, scheduler)
         return

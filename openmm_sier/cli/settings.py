@@ -21,7 +21,7 @@ from openmm_sier.cli.methods import (
     Method,
     is_heavy,
 )
-from openmm_sier.dynamics.acceptance import TRIAL_LENGTH, usual_steps
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_steps
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
@@ -76,7 +76,7 @@ def _usual_step(before: dict[str, Any]) -> float:
 
 def _usual_friction(before: dict[str, Any]) -> float:
     if before["ensemble"] == "hmc":
-        return 0.0
+        return TRIAL_FRICTION
     is_long = is_heavy(before["hydrogen_mass"]) and before["thermostat"] == "langevin"
     return HEAVY_FRICTION if is_long else FRICTION
 
@@ -176,7 +176,7 @@ class RunSettings(BaseModel):
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=_usual_friction,
-        otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta for each trial without it",
+        otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta anew where it is 0",
     )
     pressure: float | None = fields.number(
         *("with npt or hmc", "bar (1 bar is 100000 Pa)", -5000, 50000),

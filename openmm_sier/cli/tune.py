@@ -29,7 +29,7 @@ def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, sam
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     if "box" not in given:
-        raise Misused("tune needs BOX, the coordinates (see openmm-sier tune --help)")
+        raise Misused("tune needs BOX, a file of coordinates (see openmm-sier tune --help)")
     origin = read_origin(given.get("start"))
     settings = new_settings({**given, "ensemble": "hmc"}, origin.settings if origin else None)
     context, _ = begin(Simulated(settings), origin)

@@ -11,9 +11,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import body_frame
+from openmm_sier.dynamics.backend.sites import Sites
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.names import FEW, as_ranges
@@ -29,11 +31,19 @@ class NotFiniteError(ValueError):
 
     Attributes:
         body: the number of the first body with a vector that is not finite.
+        what: names that vector and the body.
     """
 
-    def __init__(self, vectors: np.ndarray) -> None:
+    def __init__(self, quantity: str, vectors: np.ndarray, bodies: "RigidBodies") -> None:
+        """
+        Args:
+            quantity: names a vector, with a preposition: "force on".
+            vectors: of bodies, (k, n).
+            bodies: whose they are.
+        """
         self.body = int(np.isfinite(vectors).all(axis=0).argmin())
-        super().__init__(f"the vectors of body {self.body} are not finite")
+        self.what = f"{quantity} {bodies.describe(self.body)}"
+        super().__init__(f"the {self.what} is not finite")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +88,7 @@ class RigidBodies:
         masses: (n,), dalton.
         moments: (3, n), dalton nm^2.
         molecules: for each body a number of its molecule, (n,).
+        sites: the atoms, with their places in the bodies.
     """
 
     def __init__(
@@ -111,8 +122,7 @@ class RigidBodies:
         self._check()
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self._sites, self._fractions = sites_of(self.species, self.parts)
-        self._ones = np.ones_like(self._fractions)
+        self.sites, self._fractions = sites_of(self.species, self.parts)
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -178,6 +188,25 @@ class RigidBodies:
                 raise ValueError(
                     f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
                 )
+
+    def restricted(self, bodies: ArrayLike) -> "RigidBodies":
+        """Return some of the bodies with the constraints between them. Their atoms keep their numbers.
+
+        Args:
+            bodies: ascending numbers, (m,), which become 0 .. m-1.
+
+        Raises:
+            ConstraintError: a constraint joins one of them to another body.
+        """
+        wanted = np.asarray(bodies, dtype=np.int64)
+        kinds = []
+        for species, part in zip(self.species, self.parts, strict=True):
+            rows = wanted[(wanted >= part.start) & (wanted < part.stop)] - part.start
+            if rows.size:
+                kinds.append(species.of_atoms(species.atoms[rows]))
+        between = self.constraints.restricted(wanted)
+        links = between.pairs, between.lengths
+        return RigidBodies(kinds, self.n_particles, self.labels, links, self.molecules[wanted])
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return particle indices of one body."""
@@ -282,16 +311,17 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        velocity, moment = self._sum_over_sites(velocities, A, self._fractions)
+        velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
         return self.masses * velocity, self.masses * moment
 
-    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray) -> backend.Pair:
+    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> backend.Pair:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
             forces: on the particles, (N, 3), kJ/mol/nm. Those on virtual sites must already be passed on to massive
                 particles, as OpenMM does.
             A: attitudes, (3, 3, n).
+            sites: the atoms on which there are forces; None for all.
 
         Returns:
             (F, tau), each of shape (3, n), in kJ/mol/nm and kJ/mol.
@@ -299,29 +329,38 @@ class RigidBodies:
         Raises:
             NotFiniteError: one of them is not finite.
         """
-        return self._sum_over_sites(forces, A, self._ones)
+        chosen = self.sites if sites is None else sites
+        return self._sum_over_sites("force on", chosen, forces, A, np.ones(chosen.places.shape[1]))
 
-    def _sum_over_sites(self, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray) -> backend.Pair:
+    def _sum_over_sites(
+        self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray
+    ) -> backend.Pair:
         total, moment = np.empty((3, self.n)), np.empty((3, self.n))
-        if not backend.active().collect(self._sites, vectors, A, weights, total, moment):
-            raise NotFiniteError(np.concatenate([total, moment]))
+        if not backend.active().collect(sites, vectors, A, weights, total, moment):
+            raise NotFiniteError(quantity, np.concatenate([total, moment]), self)
         return total, moment
 
     # --- from bodies to atoms ---
 
-    def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray, sites: Sites | None = None) -> np.ndarray:
         """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs.
+
+        Args:
+            q: centres, (3, n).
+            A: attitudes, (3, 3, n).
+            positions: (N, 3), nm, which change.
+            sites: the atoms that are wanted; None for all.
 
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        if not backend.active().place(self._sites, q, A, positions):
-            raise NotFiniteError(np.concatenate([q, A.reshape(9, -1)]))
+        if not backend.active().place(self.sites if sites is None else sites, q, A, positions):
+            raise NotFiniteError("position of", np.concatenate([q, A.reshape(9, -1)]), self)
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        backend.active().move(self._sites, state.p, state.A, state.L, self._inverses, velocities)
+        backend.active().move(self.sites, state.p, state.A, state.L, self._inverses, velocities)
         return velocities
 
     def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> backend.Pair:

@@ -37,9 +37,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend, operators
+from openmm_sier.dynamics.backend.sites import as_slice
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
@@ -54,6 +55,7 @@ def constrained_operators(
     constraints: Constraints,
     rotation: Rotation = exact,
     groups: ArrayLike | None = None,
+    composition: Sequence[float] = SUZUKI,
 ) -> dict[str, Operator]:
     """Return the operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
 
@@ -63,11 +65,13 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
+        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
     """
+    drift = constrained_drift(operators.drift(bodies, rotation), constraints, composition)
     return {
         KICK: operators.kick(forces),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
-        **operators.drifts(constrained_drift(operators.drift(bodies, rotation), constraints)),
+        **operators.drifts(drift),
         AFTER_STEP: projection(constraints),
     }
 
@@ -181,8 +185,8 @@ class DisplacedForces:
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints) -> Operator:
-    """Return the drift of all bodies, of which constrained ones follow geodesics by Suzuki's five RATTLE steps.
+def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float]) -> Operator:
+    """Return the drift of all bodies, of which constrained ones follow geodesics by a composition of RATTLE steps.
 
     The operator raises ConstraintError where momenta are far too large for the time.
     """
@@ -190,49 +194,14 @@ def constrained_drift(drift: Operator, constraints: Constraints) -> Operator:
         return drift
 
     def apply(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, SUZUKI)
+        q, p = constraints.drift(state.q, state.p, h, composition)
         free = drift(state, h)
         return BodyState(q, p, free.A, free.L)
 
     return apply
 
 
-def point_operators(
-    constraints: Constraints,
-    forces: CachedForces,
-    composition: Sequence[float] = TRIPLE_JUMP,
-    groups: ArrayLike | None = None,
-) -> dict[str, Operator]:
-    """Return the operators of all schemes without a heat bath, for points some of which are constrained to each other.
-
-    Attitudes and angular momenta of the states are passed on as they are.
-
-    Args:
-        constraints: in the numbering of the points, with the masses of all of them.
-        forces: on the points, of which only the first array is used.
-        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
-        groups: of `DisplacedForces`; None: one for each connected component of the constraints.
-    """
-    displaced = DisplacedForces(constraints, groups)
-
-    def drift(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, composition)
-        return BodyState(q, p, state.A, state.L)
-
-    def kick(state: BodyState, h: float) -> BodyState:
-        (F,) = forces(state)
-        return BodyState(state.q, state.p + h * F, state.A, state.L)
-
-    def gradient_kick(state: BodyState, h: float, shift: float) -> BodyState:
-        (F,) = forces(state)
-        q = constraints.displaced(state.q, F, shift)
-        (F,) = forces.at(q, state.A)
-        return BodyState(state.q, state.p + h * displaced(state.q, q, F), state.A, state.L)
-
-    return {KICK: kick, GRADIENT_KICK: gradient_kick, DRIFT: drift, AFTER_STEP: projection(constraints)}
-
-
-#: (points, time) -> points.
+#: (bodies, time) -> bodies.
 Advance = Callable[[BodyState, float], BodyState]
 
 
@@ -241,32 +210,38 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
 
     The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
     the composite has the order of the outer scheme if the inner steps have it and are proportional to the outer ones.
+    Rigid bodies among the members turn freely between the fast kicks, as they do between the slow ones elsewhere.
 
     A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
     V_fast, which commutes with V_slow.
 
-    The fast force at the end of a drift is reused at the start of the next one, if the positions are still the same
-    array, as they are after kicks and baths.
+    The fast force at the end of a drift is reused at the start of the next one, if positions and attitudes are still
+    the same arrays, as they are after kicks and baths.
 
     Args:
         drift: of all bodies.
-        members: columns of the bodies on which fast forces act, (m,); they must include all that are constrained to one
-            of them.
+        members: columns of the bodies on which fast forces act, (m,), ascending; they must include all that are
+            constrained to one of them.
         within: moves the members, such as `equal_steps`.
     """
-    members = np.asarray(members)
-    nothing = np.empty((3, 3, 0)), np.empty((3, 0))
+    part = as_slice(np.asarray(members))
+    #: Places of all bodies at the end of the last drift, and those of the members as they were computed.
     kept: list[np.ndarray] = []
 
+    def places(state: BodyState) -> tuple[np.ndarray, np.ndarray]:
+        if kept and kept[0] is state.q and kept[1] is state.A:
+            return kept[2], kept[3]
+        return state.q[:, part].copy(), state.A[:, :, part].copy()
+
     def apply(state: BodyState, h: float) -> BodyState:
-        if not kept or kept[0] is not state.q:
-            kept[:] = state.q, state.q[:, members]
-        moved = drift(state, h)
-        points = within(BodyState(kept[1], state.p[:, members], *nothing), h)
-        q, p = moved.q, state.p.copy()
-        q[:, members], p[:, members] = points.q, points.p
-        kept[:] = q, points.q
-        return BodyState(q, p, moved.A, moved.L)
+        q, A = places(state)
+        own = within(BodyState(q, state.p[:, part].copy(), A, state.L[:, part].copy()), h)
+        free = drift(state, h)
+        moved = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
+        moved.q[:, part], moved.p[:, part] = own.q, own.p
+        moved.A[:, :, part], moved.L[:, part] = own.A, own.L
+        kept[:] = moved.q, moved.A, own.q, own.A
+        return moved
 
     return apply
 
@@ -286,7 +261,7 @@ def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -
 
     Args:
         inner: scheme of the steps.
-        within: its operators, see `point_operators`.
+        within: its operators, see `constrained_operators`.
         longest: upper bound of the steps, ps.
 
     Raises:
@@ -297,12 +272,12 @@ def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -
     stepper = cache(partial(operators.stepper, inner, during_steps))
     stepper(longest)  # Fail here, not at the first step, if an operator is missing.
 
-    def move(points: BodyState, h: float) -> BodyState:
+    def move(bodies: BodyState, h: float) -> BodyState:
         count = inner_steps(h, longest)
         step = stepper(h / count)
         for _ in range(count):
-            points = step(points)
-        return points
+            bodies = step(bodies)
+        return bodies
 
     return move
 
@@ -318,7 +293,7 @@ def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[st
     Momenta at the end lag half an inner kick of the fast forces behind, as they do half a kick of the others.
 
     Args:
-        within: operators of the members, see `point_operators`.
+        within: operators of the members, see `constrained_operators`.
         longest: upper bound of the steps, ps.
 
     Returns:
@@ -330,20 +305,20 @@ def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[st
     _check_longest(longest)
     kick, drift = within[KICK], within[DRIFT]
 
-    def leapfrog(points: BodyState, e: float, steps: int) -> BodyState:
+    def leapfrog(bodies: BodyState, e: float, steps: int) -> BodyState:
         for _ in range(steps):
-            points = drift(kick(points, e), e)
-        return points
+            bodies = drift(kick(bodies, e), e)
+        return bodies
 
-    def to_bath(points: BodyState, h: float) -> BodyState:
+    def to_bath(bodies: BodyState, h: float) -> BodyState:
         count = steps_with_bath(2 * h, longest)
         e = 2 * h / count
-        return drift(kick(leapfrog(points, e, count // 2), e), e / 2)
+        return drift(kick(leapfrog(bodies, e, count // 2), e), e / 2)
 
-    def from_bath(points: BodyState, h: float) -> BodyState:
+    def from_bath(bodies: BodyState, h: float) -> BodyState:
         count = steps_with_bath(2 * h, longest)
         e = 2 * h / count
-        return leapfrog(drift(points, e / 2), e, count // 2)
+        return leapfrog(drift(bodies, e / 2), e, count // 2)
 
     return {DRIFT_TO_BATH: to_bath, DRIFT_FROM_BATH: from_bath}
 

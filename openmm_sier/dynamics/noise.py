@@ -18,7 +18,7 @@ def generator(seed: int, draw: int, stream: int = 0) -> np.random.Generator:
         seed: of the run, 0 <= seed < 2^128.
         draw: number of earlier draws.
         stream: distinguishes users of one seed: 0 is the thermostat, 1 the volume move, 2 the decision on a trial,
-            3 the momentum of the centre of mass, 4 velocities that users ask for.
+            3 the momentum of the centre of mass, 4 velocities that users ask for, 5 the kinetic energy of a trial.
 
     >>> bool(generator(1, 5).random() == generator(1, 5).random())
     True

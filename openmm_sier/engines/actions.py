@@ -45,7 +45,7 @@ class Actions:
             RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
             openmm.OpenMMException: it cannot begin where the atoms are.
         """
-        now = Snapshot(self._context)
+        now = Snapshot.of(self._context)
         refuse_cut_molecules(self._context.getSystem(), now.positions, now.box)
         refuse_hopeless_start(self._context)
         self.solve(by_openmm)

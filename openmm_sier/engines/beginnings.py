@@ -36,14 +36,14 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
         openmm.OpenMMException: positions are not finite, OpenMM cannot satisfy the constraints from there, or the
             energy is not finite. The message names the atoms.
     """
-    now = Snapshot(context)
+    now = Snapshot.of(context)
     refuse_what_is_not_finite(now)
     groups = context.getIntegrator().getIntegrationForceGroups()
     try:
         # The minimizer does so first.
         own_methods.constrain_positions(context, TOLERANCE)
         context.computeVirtualSites()
-        constrained = Snapshot(context).positions
+        constrained = Snapshot.of(context).positions
         state = own_methods.get_state(context, energy=True, forces=True, groups=groups)
     finally:
         own_methods.set_positions(context, now.positions)

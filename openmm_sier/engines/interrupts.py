@@ -1,5 +1,7 @@
 """Ctrl-C and other signals, which must not leave a Context between two steps."""
 
+# What `signal` is made of. `signal` looks each handler up in an enumeration, which takes ten times as long.
+import _signal  # type: ignore[import-not-found]
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -18,7 +20,7 @@ def handlers_in_use() -> dict[int, Any]:
     """Return the handlers of `SIGNALS` by number; none outside the main thread, where Python never calls them."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    return {number: signal.getsignal(number) for number in SIGNALS}
+    return {number: _signal.getsignal(number) for number in SIGNALS}
 
 
 @contextmanager
@@ -36,13 +38,13 @@ def deferred() -> Iterator[None]:
         for number, handler in found.items():
             if callable(handler):
                 _handlers[number] = handler
-                signal.signal(number, _wait)
+                _signal.signal(number, _wait)
         yield
     finally:
         # A handler that is back may raise at once. That of Ctrl-C comes last, and has no entry any more: what is left
         # of an entry would make the next block take itself for a nested one.
         while _handlers:
-            signal.signal(*_handlers.popitem())
+            _signal.signal(*_handlers.popitem())
         _call_handlers(found)
 
 

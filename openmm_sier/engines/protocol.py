@@ -19,7 +19,7 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
@@ -209,10 +209,18 @@ class Engine(ABC):
         self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
         self.change(lambda point: self.moving.shifted(point, velocity))
 
-    def scale_velocities(self, factor: float) -> None:
-        """Multiply all velocities by a factor, and add the energy that they gain to the heat."""
-        self.ledger.heat += (factor**2 - 1) * self.kinetic_energy()
-        self.change(lambda point: replace(point, p=factor * point.p, L=factor * point.L))
+    def scale_velocities(self, factor: float, centre: np.ndarray) -> None:
+        """Multiply all velocities by a factor, relative to a velocity, (3,), nm/ps, that stays as it is.
+
+        The energy that they gain is heat.
+        """
+        before = self.kinetic_energy()
+        self._scale_velocities(factor, (1 - factor) * centre)
+        self.ledger.heat += self.kinetic_energy() - before
+
+    def _scale_velocities(self, factor: float, shift: np.ndarray) -> None:
+        """Multiply all velocities by a factor and add a velocity, (3,), nm/ps."""
+        self.change(lambda point: self.moving.shifted(replace(point, p=factor * point.p, L=factor * point.L), shift))
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Let a bath act for a time in ps; it takes a draw, and its heat is counted."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import openmm
@@ -32,33 +32,40 @@ def holds_doubles(context: openmm.Context) -> bool:
     return context.getPlatform().getName() in ("CPU", "Reference") and not has_sites
 
 
-class Snapshot:
-    """Positions, velocities, clock, box and parameters of a Context.
+class Snapshot(NamedTuple):
+    """Hold positions, velocities, clock, box and parameters of a Context.
 
     Attributes:
         positions, velocities: (N, 3), nm and nm/ps.
-        box: periodic box vectors, nm.
         time: ps.
         steps: the step count.
+        box: periodic box vectors, nm.
+        parameters: by name.
     """
 
-    def __init__(self, context: openmm.Context) -> None:
+    positions: np.ndarray
+    velocities: np.ndarray
+    time: float
+    steps: int
+    box: Sequence[openmm.Vec3]
+    parameters: dict[str, float]
+
+    @classmethod
+    def of(cls, context: openmm.Context) -> Snapshot:
+        """Return the snapshot of a Context as it is now."""
         state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
+        shape = state._getNumParticles(), 3
         # Two arrays, since one of twice the size seldom fits where that of an older snapshot was.
-        self.positions, self.velocities = (np.empty((state._getNumParticles(), 3)) for _ in range(2))
+        positions, velocities = np.empty(shape), np.empty(shape)
         # Like getPositions(asNumpy=True), but without its overhead for names and units.
-        state._getVectorAsNumpy(openmm.State.Positions, self.positions)
-        state._getVectorAsNumpy(openmm.State.Velocities, self.velocities)
-        self.time = time_of(state)
-        self.steps = state.getStepCount()
-        self.box = box_of(state)
-        self._parameters = dict(state.getParameters())
+        state._getVectorAsNumpy(openmm.State.Positions, positions)
+        state._getVectorAsNumpy(openmm.State.Velocities, velocities)
+        parameters = dict(state.getParameters())
+        return cls(positions, velocities, time_of(state), state.getStepCount(), box_of(state), parameters)
 
     def with_atoms(self, positions: np.ndarray, velocities: np.ndarray) -> Snapshot:
         """Return a snapshot in which atoms have other positions and velocities, and all else is the same."""
-        other = copy.copy(self)
-        other.positions, other.velocities = positions.copy(), velocities.copy()
-        return other
+        return self._replace(positions=positions.copy(), velocities=velocities.copy())
 
     def same_positions(self, other: Snapshot | None) -> bool:
         return other is not None and np.array_equal(self.positions, other.positions)
@@ -68,4 +75,4 @@ class Snapshot:
 
     def same_environment(self, other: Snapshot | None) -> bool:
         """Tell whether box and parameters are the same. Changes of a Force itself leave no trace here."""
-        return other is not None and (self.box, self._parameters) == (other.box, other._parameters)
+        return other is not None and (self.box, self.parameters) == (other.box, other.parameters)

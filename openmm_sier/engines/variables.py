@@ -29,18 +29,15 @@ class StoredLedger:
 
     Attributes:
         ledger: the ledger.
+        names: of all variables.
     """
 
     def __init__(self, integrator: openmm.CustomIntegrator, ledger: Ledger):
         # The integrator holds this.
         self._integrator = weakref.ref(integrator)
         self.ledger = ledger
+        self.names = HEAT, DRAWS, SEED, *ledger.counts
         self._known: dict[str, float] = {}
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of all variables."""
-        return HEAT, DRAWS, SEED, *self.ledger.counts
 
     def read(self) -> None:
         """Take what the variables have, unless somebody wrote those of another integrator over them.

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.acceptance import is_accepted
+from openmm_sier.dynamics.acceptance import is_accepted, over_relaxed
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import BATH, Scheme
@@ -15,6 +15,7 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
+from openmm_sier.ensembles.thermal_motion import ThermalMotion
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 
 #: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
@@ -38,7 +39,8 @@ class Metropolis(ConstantTemperature):
 
     Attributes:
         temperature: in K.
-        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew.
+        friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew. In
+            either case their kinetic energy is over-relaxed, see `dynamics.acceptance`.
         steps_per_trial: number of steps of the scheme in a trial.
     """
 
@@ -142,15 +144,21 @@ class Metropolis(ConstantTemperature):
         ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: error}
 
     def _draw_momenta(self, engine: Engine, time: float) -> None:
+        """Draw momenta anew, in part or all of them, with a kinetic energy that is over-relaxed."""
         # Infinite friction has no meaning for steps of zero length, in which nothing moves.
-        if not time:
+        if not time or not engine.moving.mass:
             return
+        before = ThermalMotion.of(engine, engine.removes_momentum).energy
         if engine.removes_momentum and self.friction is not None:
             # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
             spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.moving.mass)
             engine.shift_velocities(spread * engine.ledger.noise(stream=3).standard_normal(3))
         friction = math.inf if self.friction is None else self.friction
         engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction), time)
+        motion = ThermalMotion.of(engine, engine.removes_momentum)
+        if motion.freedoms > 0:
+            unit = 0.5 * GAS_CONSTANT * self.temperature
+            motion.scale_to(unit * over_relaxed(before / unit, motion.freedoms, engine.ledger.noise(stream=5)))
 
     def _check_reversal(self, engine: Engine) -> None:
         """Follow a trajectory there and back, once for each step size.

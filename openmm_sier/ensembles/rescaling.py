@@ -12,6 +12,7 @@ import openmm
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.ensembles.ensemble import ConstantTemperature, Move, make_number
+from openmm_sier.ensembles.thermal_motion import ThermalMotion
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,9 @@ class VelocityRescaling(ConstantTemperature):
     def _scale(self, engine: Engine) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
         kept = math.exp(-self.rate * self.every * engine.flow.step)
-        conserved = engine.conserves_momentum(self.has_friction)
-        centre = engine.centre_velocity() if conserved else np.zeros(3)
-        kinetic = engine.kinetic_energy() - 0.5 * engine.moving.mass * float(centre @ centre)
-        freedoms = engine.degrees_of_freedom(conserved)
-        if freedoms > 0:
-            factor = self._factor(kinetic, freedoms, kept, engine.ledger.noise())
-            engine.scale_velocities(factor)
-            engine.shift_velocities((1 - factor) * centre)
+        motion = ThermalMotion.of(engine, engine.conserves_momentum(self.has_friction))
+        if motion.freedoms > 0:
+            motion.scale(self._factor(motion.energy, motion.freedoms, kept, engine.ledger.noise()))
         engine.ledger.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:

@@ -306,7 +306,7 @@ def _tell(found: Equilibration, report: Report) -> None:
 
 def stop_centre_of_mass(context: openmm.Context) -> None:
     """Bring the centre of mass of a Context to rest."""
-    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
+    masses, velocities = tables.masses(context.getSystem()), Snapshot.of(context).velocities
     if masses.any():
         velocities[masses > 0] -= masses @ velocities / masses.sum()
         context.setVelocities(velocities)

@@ -18,10 +18,10 @@ from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import engine_for, fastest_platform, is_on_host
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
-from openmm_sier.engines.native.program import WORK, Program
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, program_for
 from openmm_sier.engines.overlaps import tell_of_overlaps
+from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.ensembles.ensemble import Ensemble

@@ -4,7 +4,7 @@ import math
 
 from openmm import unit
 
-from openmm_sier.dynamics.acceptance import usual_steps
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2V2, Scheme
@@ -55,7 +55,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         stepSize: Quantity,
         scheme: Scheme | str = SIER2V2,
         stepsPerTrial: int | None = None,
-        frictionCoeff: Quantity | None = None,
+        frictionCoeff: Quantity | None = TRIAL_FRICTION,
         pressure: Quantity | None = None,
         barostatInterval: int = 1,
         bodies: Bodies = None,
@@ -69,9 +69,10 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             temperature: a quantity or a number in K, above zero.
             stepSize: the step of the scheme, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
-            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 0.15 ps.
+            stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 72 fs.
             frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
-                of length t, and the rest is drawn anew. None draws all of them anew.
+                of length t, and the rest is drawn anew. None draws all of them anew, which is for trials of 0.15 ps or
+                more.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
             barostatInterval: number of trials between attempts to change the volume, at least 1.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.

@@ -9,11 +9,11 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
-from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.program import Program
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding
 from openmm_sier.integrators.settings import Settings, place_of
-from openmm_sier.integrators.storage import unpickled
+from openmm_sier.integrators.storage import pickled, unpickled
 from openmm_sier.system import arguments
 from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
 from openmm_sier.system.temperature import Temperatures
@@ -240,4 +240,4 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         attributes = {name: value for name, value in vars(self).items() if name not in ("this", "binding")}
-        return unpickled, (openmm.XmlSerializer.serialize(self), type(self), self.binding.settings, attributes)
+        return unpickled, (pickled(self), type(self), self.binding.settings, attributes)

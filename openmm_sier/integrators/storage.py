@@ -30,6 +30,11 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     return copied
 
 
+def pickled(integrator: Any) -> str:
+    """Return the XML of what `unpickled` needs from OpenMM, which gets its program with a Context."""
+    return openmm.XmlSerializer.serialize(installation.without_program(integrator))
+
+
 def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
     """Return the SIER integrator that a plain CustomIntegrator from XML was, and others as they are.
 
@@ -50,7 +55,7 @@ def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[st
     """Return an integrator from its XML, with the settings, which XML does not hold in full.
 
     Args:
-        xml: what OpenMM wrote of it.
+        xml: what `pickled` returned.
         cls: its class.
         given: its settings.
         attributes: others of a subclass, by name.

@@ -16,6 +16,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.boxes import wrapped
 from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.second_context import follow_parameters, second_context
 
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -53,9 +54,7 @@ class MolecularPressure:
         self._source, self._system = context, system
         self._masses = tables.masses(system)
         self._owners, self._molecule_masses = _molecules(context, self._masses)
-        platform = context.getPlatform()
-        properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-        self._context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
+        self._context = second_context(context, system)
         self._forgets = neighbour_list.is_remembered(self._context)
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]
 
@@ -104,10 +103,7 @@ class MolecularPressure:
 
     def _follow(self, box: np.ndarray, positions: np.ndarray) -> None:
         """Bring the second Context to the state of the first, without memory of earlier states."""
-        here = self._context.getParameters()
-        for name, value in self._source.getParameters().items():
-            if here[name] != value:
-                self._context.setParameter(name, value)
+        follow_parameters(self._source, self._context)
         if self._forgets:
             self._context.setPeriodicBoxVectors(*box)
             self._context.setPositions(positions)

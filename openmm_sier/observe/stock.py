@@ -157,7 +157,7 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     Raises:
         NotFiniteError, RigidityError: the positions do not form the bodies.
     """
-    integrator, now = context.getIntegrator(), Snapshot(context)
+    integrator, now = context.getIntegrator(), Snapshot.of(context)
     q, A = bodies.fit(now.positions)
     p, L = bodies.momenta(now.velocities, A)
     if isinstance(integrator, openmm.VerletIntegrator):
@@ -176,7 +176,7 @@ def shift_velocities(context: openmm.Context, time: float) -> None:
     Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
     undoes this.
     """
-    masses, velocities = tables.masses(context.getSystem()), Snapshot(context).velocities
+    masses, velocities = tables.masses(context.getSystem()), Snapshot.of(context).velocities
     massive = masses > 0
     velocities[massive] += time * _forces(context)[massive] / masses[massive, None]
     context.setVelocities(velocities)

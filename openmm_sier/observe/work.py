@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+from openmm_sier.system.second_context import second_context
 
 #: nm. Atoms move about so far to either side of where they are. Differences of energies in single precision need as
 #: much, and Simpson's rule follows the steepest repulsion over it to 1e-5.
@@ -77,7 +78,7 @@ class Motions:
         kinds = enumerate(system.getForces())
         self.forces = [number for number, force in kinds if not isinstance(force, WITHOUT_FORCES)]
         batches = [self.forces[i : i + BATCH] for i in range(0, len(self.forces), BATCH)]
-        self._contexts = [(batch, _by_groups(context, state, batch)) for batch in batches]
+        self._contexts = [(batch, _by_groups(context, batch)) for batch in batches]
 
     def along(self, members: np.ndarray, numbers: Sequence[int], turns: bool) -> dict[int, Mismatch]:
         """Move bodies in random directions, and measure what Forces do.
@@ -156,20 +157,14 @@ def _mismatch(energies: np.ndarray, powers: np.ndarray, force: float, interval: 
     return Mismatch(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))), float(force))
 
 
-def _by_groups(context: openmm.Context, state: openmm.State, batch: Sequence[int]) -> openmm.Context:
+def _by_groups(context: openmm.Context, batch: Sequence[int]) -> openmm.Context:
     """Make a Context of the same System in which each Force of a batch has a group of its own, in their order."""
     system = openmm.XmlSerializer.clone(context.getSystem())
     for number, force in enumerate(system.getForces()):
         force.setForceGroup(batch.index(number) if number in batch else BATCH)
         if isinstance(force, openmm.NonbondedForce):
             force.setReciprocalSpaceForceGroup(-1)
-    platform = context.getPlatform()
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    found = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
-    found.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-    for name, value in context.getParameters().items():
-        found.setParameter(name, value)
-    return found
+    return second_context(context, system)
 
 
 def _turned(arms: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def fast_force_groups(system: openmm.System) -> int:
     return sum({1 << force.getForceGroup() for force in system.getForces() if force.getName() == NAME})
 
 
-def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, periodic: bool) -> int:
+def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray, group: int, periodic: bool) -> int:
     """Add the interactions of close pairs to a fast group, and subtract them from that of the NonbondedForce.
 
     They are those of the NonbondedForces and ConstantPotentialForces as they are now, also within other Forces, with
@@ -56,6 +56,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, period
     Args:
         system: openmm.System, which has none of `own_forces`.
         edges: bonded pairs of particles, (b, 2), all of which may act within drifts.
+        owner: for each particle the number of its body, (N,); pairs within one body do no work, and are left out.
         group: the fast force group.
         periodic: whether distances are those of the nearest images.
 
@@ -64,7 +65,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, group: int, period
     """
     pairwise = [part for part in parts(system) if isinstance(part.force, PAIRWISE)]
     found = [(part, weight) for part in pairwise if (weight := part.weight)]
-    close = _close(edges, system.getNumParticles())
+    close = _close(edges, owner)
     fast = _pair_force(NAME, "", group, periodic)
     opposite = _pair_force(OPPOSITE, "-", found[0][0].group if found else 0, periodic)
     for part, weight in found:
@@ -134,15 +135,31 @@ def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[in
     return found
 
 
-def _close(edges: np.ndarray, particles: int) -> list[tuple[int, int]]:
-    """Find pairs (smaller, larger) of n particles that are up to `REACH` edges (b, 2) apart, in ascending order."""
+def _close(edges: np.ndarray, owner: np.ndarray) -> list[tuple[int, int]]:
+    """Find pairs (smaller, larger) of two bodies' particles that are up to `REACH` edges (b, 2) apart, ascending."""
+    # Rigid molecules have none, such as water, of which there is most.
+    near = _near_others(edges, owner)
+    edges = edges[near[edges].any(axis=1)]
+    if not len(edges):
+        return []
     # Most systems have no solute, and need not import this.
     from scipy import sparse
 
+    particles = len(owner)
     joined = sparse.coo_array((np.ones(len(edges), dtype=bool), tuple(edges.T)), (particles, particles)).tocsr()
     step = joined + joined.T + sparse.eye_array(particles, dtype=bool, format="csr")
     reached = step
     for _ in range(REACH - 1):
         reached = reached @ step
     one, other = sparse.triu(reached, k=1).nonzero()
-    return sorted(zip(one.tolist(), other.tolist(), strict=True))
+    apart = owner[one] != owner[other]
+    return sorted(zip(one[apart].tolist(), other[apart].tolist(), strict=True))
+
+
+def _near_others(edges: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Tell which particles are ends of bonds between bodies, or fewer than `REACH` edges from one, (N,)."""
+    near = np.zeros(len(owner), dtype=bool)
+    near[edges[owner[edges[:, 0]] != owner[edges[:, 1]]]] = True
+    for _ in range(REACH - 1):
+        near[edges[near[edges].any(axis=1)]] = True
+    return near

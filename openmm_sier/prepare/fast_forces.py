@@ -17,12 +17,12 @@ from openmm_sier.system.notices import notify
 class FastForces:
     """Sort the Forces of a System into those that can be fast, with some bodies, and those that cannot.
 
-    A Force can be fast if it is a bonded one, does work, and acts on nothing but points: no rigid body, virtual site or
-    frozen atom. Forces that the preparation added are left out.
+    A Force can be fast if it is a bonded one, does work, and acts on nothing but bodies, rigid ones and points: no
+    virtual site or frozen atom. Forces that the preparation added are left out.
 
     Attributes:
         owner: for each particle the number of its body, (N,), -1 where it has none; frozen atoms have one together.
-        points: for each particle whether it is a body of its own, (N,).
+        moving: for each particle whether it moves with a body, (N,).
         acting: Forces that exert forces, by their numbers.
         fast: those that can be fast, by their numbers.
         slow: bonded Forces that do work and cannot be fast.
@@ -30,7 +30,8 @@ class FastForces:
     """
 
     def __init__(self, system: openmm.System, bodies: Bodies | BodyPlan):
-        owner, self.points = _owners(system, bodies)
+        owner = _owners(system, bodies)
+        self.moving = owner >= 0
         # Terms between frozen atoms do no work, like those inside one body.
         owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
         own = own_forces(system)
@@ -41,10 +42,10 @@ class FastForces:
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
         self.owner = owner
-        self.fast = {i: self.acting[i] for i, between in working.items() if self.points[between].all()}
+        self.fast = {i: self.acting[i] for i, between in working.items() if self.moving[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
         inner = [(part, working_terms(part.force, owner)) for part in parts(system) if part.within and part.weight]
-        self.inner = [part.name for part, between in inner if len(between) and self.points[between].all()]
+        self.inner = [part.name for part, between in inner if len(between) and self.moving[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:
         """Return the Forces of a group that cannot be fast."""
@@ -118,15 +119,13 @@ def _groups(force: openmm.Force) -> set[int]:
     return found
 
 
-def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each particle the number of its body, and whether that is a point."""
+def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> np.ndarray:
+    """Return for each particle the number of its body, (N,), -1 where it has none."""
     if isinstance(bodies, RigidBodies):
-        found = linked(system, bodies)
-        return found.owners.copy(), found.point_particles
+        return linked(system, bodies).owners.copy()
     plan = bodies if isinstance(bodies, BodyPlan) else BodyPlan(system, rigid=bodies)
-    owner, point = np.full(system.getNumParticles(), -1), np.zeros(system.getNumParticles(), dtype=bool)
-    number = 0
-    for kind in plan.kinds:
-        for cluster in kind.clusters:
-            owner[list(cluster)], point[list(cluster)], number = number, len(cluster) == 1, number + 1
-    return owner, point
+    owner = np.full(system.getNumParticles(), -1)
+    clusters = (cluster for kind in plan.kinds for cluster in kind.clusters)
+    for number, cluster in enumerate(clusters):
+        owner[list(cluster)] = number
+    return owner

@@ -14,13 +14,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.notices import notify
-from openmm_sier.system.tables import HEAVIEST_HYDROGEN
-
-#: Dalton. The most that hydrogens get whose atom is bonded to another heavy atom, to which its loss matters. With 4
-#: the bonds of aromatic carbons would have a period of 21.3 fs in place of 22.4, and bear no kicks every 10 fs; those
-#: of a methyl's carbon would become 1.6 times as fast as they were, in place of 1.2, and LangevinMiddle fails at steps
-#: of 5 fs. Water has no such bonds.
-HEAVIEST_IN_CHAINS = 3.0
+from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
 
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0

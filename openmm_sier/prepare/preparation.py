@@ -14,7 +14,7 @@ from openmm_sier.prepare.joined_bodies import join_bodies
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
-from openmm_sier.prepare.split_terms import points_divided
+from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
@@ -64,9 +64,9 @@ def prepare_system(
 
     - It balances the two sums of PME, also in an ATMForce or a CustomCVForce; see `balance_pme`.
     - It puts bonds, angles and torsions of molecules that are not rigid into a force group of their own, where every
-      SIER integrator finds them. Terms that act on a rigid body or a virtual site stay slow. A Force that has such
-      terms is divided into two, unless its energy is an expression or it is inside another Force; then it stays slow as
-      a whole.
+      SIER integrator finds them. In the inner steps rigid bodies on which they act turn too. Terms that act on a
+      virtual site or a frozen atom stay slow. A Force that has such terms is divided into two, unless its energy is an
+      expression or it is inside another Force; then it stays slow as a whole.
     - In a periodic System it joins bodies that consist of several molecules by bonds without strength, so that OpenMM
       keeps their atoms together in trajectories and with barostats.
     - Where all bonds and angles are slow, as between beads that stand for residues, no force becomes fast unless you
@@ -130,14 +130,14 @@ def prepare_system(
     coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
     fast = [] if coarse else _put_fast_forces(system, known, group)
     if fast:
-        done += _add_close_pairs(system, known.points, fast, group)
+        done += _add_close_pairs(system, known, fast, group)
     elif coarse:
         done.append(describe_coarse(coarse))
     elif not known.slow and not known.inner:
         done.append("All molecules with bonded forces are rigid, so there are no fast forces.")
     left = [force.getName() for force in known.slow]
     if left and not coarse:
-        why = "they act on rigid bodies, virtual sites or frozen atoms"
+        why = "they act on virtual sites or frozen atoms"
         done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
     if known.inner:
         done.append(
@@ -162,13 +162,13 @@ def _coarse_motion(system: openmm.System, bodies: RigidBodies | BodyPlan, owner:
 
 
 def _put_fast_forces(system: openmm.System, known: FastForces, group: int) -> list[openmm.Force]:
-    """Put what can be fast into a group, also the terms on points alone of Forces that cannot; returns these Forces."""
+    """Put what can be fast into a group, also the terms on bodies alone of Forces that cannot; returns these Forces."""
     fast = list(known.fast.values())
     for force in known.slow:
-        of_points = points_divided(force, known.points)
-        if of_points is not None:
-            system.addForce(of_points)
-            fast.append(of_points)
+        of_bodies = divided(force, known.owner, known.moving)
+        if of_bodies is not None:
+            system.addForce(of_bodies)
+            fast.append(of_bodies)
     for force in fast:
         force.setForceGroup(group)
     return fast
@@ -204,13 +204,13 @@ def _inside_bodies(
     return done
 
 
-def _add_close_pairs(system: openmm.System, points: np.ndarray, fast: list[openmm.Force], group: int) -> list[str]:
-    """Add the close pairs of points to the group of the fast forces; returns what was done."""
+def _add_close_pairs(system: openmm.System, known: FastForces, fast: list[openmm.Force], group: int) -> list[str]:
+    """Add the close pairs of bodies to the group of the fast forces; returns what was done."""
     done = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
     edges = Links(system).covalent()
-    edges = edges[points[edges].all(axis=1)]
-    if count := close_pairs.add_close_pairs(system, edges, group, periodic):
+    edges = edges[known.moving[edges].all(axis=1)]
+    if count := close_pairs.add_close_pairs(system, edges, known.owner, group, periodic):
         done.append(
             f"Nonbonded forces between {count} close pairs (up to {close_pairs.REACH} bonds apart) count as fast too; "
             "the slow forces leave them out. The total energy is the same."

@@ -1,8 +1,8 @@
-"""Bonded Forces with terms on rigid bodies, divided: what acts on points alone becomes a Force of its own.
+"""Bonded Forces with terms on frozen atoms or virtual sites, divided: the others become a Force of their own.
 
-Fast forces move only points. Without this a single bond to a body would keep the bonds of a whole protein in the kicks.
-The terms on points move to the new Force, and stay in the old one without strength: nothing is computed twice, and who
-holds the old Force still has it.
+Fast forces move only bodies. Without this a single bond to a frozen atom would keep the bonds of a whole protein in the
+kicks. The terms on bodies move to the new Force, and stay in the old one without strength: nothing is computed twice,
+and who holds the old Force still has it.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.system.bonded_terms import DIVISIBLE, bonded_terms
+from openmm_sier.system.bonded_terms import DIVISIBLE, bonded_terms, do_work
 
-#: What the name of a Force of terms on points ends with.
-OF_POINTS = " of points"
+#: What the name of a Force of terms on bodies ends with.
+OF_BODIES = " of moving bodies"
 
 
 class Terms(NamedTuple):
@@ -47,12 +47,13 @@ _TERMS = {
 }
 
 
-def points_divided(force: openmm.Force, points: np.ndarray) -> openmm.Force | None:
-    """Move the terms of a Force that act on points alone to a new one; None if it has none, or cannot be divided.
+def divided(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> openmm.Force | None:
+    """Move the terms of a Force that act on bodies alone to a new one; None if it has none, or cannot be divided.
 
     Args:
         force: openmm.Force; the terms that are moved lose their strength.
-        points: for each particle whether it is a body of its own, (N,).
+        owner: for each particle the number of its body, (N,); terms within one body do no work, and stay.
+        moving: for each particle whether it moves with a body, (N,).
 
     Returns:
         The Force of these terms, which is to be added to the System.
@@ -61,7 +62,8 @@ def points_divided(force: openmm.Force, points: np.ndarray) -> openmm.Force | No
     if kind is None:
         return None
     terms, found = _TERMS[kind], kind()
-    numbers = np.flatnonzero(points[bonded_terms(force)].all(axis=1))
+    every = bonded_terms(force)
+    numbers = np.flatnonzero(do_work(every, owner) & moving[every].all(axis=1))
     for number in numbers.tolist():
         parameters = list(terms.get(force, number))
         if all(parameters[place] == 0 * parameters[place] for place in terms.strengths):
@@ -70,7 +72,7 @@ def points_divided(force: openmm.Force, points: np.ndarray) -> openmm.Force | No
         for place in terms.strengths:
             parameters[place] *= 0
         terms.change(force, number, *parameters)
-    found.setName(force.getName() + OF_POINTS)
+    found.setName(force.getName() + OF_BODIES)
     found.setForceGroup(force.getForceGroup())
     found.setUsesPeriodicBoundaryConditions(force.usesPeriodicBoundaryConditions())
     return found if len(bonded_terms(found)) else None

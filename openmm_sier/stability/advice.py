@@ -28,15 +28,14 @@ CONSTRAIN = Remedy(
     f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
     "positions=positions)",
 )
-CONSTRAIN_AND_KEEP = CONSTRAIN._replace(
-    words=f"{CONSTRAIN.words}; if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their "
-    "heavy atoms"
-)
+_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
+CONSTRAIN_AND_KEEP = CONSTRAIN._replace(words=f"{CONSTRAIN.words}; {_KEEP}")
 CONSTRAIN_HEAVY = Remedy(
     "constrain bonds",
     "constrain the bond: give createSystem constraints=AllBonds; or make its molecule a rigid body, by "
     "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
 )
+CONSTRAIN_HEAVY_AND_KEEP = CONSTRAIN_HEAVY._replace(words=f"{CONSTRAIN_HEAVY.words}; {_KEEP}")
 ONE_BODY = Remedy("one body", "put the atoms of both ends of the bond into one rigid body of `bodies`")
 STRAIGHTEN = Remedy(
     "straighten", "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
@@ -82,7 +81,7 @@ class Remedies:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies):
         """Take a System and its bodies."""
-        self._owner, self._points = bodies.owners.copy(), bodies.point_particles
+        self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
@@ -94,12 +93,12 @@ class Remedies:
     def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
         """Tell whether `prepare_system` would let a term of a Force act within drifts.
 
-        It is bonded and acts on points alone, and so do all terms of the Force, or the Force can be divided.
+        It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
         """
         terms = working_terms(force, self._owner)
         if isinstance(force, DIVISIBLE):
-            return bool(self._points[list(atoms)].all())
-        return bool(len(terms) and self._points[terms].all())
+            return bool(self._moving[list(atoms)].all())
+        return bool(len(terms) and self._moving[terms].all())
 
     def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:
         """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
@@ -109,7 +108,10 @@ class Remedies:
         """Return how to constrain a bond."""
         if self.has_hydrogen(atoms):
             return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP
-        return ONE_BODY if self._beside_bodies[list(atoms)].any() else CONSTRAIN_HEAVY
+        if self._beside_bodies[list(atoms)].any():
+            return ONE_BODY
+        took_mass = any(self._points[i] and self._masses[i] > tables.HEAVIEST_IN_CHAINS for i in self._hydrogens)
+        return CONSTRAIN_HEAVY_AND_KEEP if took_mass else CONSTRAIN_HEAVY
 
     def heavier(self, atoms: np.ndarray) -> bool:
         """Tell whether heavier hydrogens would make the motion of some atoms slower."""

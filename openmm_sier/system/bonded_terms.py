@@ -58,8 +58,22 @@ def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
     if bonded_kind(force) is None:
         return np.empty((0, 0), dtype=np.int64)
     terms = bonded_terms(force)
+    return terms[do_work(terms, owner)]
+
+
+def with_working_terms(force: openmm.Force, owner: np.ndarray) -> openmm.Force:
+    """Return a copy of a bonded Force with its `working_terms` alone."""
+    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
+    works = iter(do_work(bonded_terms(force), owner).tolist())
+    for parent in _parents(force, root):
+        parent[:] = [term for term in parent if next(works)]
+    return openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode"))
+
+
+def do_work(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Tell which terms, (t, k), do not lie in one body, (t,); `owner` is that of `working_terms`."""
     found = owner[terms]
-    return terms[(found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)]
+    return (found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)
 
 
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,6 +89,11 @@ def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.nd
 
 
 def _elements(force: openmm.Force) -> list[ElementTree.Element]:
-    tag, _ = TERMS[bonded_kind(force)]
     root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    return [term for parent in root.iter(f"{tag}s") for term in parent]
+    return [term for parent in _parents(force, root) for term in parent]
+
+
+def _parents(force: openmm.Force, root: ElementTree.Element) -> list[ElementTree.Element]:
+    """Return the elements of a Force's XML that contain its terms."""
+    tag, _ = TERMS[bonded_kind(force)]
+    return list(root.iter(f"{tag}s"))

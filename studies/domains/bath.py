@@ -36,7 +36,8 @@ def settled(model: Model, time: float, step: float, seed: int, platform: str, ke
     """The phase point of the rigid model after an equilibration, which is kept in a file for other runs.
 
     Args:
-        model: its start is minimized, and followed for a tenth of the time in steps of 10 fs, then in the given ones.
+        model: its start is minimized, and followed for a tenth of the time in steps of up to 10 fs, then in the given
+            ones.
         time: ps.
         step: fs.
         seed: of the bath.
@@ -45,12 +46,13 @@ def settled(model: Model, time: float, step: float, seed: int, platform: str, ke
     """
     if kept.exists():
         return openmm.XmlSerializer.deserialize(kept.read_text())
-    made = METHODS["sier2"].make(model, SETTLING, SETTLING_FRICTION, seed)
+    first = min(SETTLING, 1e-3 * step)
+    made = METHODS["sier2"].make(model, first, SETTLING_FRICTION, seed)
     context = make_context(made.system, made.integrator, platform)
     context.setPositions(made.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 500)
     context.setVelocitiesToTemperature(model.temperature, seed)
-    made.integrator.step(round(0.1 * time / SETTLING))
+    made.integrator.step(round(0.1 * time / first))
     made.integrator.setStepSize(1e-3 * step)
     made.integrator.step(round(0.9 * time / (1e-3 * step)))
     state = context.getState(positions=True, velocities=True)

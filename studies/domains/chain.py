@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import string
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy.optimize import brentq
 
 from studies.domains.models import (
     INTERACTIONS,
+    JOINTS,
     LINKERS,
     Model,
     Pair,
@@ -49,6 +51,10 @@ STARTS = (len(TAIL), 3 * len(TAIL) + len(DOMAIN))
 #: Bonds: nm and kJ/mol/nm^2. Ashbaugh-Hatch: kJ/mol, and nm of the cut-off.
 LENGTH, STIFFNESS = 0.38, 8033.0
 EPSILON, NEAR = 0.8368, 2.0
+
+#: Bonds as fast as those of atoms, in another model: kJ/mol/nm^2, and the mass in dalton with which they have a period
+#: of 30 fs.
+STIFF, CARBON = 2.6e5, 12.0
 
 #: Debye-Hückel at 300 K and 150 mM: kJ/mol nm over the permittivity of water, the Debye length, and the cut-off, nm.
 COULOMB, DEBYE, FAR = 138.935458 / 77.7, 0.787, 4.0
@@ -145,13 +151,27 @@ def model(chains: int = 2) -> Model:
     return Model("two chains of 120 residues", rigid, elastic, places, bodies, molecules)
 
 
+def stiff_model() -> Model:
+    """The same chains with bonds as fast as those of atoms, and beads as heavy as carbon."""
+    found = model()
+    system = openmm.XmlSerializer.clone(found.rigid)
+    for bead in range(system.getNumParticles()):
+        system.setParticleMass(bead, CARBON)
+    for force in system.getForces():
+        if force.getName() in (LINKERS, JOINTS):
+            for number in range(force.getNumBonds()):
+                one, other, length, _ = force.getBondParameters(number)
+                force.setBondParameters(number, one, other, length, STIFF)
+    return replace(found, name="two chains with stiff bonds", rigid=system, network=None)
+
+
 def _system(chains: int, bonds: set[Pair], left_out: set[Pair], bodies: list[list[int]]) -> openmm.System:
     """Chains with bonds, and with interactions of all pairs but for those left out."""
     system = openmm.System()
     system.setDefaultPeriodicBoxVectors([EDGE, 0, 0], [0, EDGE, 0], [0, 0, EDGE])
     linkers, joints = openmm.HarmonicBondForce(), openmm.HarmonicBondForce()
     linkers.setName(LINKERS)
-    joints.setName("bonds to domains")
+    joints.setName(JOINTS)
     domains = {bead for body in bodies for bead in body}
     for pair in sorted(bonds):
         (joints if domains & set(pair) else linkers).addBond(*pair, LENGTH, STIFFNESS)

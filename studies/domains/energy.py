@@ -14,7 +14,7 @@ from openmm_sier.analysis.statistics import rms, slope_and_error
 from openmm_sier.inputs.starts import make_context
 from studies.domains import bath
 from studies.domains.methods import METHODS
-from studies.domains.models import Model
+from studies.domains.models import FAST, JOINTS, LINKERS, Model
 from studies.units import md
 
 #: ps and 1/ps of the bath that gives springs their heat before a run.
@@ -32,16 +32,24 @@ class Integrator(NamedTuple):
         springs: whether springs hold bodies, which are rigid otherwise.
         forces: evaluations a step.
         make: model and step in ps -> integrator.
+        fast: names of Forces that act in inner steps.
     """
 
     name: str
     springs: bool
     forces: int
     make: Callable[[Model, float], openmm.Integrator]
+    fast: tuple[str, ...] = ()
+
+
+def _nested(model: Model, step: float) -> openmm.Integrator:
+    return SIER4GIntegrator(step, bodies=model.bodies, fastForceGroups={FAST}, substeps=1)
 
 
 INTEGRATORS = {
     "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIER4GIntegrator(step, bodies=model.bodies)),
+    "linkers": Integrator("SIER4G, bonds of linkers in inner steps", False, 3, _nested, (LINKERS,)),
+    "inner": Integrator("SIER4G, all bonds in inner steps", False, 3, _nested, (LINKERS, JOINTS)),
     "verlet": Integrator("Verlet, springs", True, 1, lambda model, step: openmm.VerletIntegrator(step)),
 }
 
@@ -61,7 +69,7 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
     if chosen.springs:
         start = warmed(model, start, seed)
     integrator = chosen.make(model, 1e-3 * step)
-    context = make_context(openmm.XmlSerializer.clone(system), integrator, "Reference")
+    context = make_context(system, integrator, "Reference")
     context.setPositions(start.getPositions())
     context.setVelocities(start.getVelocities())
     total, potential = [], []
@@ -83,7 +91,7 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
 
 
 def system_of(model: Model, chosen: Integrator) -> openmm.System:
-    """The System that an integrator is for.
+    """A copy of the System that an integrator is for, with its fast forces in their group.
 
     Raises:
         ValueError: it is for springs, and the model has none.
@@ -91,7 +99,11 @@ def system_of(model: Model, chosen: Integrator) -> openmm.System:
     system = model.network if chosen.springs else model.rigid
     if system is None:
         raise ValueError(f"{model.name} has no springs")
-    return system
+    made = openmm.XmlSerializer.clone(system)
+    for force in made.getForces():
+        if force.getName() in chosen.fast:
+            force.setForceGroup(FAST)
+    return made
 
 
 def warmed(model: Model, start: openmm.State, seed: int) -> openmm.State:

@@ -13,8 +13,8 @@ import openmm
 #: are compared leave springs out.
 INTERACTIONS, SPRINGS = 4, 5
 
-#: The name of the Force of bonds that join no bodies, and the force group in which they are fast.
-LINKERS, FAST = "bonds of linkers", 1
+#: The names of the Forces of bonds that join no bodies, and of those that do, and the force group of fast forces.
+LINKERS, JOINTS, FAST = "bonds of linkers", "bonds to domains", 1
 
 #: Numbers of two atoms, the lower one first.
 Pair = tuple[int, int]

@@ -56,11 +56,29 @@ PLANS = {
             "springs-hmc": (60.0,),
             "langevinmiddle": (20.0, 40.0, 60.0, 80.0),
         },
-        energies={"sier4g": (10.0, 20.0, 30.0, 60.0), "verlet": (5 / 3, 10 / 3, 10.0)},
+        energies={
+            "sier4g": (10.0, 20.0, 30.0, 60.0),
+            "inner": (30.0, 60.0),
+            "verlet": (5 / 3, 10 / 3, 10.0),
+        },
         energy_time=6.0,
         # The shape of chains relaxes within some ns, and contacts of linkers and domains with it.
         slow=("potential", "gyration"),
         in_lammps=(20.0, 40.0),
+    ),
+    "stiff": Plan(
+        chain.stiff_model,
+        settle=6.0,
+        step=3.0,
+        time=0.0,
+        most=0,
+        baths={},
+        energies={
+            "sier4g": (3.0, 4.0),
+            "linkers": (3.0, 4.0, 6.0),
+            "inner": (3.0, 4.0, 6.0, 9.0),
+        },
+        energy_time=1.2,
     ),
     "patchy": Plan(
         patchy.model,

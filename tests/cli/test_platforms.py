@@ -38,7 +38,9 @@ def differences(capsys):
 def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, part, capsys):
     run("run", "--restart", part, "--steps", 20)
     assert part.with_suffix(".dcd").read_bytes() == (begun / "whole.dcd").read_bytes()
-    assert "run needs BOX, the coordinates, or --restart" in complaint(capsys, "run", "--steps", "2", code=MISUSED)
+    assert "run needs BOX, a file of coordinates, or --restart" in complaint(
+        capsys, "run", "--steps", "2", code=MISUSED
+    )
 
 
 def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.analysis.many_runs import Member
+from openmm_sier.analysis.many_runs import Member, run_many
 from openmm_sier.cli import main
 from openmm_sier.cli.many import _grouped
 from openmm_sier.cli.seeds import read_seeds, shown
@@ -169,6 +169,16 @@ def test_a_second_call_goes_on_after_the_first_was_ended(box, single_runs, name)
     code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
     assert (code, err) == (0, "")
     assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
+
+
+@pytest.mark.slow
+def test_a_stop_before_the_first_step_begins_nothing_again(box):
+    """One member equilibrates for ever, which a signal ends at once, and the other waits."""
+    options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": 1000, "time": 0.4}
+    begun = Path(".a-seed1.csv.lock").exists
+    members = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
+    assert [(member.state, member.error) for member in members] == 2 * [("stopped", "")]
+    assert not Path("a-seed2.csv").exists()
 
 
 @pytest.mark.slow

@@ -56,6 +56,19 @@ def test_what_a_page_names_is_there(page):
     assert missing_files(text) + missing_modules(text) + missing_tests(text) == []
 
 
+def test_names_of_code_in_contributing_are_there():
+    """Also bare names, such as `_advance` or `forces.py`; NEW stands for what a reader may add."""
+    text = re.sub(r"^( {4}|```).*$", "", (ROOT / "CONTRIBUTING.md").read_text(), flags=re.MULTILINE)
+    named = {name for name in re.findall(r"`([A-Za-z_][\w./]*)`", text) if "NEW" not in name}
+    sources = [path for folder in ("openmm_sier", "studies", "tests") for path in (ROOT / folder).rglob("*.py")]
+    words = set(re.findall(r"\w+", " ".join(path.read_text() for path in sources)))
+    places = {part for path in sources for part in path.relative_to(ROOT).with_suffix("").parts}
+    places |= {path.stem for path in [*ROOT.iterdir(), *ROOT.glob("*/*")]}
+    known = words | places | {"py", "md", "toml", "yaml", "cff", "NEW", "nox"}
+    unknown = {name for name in named if not set(re.findall(r"\w+", name)) <= known}
+    assert unknown == set()
+
+
 def test_links_of_pages_that_sphinx_does_not_build():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)\s#]+)[^)\s]*\)", page.read_text()):

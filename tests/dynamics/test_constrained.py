@@ -15,11 +15,10 @@ from openmm_sier.dynamics.constrained import (
     equal_steps,
     inner_steps,
     nested_drift,
-    point_operators,
     steps_around_bath,
     steps_with_bath,
 )
-from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G, SIER4P
@@ -54,11 +53,12 @@ def distance(one, other):
 
 def of_positions(compute):
     """Forces on points, from a function of their positions alone."""
-    return CachedForces(lambda q, A: (compute(q),))
+    return CachedForces(lambda q, A: (compute(q), np.zeros_like(q)))
 
 
 def points_of(system, **options):
-    return point_operators(system.constraints(), of_positions(system.forces), KAHAN_LI, **options)
+    forces = of_positions(system.forces)
+    return constrained_operators(system.bodies, forces, system.constraints(), composition=KAHAN_LI, **options)
 
 
 def slope(errors):
@@ -173,9 +173,9 @@ def nested(system, inner, longest, constraints=None):
     """Outer operators with the slow forces of a system, whose drift has its fast forces."""
     constraints = system.constraints() if constraints is None else constraints
     fast = of_positions(system.fast_forces)
-    slow = CachedForces(lambda q, A: (system.slow_forces(q), np.zeros_like(q)))
+    slow = of_positions(system.slow_forces)
     operators = constrained_operators(system.bodies, slow, constraints, groups=system.molecules)
-    within = point_operators(constraints, fast)
+    within = constrained_operators(system.bodies, fast, constraints, composition=TRIPLE_JUMP)
     members = np.arange(system.bodies.n)
     operators[DRIFT] = nested_drift(drift(system.bodies), members, equal_steps(inner, within, longest))
     return operators, fast, slow
@@ -231,13 +231,14 @@ def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
 def test_harmonic_averages_around_a_bath_are_exact(longest):
     """A C=O bond of 19 fs within drifts of 8 fs: <q^2> and <p^2> at the end of steps, from the linear map of a step."""
     k, h, friction = (2 * np.pi / 0.019) ** 2, 0.008, 5.0
-    none = Constraints([], [], np.ones(1))
-    moves = steps_around_bath(point_operators(none, of_positions(lambda q: -k * q)), longest)
+    bodies = Points(np.zeros((1, 3)), [1.0]).bodies
+    within = constrained_operators(bodies, of_positions(lambda q: -k * q), bodies.constraints)
+    moves = steps_around_bath(within, longest)
 
     def linear(move):
         rows = []
         for q, p in ((1.0, 0.0), (0.0, 1.0)):
-            start = BodyState(np.full((3, 1), q), np.full((3, 1), p), np.empty((3, 3, 0)), np.empty((3, 0)))
+            start = BodyState(np.full((3, 1), q), np.full((3, 1), p), np.eye(3)[:, :, None], np.zeros((3, 1)))
             moved = move(start, h / 2)
             rows.append([moved.q[0, 0], moved.p[0, 0]])
         return np.array(rows).T
@@ -264,7 +265,7 @@ def test_inner_steps():
 
 def test_what_cannot_be_executed_is_refused():
     system = chains()
-    within = point_operators(system.constraints(), of_positions(system.fast_forces))
+    within = constrained_operators(system.bodies, of_positions(system.fast_forces), system.constraints())
     with pytest.raises(ValueError, match="longest inner step must be positive, got 0"):
         equal_steps(SIER4, within, 0)
     with pytest.raises(ValueError, match="nothing executes the operator 'bath'"):

@@ -1,5 +1,6 @@
 """Signals wait for the end of a step, in whatever moment they come."""
 
+import _signal
 import signal
 
 import pytest
@@ -38,7 +39,7 @@ CHANGES = 2 * len(interrupts.SIGNALS)
 def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatch, number):
     """All are replaced at the beginning of a block and put back at its end; SIGINT comes right after one change."""
     assert deferring()
-    calls, change = 0, signal.signal
+    calls, change = 0, _signal.signal
 
     def interrupted(which, handler):
         nonlocal calls
@@ -48,7 +49,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
         return found
 
     with monkeypatch.context() as patched:
-        patched.setattr(signal, "signal", interrupted)
+        patched.setattr(_signal, "signal", interrupted)
         with pytest.raises(KeyboardInterrupt), interrupts.deferred():
             pass
     assert calls == CHANGES

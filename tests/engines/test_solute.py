@@ -1,10 +1,12 @@
-"""Bonded forces from a Context of some atoms: those of the whole System, parameters and box, refusals."""
+"""Bonded forces from a Context of some bodies: those of the whole System, parameters and box, refusals."""
 
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_system
+from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.species import Species
+from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_forces
 from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
@@ -14,8 +16,9 @@ WATER = [0, 1, 2]
 SITE, ION = 11, 12
 FAST = 3
 
-#: For each particle the number of its rigid body.
-NO_BODIES = np.full(13, -1)
+#: For each particle the number of its body where none is rigid.
+MOVING = np.arange(13) != SITE
+OWNER = np.where(MOVING, np.arange(13), -1)
 
 
 def bonded_forces():
@@ -58,9 +61,22 @@ def whole_system(forces):
     return system
 
 
-def solute_of(system, rigid=NO_BODIES):
-    reduced = solute_system(system, FLEXIBLE, {FAST}, rigid)
-    return SoluteForces(reduced, FLEXIBLE, openmm.Platform.getPlatformByName("Reference"), {})
+def solute_of(system, owner=OWNER):
+    points = Species.from_sites(np.sort(FLEXIBLE)[:, None], np.array([12.011]), np.zeros((3, 1)))
+    bodies = RigidBodies([points], system.getNumParticles())
+    forces = solute_forces(system, {FAST}, owner, MOVING)
+    return SoluteForces(forces, bodies, openmm.Platform.getPlatformByName("Reference"), {})
+
+
+def assert_forces_are_those_in(context, solute):
+    """The same arithmetic on the same numbers."""
+    expected = forces_in(context)[np.sort(FLEXIBLE)].T
+    positions = context.getState(positions=True).getPositions(asNumpy=True)._value
+    q = np.ascontiguousarray(positions[np.sort(FLEXIBLE)].T)
+    F, tau = solute(q, np.repeat(np.eye(3)[:, :, None], len(FLEXIBLE), axis=2))
+    assert np.abs(expected).max() > 1.0
+    assert np.abs(F - expected).max() < 1e-12 * np.abs(expected).max()
+    assert not tau.any()
 
 
 def forces_in(context):
@@ -78,11 +94,7 @@ def positions(rng):
 def test_each_kind_gives_the_forces_of_the_whole_system(positions, kind):
     """Every kind alone, so that a wrong one cannot hide; other groups and passive Forces stay out."""
     system = whole_system([bonded_forces()[kind]])
-    solute = solute_of(system)
-    expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
-    assert np.abs(expected).max() > 1.0
-    # The same arithmetic on the same numbers.
-    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
+    assert_forces_are_those_in(plain_context(system, positions), solute_of(system))
 
 
 def test_parameters_and_box_follow(positions):
@@ -96,35 +108,33 @@ def test_parameters_and_box_follow(positions):
     positions[FLEXIBLE[1]] = positions[FLEXIBLE[0]] + [1.2, 0, 0]
     context = plain_context(system, positions)
     solute = solute_of(system)
+    assert solute.follow(context)
     assert not solute.follow(context)
     context.setParameter("scale", 2.5)
     assert solute.follow(context)
     assert not solute.follow(context)
     context.setPeriodicBoxVectors(*(2.2 * np.eye(3)))
     assert solute.follow(context)
-    expected = forces_in(context)[FLEXIBLE].T
-    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
+    assert_forces_are_those_in(context, solute)
 
 
 def test_terms_within_a_rigid_body_are_left_out(positions):
-    """As force fields have them for rigid water; one that joins it to the solute is refused."""
+    """As force fields have them for rigid water."""
     angle = openmm.HarmonicAngleForce()
     angle.addAngle(1, 0, 2, 1.8, 400)
     angle.addAngle(*FLEXIBLE[:3], 1.8, 400)
-    rigid = np.full(13, -1)
-    rigid[WATER] = 0
+    owner = OWNER.copy()
+    owner[WATER] = 0
     system = whole_system([angle])
-    solute = solute_of(system, rigid)
-    expected = forces_in(plain_context(system, positions))[FLEXIBLE].T
-    assert np.abs(solute(positions[FLEXIBLE].T) - expected).max() < 1e-12 * np.abs(expected).max()
-    with pytest.raises(
-        SoluteError, match="angle of HarmonicAngleForce acts on the atoms 1, 0, 2, but atom 1 does not move"
-    ):
-        solute_system(system, FLEXIBLE, {FAST}, NO_BODIES)
-    joined = openmm.HarmonicBondForce()
-    joined.addBond(0, FLEXIBLE[0], 0.3, 100)
-    with pytest.raises(SoluteError, match="bond of HarmonicBondForce acts on the atoms 0, 9, but atom 0 does not move"):
-        solute_system(whole_system([joined]), FLEXIBLE, {FAST}, rigid)
+    (only,) = solute_forces(system, {FAST}, owner, MOVING)
+    assert only.getNumAngles() == 1
+    assert_forces_are_those_in(plain_context(system, positions), solute_of(system, owner))
+
+
+def test_forces_without_working_terms_are_left_out():
+    angle = openmm.HarmonicAngleForce()
+    angle.addAngle(1, 0, 2, 1.8, 400)
+    assert solute_forces(whole_system([angle]), {FAST}, np.where(OWNER < 3, 0, OWNER), MOVING) == []
 
 
 def test_what_is_refused():
@@ -134,7 +144,7 @@ def test_what_is_refused():
     bond.addBond(FLEXIBLE[0], SITE, 0.15, 2e5)
     for force, message in (
         (external, r"trap \(CustomExternalForce\) is in the fast force group 3, but only HarmonicBondForce"),
-        (bond, "atom 11 does not move by itself"),
+        (bond, "bond of HarmonicBondForce acts on the atoms 9, 11, but atom 11 is a virtual site or frozen"),
     ):
         with pytest.raises(SoluteError, match=message):
-            solute_system(whole_system([force]), FLEXIBLE, {FAST}, NO_BODIES)
+            solute_forces(whole_system([force]), {FAST}, OWNER, MOVING)

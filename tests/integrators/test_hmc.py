@@ -6,16 +6,17 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
+from scipy import stats
 
 from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.acceptance import TRIAL_LENGTH
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
 from tests.support.methanols import positions_of, system_of
 from tests.support.samplers import KT, counted, sampler, states_asked
 from tests.support.strangers import fails_as_stranger
-from tests.support.systems import assembled, field, with_forces
+from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
 #: Settings of either engine. Two equal substeps are short enough for SETTLE at the steps of these tests.
@@ -70,7 +71,8 @@ def test_a_step_is_a_trial(cluster, options, engine):
 def test_trials_have_a_usual_length(step):
     integrator = SIERHMCIntegrator(300, step)
     assert integrator.scheme is SIER2V2
-    assert math.isinf(integrator.getFriction()._value)
+    assert integrator.getFriction()._value == TRIAL_FRICTION
+    assert math.isinf(SIERHMCIntegrator(300, step, frictionCoeff=None).getFriction()._value)
     # In whole steps.
     assert integrator.getStepSize()._value == pytest.approx(TRIAL_LENGTH, abs=integrator.getSchemeStepSize()._value / 2)
     # Where nothing moves any number is as good.
@@ -161,6 +163,31 @@ def test_wells_are_sampled_exactly(engine, at_rest):
     assert 0.3 < integrator.acceptanceRate < 0.7
     # Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
     assert_means(rows, [1, 0.75 if at_rest else 1, 0], [0.03] * 3)
+
+
+@pytest.mark.parametrize("at_rest", [False, True], ids=["all of it", "without that of the centre of mass"])
+@PARTS_KEPT
+@ENGINES
+def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, options, at_rest):
+    """Without forces the kinetic energy of a trial is as it was drawn, and its rank is opposite to the one before.
+
+    Of 13 degrees of freedom the centre of mass has three. One more or less shifts the mean by some 8 %, and 4000
+    energies allow 2.5 %, the less since they are opposite to each other. Every 20th is nearly independent of the one
+    before, and a right sampler fails the test of their distribution for one seed in a thousand.
+    """
+    system, positions = rotors()
+    system = with_forces(system, openmm.CMMotionRemover()) if at_rest else system
+    integrator = sampler(0.001, 1, **options, **engine)
+    _context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=10)
+    freedoms, found = (10 if at_rest else 13), []
+    for _ in range(4000):
+        integrator.step(1)
+        found.append(2 * integrator.binding.engine.kinetic_energy() / KT)
+    assert stats.kstest(found[::20], stats.chi2(freedoms).cdf).pvalue > 1e-3
+    assert np.mean(found) == pytest.approx(freedoms, rel=4 * math.sqrt(2 / freedoms / 4000))
+    # Those of `test_acceptance.py`.
+    opposite = stats.spearmanr(found[1:], found[:-1]).statistic
+    assert opposite == pytest.approx(-14 / 17, abs=4 * (1 - (14 / 17) ** 2) / 4000**0.5)
 
 
 def assert_means(rows, expected, errors):
@@ -339,7 +366,7 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
     integrator.setSchemeStepSize(0.009)
     with monkeypatch.context() as patch:
         patch.setattr("openmm_sier.ensembles.metropolis.REVERSIBLE", -1.0)
-        with pytest.raises(openmm.OpenMMException, match=r"4 steps .* missed its start"):
+        with pytest.raises(openmm.OpenMMException, match=r"4 steps.* missed its start"):
             integrator.step(1)
         # The native engine's constraints leave 1e-9 nm when momenta are drawn.
         for one, other in zip(counted(context), before, strict=True):
@@ -349,7 +376,7 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
         integrator.setStepsPerTrial(2)
         integrator.step(1)
         integrator.setStepsPerTrial(4)
-        with pytest.raises(openmm.OpenMMException, match=r"4 steps .* missed its start"):
+        with pytest.raises(openmm.OpenMMException, match=r"4 steps.* missed its start"):
             integrator.step(1)
     integrator.step(1)
 

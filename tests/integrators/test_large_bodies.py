@@ -6,6 +6,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER4G, SIERLangevinIntegrator, prepare_system
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.support.cages import cage_in_water
 from tests.support.flexible_systems import total_energy
 from tests.support.seeded import seeded
@@ -64,3 +65,22 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
     assert np.abs(shape_of(context, atoms) - expected).max() < 1e-12
     if options:
         assert np.ptp(conserved) < 0.6
+
+
+def test_velocities_that_openmm_draws_are_those_of_the_body():
+    """What the Context shows before the first step is what moves: atoms of a body have no motion of their own.
+
+    The body alone has 6 degrees of freedom, of 180 that its atoms would have.
+    """
+    system, positions, bodies = cage_in_water(nonbondedCutoff=0.8 * unit.nanometer, removeCMMotion=False)
+    made = langevin(0.002, bodies)
+    context = context_at(system, made, (positions, 0 * positions))
+    for change in (
+        lambda: context.setVelocitiesToTemperature(300, 1),
+        lambda: (context.setVelocities(positions), context.applyVelocityConstraints(1e-6)),
+    ):
+        change()
+        shown = context.getState(energy=True).getKineticEnergy()._value
+        temperature = made.computeSystemTemperature()._value
+        # Sums over atoms and over bodies agree to rounding, and OpenMM's constraints of water to 1e-5.
+        assert shown == pytest.approx(made.bodies.dof * GAS_CONSTANT * temperature / 2, rel=1e-4)

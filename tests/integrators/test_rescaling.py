@@ -11,7 +11,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
-from tests.support.systems import assembled
+from tests.support.systems import rotors
 from tests.support.waters import context_at, energies, phase_point
 
 TEMPERATURE = 297.0
@@ -24,19 +24,6 @@ def integrator(h=0.002, rate=5.0, every=4, scheme=SIER2, seed=7, engine="auto", 
 
 
 # --- the distribution -------------------------------------------------------------------------------------------------
-
-
-def rotors(frozen=False):
-    """A water molecule without forces, a chain of three atoms with two constraints, and perhaps a frozen atom."""
-    held = ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15))
-    system = assembled((16.0, 1.0, 1.0, 12.0, 14.0, 12.0), constraints=held)
-    water = np.array([[0.0, 0.0, 0.0], [0.08, 0.06, 0.0], [-0.08, 0.06, 0.0]])
-    chain = np.array([[0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
-    positions = np.concatenate([water, chain + 2])
-    if frozen:
-        system.addParticle(0.0)
-        positions = np.concatenate([positions, [[3.0, 3.0, 3.0]]])
-    return system, positions
 
 
 @both_engines

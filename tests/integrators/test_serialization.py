@@ -30,6 +30,7 @@ from openmm_sier import (
     hooks,
 )
 from openmm_sier.dynamics import rotation
+from openmm_sier.engines.native import installation
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.integrators import settings
 from tests.support.restarts import full_state
@@ -132,6 +133,20 @@ def test_copies_of_a_bound_integrator_serialize_like_it(cluster, name):
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
     for way in (copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
         assert serialize(way(integrator)) == serialize(integrator)
+
+
+def test_a_copy_has_no_program_before_it_has_a_system(cluster, monkeypatch):
+    """A program is written for a System; one for any System would be taken out again."""
+    integrator = SIER2Integrator(0.001)
+    _context = context_at(cluster[1], integrator, cluster[2], steps=1)
+    assert integrator.getNumComputations()
+
+    def refused(*_):
+        raise AssertionError("a program was installed")
+
+    monkeypatch.setattr(installation, "install", refused)
+    for way in (copy.copy, copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))):
+        assert way(integrator).getNumComputations() == 0
 
 
 def test_settled_bodies_come_back_to_the_bit(cluster):

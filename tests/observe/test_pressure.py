@@ -10,6 +10,7 @@ from openmm import unit
 
 from openmm_sier import SIER2, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR
+from openmm_sier.observe.force_check import check_forces
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
 from openmm_sier.observe.reporters import PressureReporter
 from tests.support.flexible_systems import started
@@ -259,3 +260,32 @@ def test_parameters_and_force_groups_are_followed():
     momenta = 30.0 * point[1].T @ point[1]
     expected = [momenta[axes] / EDGES.prod() / BAR for axes in COMPONENTS]
     np.testing.assert_allclose(pressure.components(state), expected, rtol=1e-12)
+
+
+# --- a run beside it ---
+
+
+@pytest.mark.parametrize("observe", [tensor_of, check_forces], ids=["pressure tensor", "check of forces"])
+def test_random_numbers_of_openmm_go_on_in_the_first_context(observe):
+    """All Contexts of a process share those of barostats, and on Reference those of baths too."""
+    positions = 0.5 * np.array(list(np.ndindex(4, 4, 4)))
+    system, pairs = openmm.System(), openmm.NonbondedForce()
+    for _ in positions:
+        system.addParticle(40)
+        pairs.addParticle(0, 0.34, 1)
+    system.setDefaultPeriodicBoxVectors(*2.0 * np.eye(3))
+    pairs.setNonbondedMethod(pairs.CutoffPeriodic)
+    pairs.setCutoffDistance(0.9)
+    system.addForce(pairs)
+    system.addForce(seeded(openmm.MonteCarloBarostat(1 * unit.bar, 300, 2), 5))
+    runs = []
+    for is_observed in (False, True):
+        integrator = seeded(openmm.LangevinMiddleIntegrator(300, 1, 0.002), 3)
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+        context.setPositions(positions)
+        context.setVelocitiesToTemperature(300, 1)
+        if is_observed:
+            observe(context)
+        integrator.step(8)
+        runs.append(array(context.getState(positions=True).getPositions(asNumpy=True)))
+    assert np.array_equal(*runs)

@@ -81,7 +81,7 @@ def test_moments_that_no_masses_have():
     with pytest.raises(ValueError, match="no others in these proportions are possible"):
         set_inertia(system, np.where([1, 1, 0], positions, 0.0), bodies, 100, 3 * [5.0])
     for moments in ([3, 2, 1], [1, 1, 3], [-1, 1, 1], [1, 1]):
-        with pytest.raises(ValueError, match="moments must"):
+        with pytest.raises(ValueError, match=r"moments must|no body has such moments"):
             set_inertia(system, positions, bodies, 100, moments)
     with pytest.raises(ValueError, match="mass must be positive"):
         set_inertia(system, positions, bodies, 0, 3 * [5.0])

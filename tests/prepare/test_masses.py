@@ -10,8 +10,7 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies, prepare_system
 from openmm_sier.prepare.close_pairs import NAME
-from openmm_sier.prepare.masses import HEAVIEST_IN_CHAINS
-from openmm_sier.system.tables import masses
+from openmm_sier.system.tables import HEAVIEST_IN_CHAINS, masses
 from tests.support.peptides import capped_alanine_box
 from tests.support.waters import cluster_system
 

@@ -128,16 +128,15 @@ def test_a_system_without_nonbonded_forces():
     assert [force.getForceGroup() for force in system.getForces()] == [FAST, 0, 0, FAST]
 
 
-def test_what_acts_on_rigid_bodies_stays_in_the_kicks():
+def test_what_acts_on_rigid_bodies_is_fast():
     system = methanols_of(2)
     positions, topology = positions_of(2), topology_of(2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
     done = prepare_system(system, groups)
-    assert done.fastForceGroups == frozenset()
-    assert "stay slow forces" in str(done)
-    assert {force.getForceGroup() for force in system.getForces()} == {0}
+    assert done.fastForceGroups == {1}
+    assert "stay slow forces" not in str(done)
 
 
 def test_water_is_prepared_and_told_of_what_limits_it():
@@ -462,7 +461,7 @@ def test_forces_that_are_added_later_stay_in_the_kicks(peptide, prepared):
 def test_bodies_as_plain_lists():
     system = methanols_of(2)
     heavy = [[0, 1, 2, 3], [4, 5], [6, 7, 8, 9], [10, 11]]
-    assert prepare_system(system, heavy).fastForceGroups == frozenset()
+    assert prepare_system(system, heavy).fastForceGroups == {1}
     with pytest.raises(TypeError, match=r"bodies must be .* lists of particle indices, got a mask of True and False"):
         prepare_system(system, bodies=[[True, False, True]])
 

@@ -1,4 +1,4 @@
-"""Forces with terms on bodies, of which those on points alone become fast; and models that need no fast forces."""
+"""Forces with terms on rigid bodies, which become fast, and on frozen atoms, which do not; models that need neither."""
 
 import copy
 
@@ -7,31 +7,18 @@ import openmm
 import pytest
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies
-from openmm_sier.prepare.split_terms import OF_POINTS
+from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.split_terms import OF_BODIES
 from tests.support import domains
-from tests.support.domains import LENGTH, STRENGTH, domain_system, folded, topology_of
+from tests.support.domains import LENGTH, STIFF, STRENGTH, domain_system, folded, stiff_chain, topology_of
 from tests.support.silence import silence
 from tests.support.waters import array, platform
 
-#: With the masses of carbon and this, kJ/mol/nm^2, bonds have a period of 30 fs, as those of atoms.
-STIFF = 2.6e5
+#: Forces of which terms are fast.
+KINDS = ["HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", "RBTorsionForce"]
 
-
-@pytest.fixture
-def stiff(monkeypatch):
-    """A chain with two domains whose bonds are as fast as those of atoms: System, bodies and positions."""
-    monkeypatch.setattr(domains, "STRENGTH", STIFF)
-    topology, positions, system = topology_of(), folded(), domain_system(elastic=False)
-    for i in range(system.getNumParticles()):
-        system.setParticleMass(i, 12.0)
-    # Ryckaert and Bellemans' torsions along the linkers and into the domains.
-    torsions = openmm.RBTorsionForce()
-    for i in range(11, 25):
-        torsions.addTorsion(i - 2, i - 1, i, i + 1, 1.0, 0.5, -0.3, 0.2, 0.1, -0.1)
-    system.addForce(torsions)
-    bodies = RigidBodies.from_system(system, topology, select_bodies(topology, domains.descriptions()), positions)
-    q, A = bodies.fit(positions)
-    return system, bodies, bodies.place(q, A, positions)
+#: A bead of the linker between two domains.
+HELD = 18
 
 
 def energy_and_forces(system, positions, groups=-1):
@@ -41,9 +28,10 @@ def energy_and_forces(system, positions, groups=-1):
     return state.getPotentialEnergy()._value, array(state.getForces())
 
 
-def test_terms_on_points_alone_become_fast(stiff):
+@pytest.mark.parametrize("frozen", [(), (HELD,)], ids=["", "frozen"])
+def test_the_system_stays_what_it_is(frozen):
     """Energies are those before, less the constant that is told, and bodies feel the same."""
-    system, bodies, positions = stiff
+    system, bodies, positions = stiff_chain(frozen)
     before, forces = energy_and_forces(system, positions)
     prepared = prepare_system(system, bodies)
     after, now = energy_and_forces(system, positions)
@@ -51,30 +39,53 @@ def test_terms_on_points_alone_become_fast(stiff):
     assert before - after == pytest.approx(prepared.excludedEnergy._value, abs=1e-9)
     _, A = bodies.fit(positions)
     np.testing.assert_allclose(bodies.forces_and_torques(now, A), bodies.forces_and_torques(forces, A), atol=1e-8)
-    fast = [force for force in system.getForces() if force.getForceGroup() == 1]
-    kinds = ["HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", "RBTorsionForce"]
-    assert [force.getName() for force in fast[:-1]] == [kind + OF_POINTS for kind in kinds]
-    # Fast forces move points alone, and move some.
-    _, moved = energy_and_forces(system, positions, {1})
-    assert not moved[~bodies.point_particles].any()
-    assert np.count_nonzero(moved[bodies.point_particles].any(axis=1)) > 8
     assert prepared.fastForceGroups == {1}
 
 
-def test_bonds_between_a_linker_and_a_body_stay_in_the_kicks(stiff):
-    system, bodies, _ = stiff
+def test_terms_between_linkers_and_bodies_are_fast():
+    system, bodies, positions = stiff_chain()
     told = str(prepare_system(system, bodies))
-    assert "Force group 1 has the fast forces now: HarmonicBondForce of points" in told
-    assert "HarmonicBondForce, HarmonicAngleForce, PeriodicTorsionForce, RBTorsionForce" in told
+    assert f"Force group 1 has the fast forces now: {', '.join(KINDS)}." in told
+    assert "stay in the kicks" not in told
+    # They move bodies, and turn them.
+    _, moved = energy_and_forces(system, positions, {1})
+    _, torques = bodies.forces_and_torques(moved, bodies.fit(positions)[1])
+    extended = bodies.moments.any(axis=0)
+    assert extended.sum() == 2
+    assert (np.abs(torques[:, extended]).max(axis=0) > 1).all()
+
+
+def test_close_pairs_of_linkers_and_bodies_are_fast_and_those_within_bodies_are_left_out():
+    system, bodies, _ = stiff_chain()
+    prepare_system(system, bodies)
+    pairs = next(force for force in system.getForces() if force.getName() == close_pairs.NAME)
+    ends = np.array([pairs.getBondParameters(i)[:2] for i in range(pairs.getNumBonds())])
+    owners = bodies.owners[ends]
+    assert (owners[:, 0] != owners[:, 1]).all()
+    extended = bodies.moments.any(axis=0)[owners]
+    # Both kinds are there, and none is more than four bonds along the chain.
+    assert (extended.any(axis=1).any(), (~extended).all(axis=1).any()) == (True, True)
+    assert np.abs(ends[:, 0] - ends[:, 1]).max() <= 4
+
+
+def test_terms_on_frozen_atoms_stay_in_the_kicks():
+    system, bodies, positions = stiff_chain([HELD])
+    told = str(prepare_system(system, bodies))
+    fast = [force for force in system.getForces() if force.getForceGroup() == 1]
+    assert [force.getName() for force in fast[:-1]] == [kind + OF_BODIES for kind in KINDS]
+    assert f"since they act on virtual sites or frozen atoms: {', '.join(KINDS)}." in told
     bonds = next(force for force in system.getForces() if force.getName() == "HarmonicBondForce")
-    strengths = {tuple(bonds.getBondParameters(i)[:2]): bonds.getBondParameters(i)[3]._value for i in range(13)}
-    # The first bead is a linker, the second one of a domain, and so on (residues 2 to 13).
-    assert strengths[0, 1] == STIFF
-    assert strengths[13, 14] == 0
+    strengths = {tuple(bonds.getBondParameters(i)[:2]): bonds.getBondParameters(i)[3]._value for i in range(15)}
+    # The first bead is a linker, the second one of a domain.
+    assert strengths[0, 1] == 0
+    assert strengths[HELD - 1, HELD] == STIFF
+    _, moved = energy_and_forces(system, positions, {1})
+    assert not moved[HELD].any()
 
 
-def test_prepared_again_it_stays_as_it_is(stiff):
-    system, bodies, _ = stiff
+@pytest.mark.parametrize("frozen", [(), (HELD,)], ids=["", "frozen"])
+def test_prepared_again_it_stays_as_it_is(frozen):
+    system, bodies, _ = stiff_chain(frozen)
     prepare_system(system, bodies)
     before = openmm.XmlSerializer.serialize(system)
     prepare_system(system, bodies)
@@ -82,8 +93,8 @@ def test_prepared_again_it_stays_as_it_is(stiff):
 
 
 @pytest.mark.parametrize("regrouped", [False, True])
-def test_integrators_find_them(stiff, regrouped):
-    system, bodies, positions = stiff
+def test_integrators_find_them(regrouped):
+    system, bodies, positions = stiff_chain([HELD])
     prepare_system(system, bodies)
     if regrouped:
         for number, force in enumerate(system.getForces()):
@@ -97,13 +108,13 @@ def test_integrators_find_them(stiff, regrouped):
     assert len(fast) == 5
 
 
-def test_forces_that_are_expressions_stay_whole(stiff):
-    system, bodies, _ = stiff
+def test_forces_that_are_expressions_stay_whole():
+    system, bodies, _ = stiff_chain([HELD])
     custom = openmm.CustomBondForce("k*(r-r0)^2")
     custom.addGlobalParameter("k", 100.0)
     custom.addGlobalParameter("r0", LENGTH)
     custom.addBond(0, 1, [])
-    custom.addBond(14, 15, [])
+    custom.addBond(HELD, 15, [])
     system.addForce(custom)
     assert "CustomBondForce" in str(prepare_system(system, bodies)).split("stay slow forces")[1]
     assert custom.getForceGroup() == 0

@@ -21,6 +21,7 @@ from openmm_sier import (
     prepare_system,
 )
 from openmm_sier.dynamics.step_limits import nested_is_stable
+from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.vibrations import Vibrations
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
@@ -124,6 +125,17 @@ def test_bonds_that_do_not_act_do_not_count():
         integrator.step(1)
 
 
+@pytest.mark.parametrize(("of_hydrogen", "is_told"), [(1.0, False), (3.0, False), (4.0, True)])
+def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
+    """The remedy of a script that gave hydrogens 4 dalton before: `prepare_system` gives back what heavy atoms lost."""
+    bonds = openmm.HarmonicBondForce()
+    bonds.addBond(0, 1, 0.12, 4e5)
+    system = assembled([16.0, 13.0 - of_hydrogen, of_hydrogen], bonds)
+    system.addConstraint(1, 2, 0.11)
+    remedy = Remedies(system, RigidBodies.from_system(system)).hold((0, 1))
+    assert ("if createSystem made hydrogens heavy, call prepare_system" in remedy.words) == is_told
+
+
 @pytest.mark.parametrize("masses", [(1.0, 16.0), (1.0, 0.0), (12.0, 12.0)])
 def test_the_period_is_that_of_the_reduced_mass(masses):
     """Atoms without mass stay where they are, and do not count."""
@@ -209,7 +221,7 @@ ADVICE = {
     "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "constrain the bond"),
     "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
     "a collective variable": (biased, SLOW, "make bias softer", "constrain the bond"),
-    "a bond of two bodies": (between_bodies, SLOW, "into one rigid body", "constraints="),
+    "a bond of two bodies": (between_bodies, FAST, "into one rigid body", "constraints="),
     "a bond beside a body": (beside_a_body, FAST, "into one rigid body", "constraints="),
 }
 

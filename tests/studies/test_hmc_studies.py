@@ -68,7 +68,7 @@ def test_curvatures_of_known_potentials():
 def test_costs_beside_those_of_langevin_middle():
     """Two runs of trials, weighted by their times, beside one of the reference; a run that is too short tells none."""
     common = {"box": "b", "at": "constant volume", "hydrogens": "4 Da", "broken": "", "fs_per_second": 100.0}
-    of_trials = common | {"method": "SIER2V2 HMC, 9 fs x 17", "accepted": 0.9, "trials": 10}
+    of_trials = common | {"method": "SIER2V2 HMC, 9 fs x 8, 1/ps", "accepted": 0.9, "trials": 10}
     short = {"dipole_cost": 50.0, "dipole_cost_error": math.nan}
     runs = [
         common | {"method": trials.REFERENCE, "time": 10.0, "cost": 200.0, "cost_error": 20.0} | short,

@@ -21,6 +21,7 @@ from studies import (
     gpu,
     heat_bath,
     processed,
+    reciprocal,
     records,
     schemes,
     speed,
@@ -55,7 +56,7 @@ DRAWN = {"acceptance", "bench", "domains", "equipartition", "water", "whole-run"
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
 MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed"}
-MADE_AT_ONCE |= {"trial-cost", "water"}
+MADE_AT_ONCE |= {"reciprocal", "trial-cost", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -291,6 +292,14 @@ def bath_averages(found):
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
 
 
+@miniature("reciprocal", reciprocal, "--box {lattice_64} --copies 1 2 --tolerance 1e-4 --rounds 5 --steps 2")
+def reciprocal_sums(found):
+    assert found["shares"]["molecules"].tolist() == [64, 512]
+    rows = found["speeds"]
+    assert (rows.loc[rows["name"] == reciprocal.REFERENCE, "over"] == 1).all()
+    assert rows["gain"].notna().sum() == 2 * len(reciprocal.WITHOUT)
+
+
 @miniature(
     "trial-lengths",
     lengths,
@@ -309,13 +318,13 @@ def trajectories_by_length(found):
 @miniature(
     "trials",
     trials,
-    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 6" --time 3 --equilibrate 0.2',
+    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 8, 1/ps" --time 3 --equilibrate 0.2',
 )
 def costs_of_trials(found):
     rows = found["rows"].set_index("method")
     assert rows.loc["LangevinMiddle, 4 fs", "relative"] == 1
     # DHFR, with 33 times the atoms, has 0.9 of trials of 36 fs accepted.
-    assert rows.loc["SIER2V2 HMC, 9 fs x 6", "accepted"] > 0.8
+    assert rows.loc["SIER2V2 HMC, 9 fs x 8, 1/ps", "accepted"] > 0.8
     # Costs are not known from so short a run; `test_hmc_studies` has those of made-up ones.
     assert (rows["milliseconds"] > 0).all()
 

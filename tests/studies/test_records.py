@@ -33,6 +33,15 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
 
 
 @dataclass(frozen=True)
+class Files(Settings):
+    boxes: tuple[Path, ...] = (Path("/here/a.pdb"), Path("/there/b.pdb"))
+
+
+def test_files_are_recorded_by_their_names():
+    assert Files().recorded() == {"seed": 1, "boxes": ("a.pdb", "b.pdb")}
+
+
+@dataclass(frozen=True)
 class Numbers(Settings):
     """Of a study.
 

@@ -6,12 +6,17 @@ import numpy as np
 import openmm
 from openmm import app
 
+from openmm_sier import RigidBodies, select_bodies
+
 #: Beads of a chain, and the residues of its two domains.
 BEADS = 40
 DOMAINS = ("2-13", "24-37")
 
 #: A bond as in models of one bead a residue: nm, kJ/mol/nm^2.
 LENGTH, STRENGTH = 0.38, 8033.0
+
+#: With the mass of carbon, dalton, and this, kJ/mol/nm^2, bonds have a period of 30 fs, as those of atoms.
+CARBON, STIFF = 12.0, 2.6e5
 
 
 def topology_of(chains: int = 1) -> app.Topology:
@@ -48,9 +53,14 @@ def folded(chains: int = 1, apart: float = 4.0) -> np.ndarray:
 
 
 def domain_system(
-    chains: int = 1, cut_off: float | None = 1.2, box: float | None = None, elastic: bool = True
+    chains: int = 1,
+    cut_off: float | None = 1.2,
+    box: float | None = None,
+    elastic: bool = True,
+    mass: float = 110.0,
+    strength: float = STRENGTH,
 ) -> openmm.System:
-    """Beads with charges and a short-range attraction, bonds along chains, angles and torsions.
+    """Beads of a mass with charges and a short-range attraction, bonds of a strength along chains, angles and torsions.
 
     Without `elastic` there are no bonded terms within domains. A CustomNonbondedForce and a NonbondedForce exclude
     neighbours; the NonbondedForce has exceptions, weakened, for those two bonds apart.
@@ -67,12 +77,12 @@ def domain_system(
         first = chain * BEADS
         rng = np.random.default_rng(7)
         for bead in range(BEADS):
-            system.addParticle(110.0)
+            system.addParticle(mass)
             charged.addParticle(rng.choice([-0.5, 0.0, 0.5]), 0.4, 0.3)
             sticky.addParticle([rng.uniform(0.2, 1.0), rng.uniform(0.4, 0.5)])
             at = first + bead
             if bead > 0 and (elastic or not _in_domain(bead - 1, bead)):
-                bonds.addBond(at - 1, at, LENGTH, STRENGTH)
+                bonds.addBond(at - 1, at, LENGTH, strength)
             if bead > 0:
                 charged.addException(at - 1, at, 0, 1, 0)
                 sticky.addExclusion(at - 1, at)
@@ -95,6 +105,26 @@ def domain_system(
     for force in (charged, sticky, bonds, angles, torsions):
         system.addForce(force)
     return system
+
+
+def stiff_chain(
+    frozen: Sequence[int] = (), cut_off: float | None = 1.2, box: float | None = None
+) -> tuple[openmm.System, RigidBodies, np.ndarray]:
+    """A chain with two rigid domains and bonds as fast as those of atoms: System, bodies and positions (N, 3) in nm.
+
+    Beads in `frozen` do not move. Ryckaert and Bellemans' torsions go along the linkers and into the domains.
+    """
+    topology, positions = topology_of(), folded()
+    system = domain_system(cut_off=cut_off, box=box, elastic=False, mass=CARBON, strength=STIFF)
+    for bead in frozen:
+        system.setParticleMass(bead, 0.0)
+    torsions = openmm.RBTorsionForce()
+    for i in range(11, 25):
+        torsions.addTorsion(i - 2, i - 1, i, i + 1, 1.0, 0.5, -0.3, 0.2, 0.1, -0.1)
+    system.addForce(torsions)
+    bodies = RigidBodies.from_system(system, topology, select_bodies(topology, descriptions()), positions)
+    q, A = bodies.fit(positions)
+    return system, bodies, bodies.place(q, A, positions)
 
 
 def descriptions(chains: Sequence[str] = "A") -> list[str]:

@@ -10,8 +10,8 @@ TEMPERATURE = 297.0
 KT = 8.314462618e-3 * TEMPERATURE
 
 
-def sampler(h=0.008, n=4, scheme=SIER2, seed=5, **options):
-    return seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, stepsPerTrial=n, **options), seed)
+def sampler(h=0.008, n=4, scheme=SIER2, seed=5, frictionCoeff=None, **options):
+    return seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, n, frictionCoeff, **options), seed)
 
 
 def counted(context):

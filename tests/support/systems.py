@@ -1,5 +1,6 @@
 """Systems and Forces that tests make by hand."""
 
+import numpy as np
 import openmm
 
 
@@ -37,3 +38,16 @@ def field(energy, atoms, **parameters):
     for atom in atoms:
         force.addParticle(atom)
     return force
+
+
+def rotors(frozen=False):
+    """A water molecule without forces, a chain of three atoms with two constraints, and perhaps a frozen atom."""
+    held = ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15))
+    system = assembled((16.0, 1.0, 1.0, 12.0, 14.0, 12.0), constraints=held)
+    water = np.array([[0.0, 0.0, 0.0], [0.08, 0.06, 0.0], [-0.08, 0.06, 0.0]])
+    chain = np.array([[0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
+    positions = np.concatenate([water, chain + 2])
+    if frozen:
+        system.addParticle(0.0)
+        positions = np.concatenate([positions, [[3.0, 3.0, 3.0]]])
+    return system, positions

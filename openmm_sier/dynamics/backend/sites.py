@@ -5,7 +5,7 @@ the number of calls determines the cost, so that sites are handled one by one, a
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,14 @@ class Sites:
         self.sets = np.array([(each.part.start, each.part.stop, *row) for each, *row in rows], np.int64).reshape(-1, 5)
         self.places = np.concatenate([np.empty((3, 0)), *(each.places for each in alike)], axis=1)
         self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)], dtype=np.int64)
+
+    def at(self, atoms: np.ndarray) -> "Sites":
+        """Return the places at which any body of a set has one of some atoms, and what these bodies have there."""
+        found = []
+        for each in self.alike:
+            wanted = np.isin(each.atoms, atoms).any(axis=0)
+            found.append(replace(each, atoms=each.atoms[:, wanted], places=each.places[:, wanted]))
+        return Sites(found)
 
     def by_set(self, values: np.ndarray) -> list[np.ndarray]:
         """Divide values, one for each of `places`."""

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 class BodyActions(Actions):
     """Leave actions to OpenMM where it can do them, and do the others for constraints that its solvers cannot satisfy.
 
-    Minimizations are this package's also for bodies that no constraints hold, which OpenMM's minimizer would tear
-    apart.
+    So they do for bodies that no constraints hold: OpenMM would move their atoms as if these were free.
     """
 
     def __init__(self, context: openmm.Context, engine: ExactEngine):
@@ -39,13 +38,21 @@ class BodyActions(Actions):
 
     def _is_unsolved(self) -> bool:
         """Return whether OpenMM's solvers cannot satisfy the constraints."""
-        return self._engine.trial.unsolved(lambda: Snapshot(self._context).positions) is not None
+        return self._engine.trial.unsolved(lambda: Snapshot.of(self._context).positions) is not None
+
+    def _holds_all_bodies(self) -> bool:
+        """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""
+        held = constraints_hold(self._context.getSystem(), self._engine.bodies)
+        return held and not self._is_unsolved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
         if self._is_unsolved():
             self._draw_velocities(temperature, seed)
-        else:
-            by_openmm()
+            return
+        by_openmm()
+        # Velocities may be drawn before there are positions.
+        if not self._holds_all_bodies() and Snapshot.of(self._context).positions.any():
+            self._make_velocities_rigid()
 
     def _draw_velocities(self, temperature: Any, seed: int | None) -> None:
         """Set velocities from the canonical distribution.
@@ -65,26 +72,30 @@ class BodyActions(Actions):
         random = generator(secrets.randbelow(2**31) if seed is None else abs(int(seed)), 0, stream=4)
         p, L = bodies.momenta(spread[:, None] * random.standard_normal((len(masses), 3)), state.A)
         drawn = replace(state, p=bodies.constraints.project(state.q, p), L=L)
-        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot(self._context).velocities))
+        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot.of(self._context).velocities))
 
     def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
-        if not self._is_unsolved():
+        if self._holds_all_bodies():
             by_openmm()
             return
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot(self._context).positions))
+        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot.of(self._context).positions))
         self._context.computeVirtualSites()
 
     def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
-        if not self._is_unsolved():
+        if self._holds_all_bodies():
             by_openmm()
-            return
+        else:
+            self._make_velocities_rigid()
+
+    def _make_velocities_rigid(self) -> None:
+        """Keep the rigid part of the motion of each body, without that along constraints."""
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_velocities(self._context, bodies.move(state, Snapshot(self._context).velocities))
+        own_methods.set_velocities(self._context, bodies.move(state, Snapshot.of(self._context).velocities))
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         engine = self._engine
-        if constraints_hold(self._context.getSystem(), engine.bodies) and not self._is_unsolved():
+        if self._holds_all_bodies():
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         with interrupts.deferred():

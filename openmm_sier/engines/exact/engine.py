@@ -16,13 +16,13 @@ from openmm import unit
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.engines import interrupts, neighbour_list
 from openmm_sier.engines.exact.actions import BodyActions
-from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.exact.forces import BodyForces, blown_up
 from openmm_sier.engines.exact.motion import Motion
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.exact.packing import sites_of_atoms
@@ -78,7 +78,7 @@ class ExactEngine(Engine):
     def _made(self) -> MovingBodies:
         """Return the bodies and what is made for them, which named bodies need positions for."""
         if self._parts is None:
-            self._settle(Snapshot(self._context).positions)
+            self._settle(Snapshot.of(self._context).positions)
         return self._parts  # type: ignore[return-value]
 
     def _settle(self, positions: np.ndarray) -> None:
@@ -170,7 +170,7 @@ class ExactEngine(Engine):
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now, before, point = Snapshot(self._context), self._agreed, self._point
+        now, before, point = Snapshot.of(self._context), self._agreed, self._point
         if point is None and not now.positions.any():
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
             own_methods.get_state(self._context, energy=True, groups=0)
@@ -248,6 +248,8 @@ class ExactEngine(Engine):
             self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         except BaseException as error:
             self.ledger.go_back(mark)
+            if isinstance(error, NotFiniteError):
+                raise blown_up(error, steps + 1) from None
             if isinstance(error, ConstraintError):
                 raise TrajectoryError(
                     f"Step {steps + 1} failed: {error}. Is the step size too long, or a force too stiff for it? The "
@@ -273,7 +275,7 @@ class ExactEngine(Engine):
         self.updates.let_act(self.flow.step)
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
         self._context.setTime(self.clock.time + self.flow.step)
-        bodies, point, now, before = self.moving, self.point, Snapshot(self._context), self._agreed
+        bodies, point, now, before = self.moving, self.point, Snapshot.of(self._context), self._agreed
         moved = not now.same_positions(before)
         q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
         found = replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
@@ -291,7 +293,7 @@ class ExactEngine(Engine):
         if self._box() == before:
             return point
         self._is_box_new = True
-        now = Snapshot(self._context)
+        now = Snapshot.of(self._context)
         q, A = self._fitting(bodies, now, point)
         self.forces.take_positions(now)
         self._made.forget_forces()
@@ -315,7 +317,7 @@ class ExactEngine(Engine):
         if self._keeps_numbers and self._agreed is not None and not self._is_box_new:
             self._agreed = self._agreed.with_atoms(forces.positions, forces.velocities)
         else:
-            self._agreed, self._is_box_new = Snapshot(context), False
+            self._agreed, self._is_box_new = Snapshot.of(context), False
 
     def recover(self) -> None:
         if self._point is None or self._parts is None:

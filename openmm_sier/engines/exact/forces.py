@@ -59,7 +59,7 @@ class BodyForces:
         try:
             positions = self.bodies.place(q, A, self.positions)
         except NotFiniteError as error:
-            raise self._blown_up("position of", error) from None
+            raise blown_up(error, self.step) from None
         own_methods.set_positions(self._context, positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
@@ -127,13 +127,15 @@ class BodyForces:
         try:
             return self.bodies.forces_and_torques(self._vectors, A)
         except NotFiniteError as error:
-            raise self._blown_up("force on", error) from None
+            raise blown_up(error, self.step) from None
 
-    def _blown_up(self, what: str, error: NotFiniteError) -> TrajectoryError:
-        return TrajectoryError(
-            f"The {what} {self.bodies.describe(error.body)} is not finite in step {self.step}. Is the step size too "
-            "long, or do atoms overlap? The Context is left at the last completed step."
-        )
+
+def blown_up(error: NotFiniteError, step: int) -> TrajectoryError:
+    """Return the error of a step, by its number, in which something is not finite."""
+    return TrajectoryError(
+        f"The {error.what} is not finite in step {step}. Is the step size too long, or do atoms overlap? The Context "
+        "is left at the last completed step."
+    )
 
 
 def _potential(state: openmm.State) -> float:

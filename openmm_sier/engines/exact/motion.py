@@ -1,5 +1,6 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -7,12 +8,13 @@ import openmm
 
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
-from openmm_sier.engines.exact.solute import SoluteForces, solute_system
+from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
 
@@ -30,8 +32,8 @@ class Motion:
     """Operators of one Context's bodies.
 
     Attributes:
-        fast: the fast forces, a function of the positions of flexible points; None where there are none.
-        solute: what computes them.
+        solute: the fast forces, of the bodies that they act on; None where there are none.
+        fast: these forces with the last ones kept.
         after_bath: what the last bath made; None before the first.
     """
 
@@ -54,16 +56,16 @@ class Motion:
             ledger: counts what a bath does.
 
         Raises:
-            SoluteError: a fast force is not a bonded force, or one of its terms acts on something other than a flexible
-                point.
+            SoluteError: a fast force is not a bonded force, or one of its terms acts on something that is in no body.
         """
-        self._bodies, self._ledger = bodies, ledger
+        self._bodies, self._ledger, self._rotation = bodies, ledger, rotation
         self._groups = _flexible_points(bodies)
-        self._members = np.flatnonzero(self._groups >= 0)
-        self.solute = _solute(context, bodies, self._members, fast_groups)
+        fast = _fast_forces(context.getSystem(), bodies, fast_groups)
+        #: The bodies that fast forces move.
+        self._members = _touched(bodies, fast)
+        self.solute = _solute(context, bodies.restricted(self._members), fast) if fast else None
         self.fast = None if self.solute is None else CachedForces(self.solute)
-        self._drift = operators.drift(bodies, rotation)
-        if len(self._members):
+        if (self._groups >= 0).any():
             self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
@@ -84,8 +86,8 @@ class Motion:
         if flow.bath is not None:
             bath = constrained.bath_operator(flow.bath, self._bodies, self._ledger)
             found[BATH] = partial(self._remembered, bath)
-        if self.fast is not None and longest:
-            found |= self._nested_drifts(self.fast, flow.scheme, longest)
+        if self.fast is not None and self.solute is not None and longest:
+            found |= self._nested_drifts(self.solute.bodies, self.fast, flow.scheme, longest)
         return found
 
     def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
@@ -99,17 +101,21 @@ class Motion:
             self.solute.follow(context)
             self.fast.invalidate()
 
-    def _nested_drifts(self, forces: CachedForces, scheme: Scheme, longest: float) -> dict[str, Operator]:
-        members, constraints = self._members, self._bodies.constraints.restricted(self._members)
-        groups = self._groups[members]
+    def _nested_drifts(
+        self, bodies: RigidBodies, forces: CachedForces, scheme: Scheme, longest: float
+    ) -> dict[str, Operator]:
+        """Return drifts in which fast forces move some bodies."""
+        # One RATTLE step in each drift beside a bath: SIER2's own errors are larger.
+        composition = (1.0,) if scheme.bath_divides_drift else TRIPLE_JUMP
+        within = constrained.constrained_operators(
+            bodies, forces, bodies.constraints, self._rotation, self._groups[self._members], composition
+        )
         if scheme.bath_divides_drift:
-            # One RATTLE step in each drift: SIER2's own errors are larger.
-            within = constrained.point_operators(constraints, forces, (1.0,), groups)
             moves = constrained.steps_around_bath(within, longest)
         else:
-            within = constrained.point_operators(constraints, forces, groups=groups)
             moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
-        return {name: constrained.nested_drift(self._drift, members, move) for name, move in moves.items()}
+        drift = operators.drift(self._bodies, self._rotation)
+        return {name: constrained.nested_drift(drift, self._members, move) for name, move in moves.items()}
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -122,19 +128,30 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _solute(context: openmm.Context, bodies: RigidBodies, members: np.ndarray, groups: int) -> SoluteForces | None:
-    """Return an object that computes the forces of some groups, a bit mask; None where there are none."""
+def _fast_forces(system: openmm.System, bodies: RigidBodies, groups: int) -> list[openmm.Force]:
+    """Return copies of the Forces of some groups, a bit mask, that move bodies.
+
+    Forces that cannot be fast are refused even where there is nothing to move.
+    """
     if not groups:
-        return None
-    system = context.getSystem()
-    atoms = [int(bodies.atoms_of(body)[0]) for body in members.tolist()]
-    rigid = np.where(bodies.point_particles, -1, bodies.owners)
-    rigid[tables.frozen_atoms(system)] = bodies.n
-    # Forces that cannot be fast are refused even where there is nothing to compute.
-    reduced = solute_system(system, atoms, groups_of(groups), rigid)
-    if not atoms or reduced.getNumForces() == 0:
-        return None
-    solute = SoluteForces(reduced, atoms, *_platform_of_solute(context, len(atoms)))
+        return []
+    owner, moving = bodies.owners.copy(), bodies.owners >= 0
+    # Terms between frozen atoms do no work, like those inside one body.
+    owner[tables.frozen_atoms(system)] = bodies.n
+    return solute_forces(system, groups_of(groups), owner, moving)
+
+
+def _touched(bodies: RigidBodies, forces: Sequence[openmm.Force]) -> np.ndarray:
+    """Return the bodies on which forces act, and those that are constrained to one of them, ascending, (m,)."""
+    touched = np.zeros(bodies.n, dtype=bool)
+    touched[bodies.owners[particles_of(forces)]] = True
+    groups = bodies.constraints.groups
+    return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
+
+
+def _solute(context: openmm.Context, bodies: RigidBodies, forces: Sequence[openmm.Force]) -> SoluteForces:
+    """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
+    solute = SoluteForces(forces, bodies, *_platform_of_solute(context, len(particles_of(forces))))
     solute.follow(context)
     return solute
 

@@ -3,8 +3,6 @@
 The numbers of the bodies follow one another without regard to whose atoms the variables are.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
@@ -30,8 +28,10 @@ class Packing:
     def pack(self, state: BodyState) -> np.ndarray:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
         values = np.zeros((3, self.bodies.n_particles, 3))
-        for packed, vectors in self._places(values, state):
-            packed[:] = vectors
+        numbers, start = values.reshape(-1), 0
+        for vectors in self._vectors(state):
+            numbers[start : start + vectors.size] = vectors.ravel()
+            start += vectors.size
         return values
 
     def unpack(self, values: np.ndarray) -> BodyState:
@@ -43,19 +43,20 @@ class Packing:
         n = self.bodies.n
         q, p, L = np.zeros((3, 3, n))
         state = BodyState(q, p, np.repeat(np.eye(3)[:, :, None], n, axis=2), L)
-        for packed, vectors in self._places(values, state):
-            vectors[:] = packed
+        numbers, start = values.reshape(-1), 0
+        for vectors in self._vectors(state):
+            vectors[:] = numbers[start : start + vectors.size].reshape(vectors.shape)
+            start += vectors.size
         return state
 
-    def _places(self, values: np.ndarray, state: BodyState) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Give views of equal shape: where numbers are stored, and the part of the state that they are."""
-        flat, start = values.reshape(-1), 0
-        for part, is_point in self._runs:
-            # Of a point there is room for six numbers, and it has no more.
-            for vectors in (state.q, state.p) if is_point else (state.q, state.p, state.L, state.A):
-                own = vectors[..., part]
-                yield flat[start : start + own.size].reshape(own.shape), own
-                start += own.size
+    def _vectors(self, state: BodyState) -> list[np.ndarray]:
+        """Return views of what is stored of a state, in the order in which it is."""
+        # Of a point there is room for six numbers, and it has no more.
+        return [
+            vectors[..., part]
+            for part, is_point in self._runs
+            for vectors in ((state.q, state.p) if is_point else (state.q, state.p, state.L, state.A))
+        ]
 
 
 def sites_of_atoms(bodies: RigidBodies) -> np.ndarray:

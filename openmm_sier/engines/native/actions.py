@@ -18,5 +18,5 @@ class NativeActions(Actions):
         self._trial = trial
 
     def solve(self, by_openmm: Callable[[], None]) -> None:
-        refusals.refuse_unsolved(self._trial.unsolved(lambda: Snapshot(self._context).positions))
+        refusals.refuse_unsolved(self._trial.unsolved(lambda: Snapshot.of(self._context).positions))
         by_openmm()

@@ -20,10 +20,10 @@ from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.actions import NativeActions
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
-from openmm_sier.engines.native.program import V0, WORK
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.told_bodies import ToldBodies
 from openmm_sier.engines.native.writing import refuse_other_slow_groups
+from openmm_sier.engines.program import V0, WORK
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
 from openmm_sier.engines.variables import PART
@@ -231,7 +231,7 @@ class NativeEngine(Engine):
         """Make the next steps depend on nothing but the Context, after a change from outside."""
         if not self._is_fresh:
             return
-        refuse_what_is_not_finite(Snapshot(self._context))
+        refuse_what_is_not_finite(Snapshot.of(self._context))
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         if len(self._constraints.pairs):
@@ -282,7 +282,11 @@ class NativeEngine(Engine):
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
-        self._known.shift(velocity)
+        self._known.scale(1.0, velocity)
+        self._has_force = False
+
+    def _scale_velocities(self, factor: float, shift: np.ndarray) -> None:
+        self._known.scale(factor, shift)
         self._has_force = False
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
@@ -348,14 +352,14 @@ class NativeEngine(Engine):
         return self._program.momentum_lag
 
     def state(self) -> BodyState:
-        return self._told.state(Snapshot(self._context))
+        return self._told.state(Snapshot.of(self._context))
 
     def temperatures(self, conserved: bool) -> Temperatures:
         """Return temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
 
         Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
         """
-        now, thermal = Snapshot(self._context), self._velocities_after_bath()
+        now, thermal = Snapshot.of(self._context), self._velocities_after_bath()
         return self._told.temperatures(now, lambda: self.point, thermal, conserved)
 
     def _velocities_after_bath(self) -> np.ndarray | None:

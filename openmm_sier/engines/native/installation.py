@@ -8,16 +8,8 @@ import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.native.program import (
-    CONSTRAIN_V,
-    CONSTRAIN_X,
-    FRICTION,
-    NEVER,
-    THERMAL,
-    UPDATE,
-    VECTORS,
-    Program,
-)
+from openmm_sier.engines.native.program import FRICTION, NEVER, THERMAL
+from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, UPDATE, VECTORS, Program
 from openmm_sier.engines.variables import PART, PREFIX, SITES, STATE_VARIABLES
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
@@ -103,16 +95,18 @@ def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> No
 def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegrator:
     """Return a copy of an integrator with its settings and global variables, and without anything that `install` adds.
 
-    It is a plain CustomIntegrator.
+    It is a plain CustomIntegrator, with the step of the scheme.
     """
     plain = openmm.CustomIntegrator
-    bare = plain(plain.getStepSize(integrator))
+    parts = int(integrator.getGlobalVariableByName(PARTS)) or 1
+    bare = plain(parts * plain.getStepSize(integrator))
     bare.setConstraintTolerance(integrator.getConstraintTolerance())
     bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
     bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
     bare.setKineticEnergyExpression(integrator.getKineticEnergyExpression())
     for i in range(integrator.getNumGlobalVariables()):
         bare.addGlobalVariable(integrator.getGlobalVariableName(i), integrator.getGlobalVariable(i))
+    bare.setGlobalVariableByName(PARTS, 0)
     for i in range(integrator.getNumTabulatedFunctions()):
         bare.addTabulatedFunction(
             integrator.getTabulatedFunctionName(i), copy.deepcopy(integrator.getTabulatedFunction(i))
@@ -128,7 +122,6 @@ def uninstall(integrator: openmm.CustomIntegrator) -> None:
     """
     if integrator.getNumComputations():
         integrator.this = without_program(integrator).this
-        integrator.setGlobalVariableByName(PARTS, 0)
 
 
 def vectors_of(integrator: openmm.CustomIntegrator) -> set[str]:

@@ -126,10 +126,10 @@ class KnownAtoms:
             velocities.flags.writeable = False
             self._known[VELOCITIES] = velocities
 
-    def shift(self, velocity: np.ndarray) -> None:
-        """Add a velocity, (3,), nm/ps, to all atoms with mass."""
+    def scale(self, factor: float, shift: np.ndarray) -> None:
+        """Multiply the velocities of all atoms with mass by a factor, and add a velocity, (3,), nm/ps."""
         old = self.velocities
-        new = old + velocity
+        new = factor * old + shift
         new[self._massless] = old[self._massless]
         self.write_velocities(new)
 

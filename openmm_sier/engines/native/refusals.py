@@ -10,7 +10,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.native.program import Program
+from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
@@ -106,7 +106,8 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
                 f"may act on atom {touched[0]}, a virtual site. Virtual sites do not follow their atoms within a step "
-                "of the native engine. Put this Force into another group with setForceGroup, or take engine='exact'"
+                "of the native engine. If this is a copy with frames of a prepared System, prepare the copy too: "
+                "prepare_system(system). Otherwise put this Force into another group with setForceGroup"
             )
 
 

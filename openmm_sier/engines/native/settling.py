@@ -30,7 +30,7 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
     """
     errors, speeds = _errors(context, constraints)
     if not errors.max() <= OFF:
-        now = Snapshot(context)
+        now = Snapshot.of(context)
         refuse_cut_molecules(context.getSystem(), now.positions, now.box)
         own_methods.constrain_positions(context, tolerance)
         errors, speeds = _errors(context, constraints)
@@ -48,7 +48,7 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
 
 def _errors(context: openmm.Context, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
     """Return errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
-    now, (first, second) = Snapshot(context), constraints.pairs.T
+    now, (first, second) = Snapshot.of(context), constraints.pairs.T
     arms, velocities = (vectors[second] - vectors[first] for vectors in (now.positions, now.velocities))
     errors = np.abs(np.linalg.norm(arms, axis=1) - constraints.lengths)
     return errors, np.abs((arms * velocities).sum(axis=1)) / constraints.lengths

@@ -1,0 +1,130 @@
+"""What OpenMM executes of an integrator: the computations of a CustomIntegrator, line by line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from openmm_sier.engines.variables import PREFIX
+
+#: Targets of statements without an expression, each of which is one of OpenMM's own computations.
+CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
+
+#: Per-atom variables of programs. They hold positions or a displacement to be undone, velocities to return to (after a
+#: step with one bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
+#: of the centre of mass, gave to each degree of freedom.
+KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
+VECTORS = (KEPT, V0, WORK)
+
+
+class Statement(NamedTuple):
+    """One computation.
+
+    Attributes:
+        target: the per-atom variable that it sets, or one of `CONSTRAIN_X`, `CONSTRAIN_V`, `UPDATE`.
+        expression: of the new value, in OpenMM's syntax; `h` is the step of the scheme, `e` an inner step, `d` a
+            step of RATTLE.
+    """
+
+    target: str
+    expression: str = ""
+
+    @property
+    def moves(self) -> bool:
+        """Tell whether it changes the forces."""
+        return self.target in ("x", CONSTRAIN_X)
+
+    @property
+    def needs_force(self) -> bool:
+        """Tell whether it uses forces that may act on virtual sites; forces of single groups do not."""
+        return "f/m" in self.expression
+
+    def __str__(self) -> str:
+        return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
+
+
+class Line(NamedTuple):
+    """Statements that belong together.
+
+    Attributes:
+        title: what they do.
+        statements: executed one after the other, all of them for each of `lengths`.
+        lengths: values of `unit` in their expressions: `d` in units of the line's own step, or `e` in units of h.
+        unit: name and unit of the lengths, such as d/h.
+        inner: lines that replace the statements: an inner step of length e.
+    """
+
+    title: str
+    statements: tuple[Statement, ...] = ()
+    lengths: tuple[float, ...] = ()
+    unit: str = "d/h"
+    inner: tuple[Line, ...] = ()
+
+    @property
+    def needs_force(self) -> bool:
+        return any(statement.needs_force for statement in self.statements)
+
+    @property
+    def moves(self) -> bool:
+        return any(statement.moves for statement in self.statements) or any(line.moves for line in self.inner)
+
+    def executed(self, e: float = 1.0) -> Iterator[tuple[Statement, str]]:
+        """Return the statements in the order of execution, each with the definitions of d and e, if it has them.
+
+        Args:
+            e: length of the inner step that the line belongs to, in units of h.
+        """
+        for length in self.lengths or (0.0,):
+            for line in self.inner:
+                yield from line.executed(length)
+            for statement in self.statements:
+                yield statement, f"; d = {length * e!r}*h; e = {e!r}*h"
+
+    def __str__(self) -> str:
+        text = f"{self.title}: {'; '.join(map(str, self.statements))}".removesuffix(": ")
+        return f"{text}  for {self.unit} = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
+
+
+class Program(NamedTuple):
+    """A step of a scheme as native steps.
+
+    Attributes:
+        name: of the scheme.
+        parts: the lines of each native step.
+        refusal: why there are none, for a scheme that OpenMM cannot execute.
+        inner_fraction: the longest inner step in units of h; 1 where there are none.
+        counts_heat: whether it counts the heat of its bath.
+        ends_constrained: whether velocities at the end of a step satisfy the constraints.
+        slow_group: the force group that it takes all slow forces from; None: from the sum of all groups.
+        momentum_lag: see `Scheme.momentum_lag`.
+    """
+
+    name: str
+    parts: tuple[tuple[Line, ...], ...]
+    refusal: str = ""
+    inner_fraction: float = 1.0
+    counts_heat: bool = True
+    ends_constrained: bool = True
+    slow_group: int | None = None
+    momentum_lag: float = 0.0
+
+    @property
+    def statements(self) -> list[Statement]:
+        """Return all statements in the order of execution."""
+        return [statement for part in self.parts for line in part for statement, _ in line.executed()]
+
+    @property
+    def vectors(self) -> tuple[str, ...]:
+        """Return the per-atom variables that the statements use."""
+        text = " ".join(f"{statement.target} {statement.expression}" for statement in self.statements)
+        return tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
+
+    def __str__(self) -> str:
+        n = len(self.parts)
+        lines = [f"{self.name}: one step h = {n} native step{'s' if n > 1 else ''} dt"]
+        for k, part in enumerate(self.parts, 1):
+            lines += [f"{k if i == 0 else '':>2} {line}" for i, line in enumerate(part)]
+        for inner in dict.fromkeys(line.inner for part in self.parts for line in part if line.inner):
+            lines += ["an inner step e:", *(f"   {line}" for line in inner)]
+        return "\n".join(lines)

@@ -1,0 +1,42 @@
+"""A second Context beside that of a run, for energies and forces alone."""
+
+import openmm
+
+from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+
+
+def second_context(context: openmm.Context, system: openmm.System) -> openmm.Context:
+    """Return a new Context on the platform of another, with its box and the values of its parameters.
+
+    It has no barostat or thermostat of OpenMM: each seeds OpenMM's random numbers anew when a Context is made, and all
+    Contexts of a process share them, so that noise in the first one would change.
+
+    Args:
+        context: the first Context.
+        system: for the new one. It stays as it is.
+    """
+    platform = context.getPlatform()
+    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+    made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), platform, properties)
+    made.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
+    follow_parameters(context, made)
+    return made
+
+
+def follow_parameters(first: openmm.Context, second: openmm.Context) -> None:
+    """Give the second Context the values that parameters have in the first one, where they differ."""
+    wanted = first.getParameters()
+    for name, value in second.getParameters().items():
+        if value != wanted[name]:
+            second.setParameter(name, wanted[name])
+
+
+def _without_baths(system: openmm.System) -> openmm.System:
+    """Return a System without Forces that set a temperature or a pressure: itself, or a copy."""
+    if not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces()):
+        return system
+    copied = openmm.XmlSerializer.clone(system)
+    for number in reversed(range(copied.getNumForces())):
+        if isinstance(copied.getForce(number), OF_ENSEMBLES):
+            copied.removeForce(number)
+    return copied

@@ -1,0 +1,86 @@
+"""Averages of rigid water in a heat bath by the number of substeps of the native engine, beside the exact engine.
+
+    python -m studies.native.substeps [BOX.pdb] [--substeps 1 2 3] [--step 9] [--time 100] [--starts 2]
+
+SIER2 moves water with hydrogens of 4 dalton. A substep is a step of RATTLE in each half of its drift, where the exact
+engine rotates molecules exactly. Temperatures are those of velocities at the end of steps, with both engines. Each run
+is kept in native-substeps.jsonl as soon as it is done and is not repeated; runs with other seeds add to the same
+averages. Writes native-substeps.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from studies import heat_bath, records, text
+from studies.command import SYSTEMS, command
+from studies.contestants import Contestant, in_bath
+from studies.heat_bath import BathSettings
+from studies.records import Record, Task
+from studies.report import SILENT, Report
+
+#: What is averaged, with its heading.
+AVERAGED = {key: heat_bath.AVERAGED[key] for key in ("translation", "rotation", "potential")}
+
+COLUMNS = {
+    "engine": "{engine}",
+    "substeps": "{substeps}",
+    "ps": "{time:g}",
+    **{heading: f"{{{key}_text}}" for key, heading in AVERAGED.items()},
+}
+
+
+@dataclass(frozen=True)
+class SubstepSettings(BathSettings):
+    """What is compared; the seeds of runs follow `seed`.
+
+    Attributes:
+        box: PDB file of water of three sites.
+        substeps: numbers of them on the native engine.
+        step: fs.
+    """
+
+    box: Path = SYSTEMS / "tip3p-512.pdb"
+    time: float = 100.0
+    starts: int = 2
+    substeps: tuple[int, ...] = (1, 2, 3)
+    step: float = 9.0
+
+    SHARED = ("temperature", "tolerance", "equilibrate", "friction", "pressure", "time", "step", "box")
+
+
+def tasks(settings: SubstepSettings) -> Iterator[Task]:
+    """All runs that the settings ask for, seed by seed."""
+    cases = [("exact", ""), *(("native", number) for number in settings.substeps)]
+    for seed, (engine, number) in product(range(settings.seed, settings.seed + settings.starts), cases):
+        yield Task(settings, {"engine": engine, "substeps": number, "seed": seed})
+
+
+def run(task: Task) -> dict[str, Any]:
+    """Return what is kept of a run."""
+    point, settings = task.point, task.settings
+    make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
+    method = Contestant("SIER2", settings.step, make, hydrogens=4.0, prepared=True)
+    return point | {"time": settings.time} | heat_bath.measure(settings, method, point["seed"], at_ends=True)
+
+
+def study(settings: SubstepSettings, report: Report = SILENT) -> Record:
+    """Make the runs that are missing in the directory `out`, and write native-substeps.json."""
+    form = "{engine} engine, substeps {substeps}, seed {seed}: done"
+    runs = records.all_runs(settings, "native-substeps", tasks(settings), run, report, form)
+    rows = pd.DataFrame(
+        {"engine": engine, "substeps": number, "time": mine["time"].sum()} | records.pooled(mine, AVERAGED)
+        for (engine, number), mine in runs.groupby(["engine", "substeps"], sort=False)
+    )
+    report.table(f"{settings.box.stem}, SIER2 at {settings.step:g} fs", text.table(rows, COLUMNS))
+    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "native-substeps.json")
+
+
+main = command(SubstepSettings, study, __doc__, __name__)
