@@ -278,8 +278,8 @@ class RigidBodies:
         if mirrored.any():
             raise RigidityError(
                 f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} is the mirror image of its rigid "
-                f"shape, as are {np.count_nonzero(mirrored)} bodies of this kind in all. Correct the positions, or "
-                "make the bodies from them"
+                f"shape ({np.count_nonzero(mirrored)} bodies of this kind in all). Correct the positions, or make "
+                "the bodies from them"
             )
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:

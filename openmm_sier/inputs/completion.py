@@ -264,7 +264,7 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
         names = " ".join(dict.fromkeys(residue.name for residue in alone))
         raise ForceFieldError(
             f"{path}: the force field {files} has no template for {_listed(alone)}",
-            Remedy("leave out", f"leave them out by leave_out={names.split()}", names),
+            Remedy("leave out", f"leave them out with leave_out={names.split()}", names),
             Remedy("more templates", "add to `files` a force field that has templates for them"),
         ) from error
 

@@ -297,7 +297,7 @@ def _tell(found: Equilibration, report: Report) -> None:
     if found.doubtful:
         warnings.warn(
             f"not equilibrated after {found.described}: a temperature is out of bounds, or the potential energy still "
-            "changes. Equilibrate for longer. If you have not minimized the energy, do that first",
+            "changes. Equilibrate for longer, and minimize the energy first if you have not",
             EquilibrationWarning,
             stacklevel=4,
         )

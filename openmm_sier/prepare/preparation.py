@@ -56,7 +56,7 @@ def prepare_system(
 
     >>> print(prepare_system(system))
     The sums of PME are balanced.
-    All molecules with bonded forces are rigid, so no force is fast.
+    All molecules with bonded forces are rigid, so there are no fast forces.
     ...
 
     The forces on bodies stay what they are. The potential energy does too, apart from a constant and the accuracy of

@@ -272,7 +272,7 @@ def test_frames_of_a_prepared_system_are_prepared_anew():
     with pytest.raises(openmm.OpenMMException, match=r"prepare the copy too: prepare_system\(system\)"):
         made(integrator, framed.system)
     prepared = prepare_system(framed.system)
-    assert "stay in the kicks, since they act on virtual sites or frozen atoms: HarmonicBondForce" in str(prepared)
+    assert "stay slow forces, since they act on virtual sites or frozen atoms: HarmonicBondForce" in str(prepared)
     integrator = SIERIntegrator(0.0005, SIER4G, engine="native")
     context = made(integrator, framed.system)
     context.setPositions(framed.positions)

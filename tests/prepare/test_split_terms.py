@@ -46,7 +46,7 @@ def test_terms_between_linkers_and_bodies_are_fast():
     system, bodies, positions = stiff_chain()
     told = str(prepare_system(system, bodies))
     assert f"Force group 1 has the fast forces now: {', '.join(KINDS)}." in told
-    assert "stay in the kicks" not in told
+    assert "stay slow forces" not in told
     # They move bodies, and turn them.
     _, moved = energy_and_forces(system, positions, {1})
     _, torques = bodies.forces_and_torques(moved, bodies.fit(positions)[1])
