@@ -2,6 +2,7 @@
 
 import openmm
 
+from openmm_sier.system import own_methods
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 
 
@@ -18,7 +19,7 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
     platform = context.getPlatform()
     properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
     made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), platform, properties)
-    made.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
+    own_methods.set_box(made, *own_methods.get_state(context).getPeriodicBoxVectors())
     follow_parameters(context, made)
     return made
 
