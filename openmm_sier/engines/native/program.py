@@ -80,7 +80,6 @@ def write(
     slow_group: int | None = None,
     has_virtual_sites: bool = True,
     counts_heat: bool = True,
-    ends_constrained: bool = True,
 ) -> Program:
     """Write the program of a scheme.
 
@@ -92,9 +91,9 @@ def write(
 
     Velocities are constrained where they are read, before a bath whose heat is counted and at the end of the step, and
     not after every stage: what they have along the constraints changes no position that is constrained next, since the
-    constraint forces take it up. Only forces at displaced positions are constrained where they act. An engine that
-    constrains velocities once after a call of `step` needs no end of each step for that; trajectories then depend by
-    rounding on how steps are divided into calls.
+    constraint forces take it up. Only forces at displaced positions are constrained where they act. A step with a bath
+    in its middle whose heat is not counted leaves its end to the engine, which constrains velocities once after a call
+    of `step`; trajectories then depend by rounding on how steps are divided into calls.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
@@ -109,7 +108,6 @@ def write(
         has_virtual_sites: whether the System may have virtual sites; without them one native step is enough.
         counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
             the bath; the trajectory is the same without them, to rounding.
-        ends_constrained: whether a step constrains velocities at its end.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
@@ -131,15 +129,14 @@ def write(
 
     lines = _update(counts_heat) if updates_context else []
     lines += _lines(scheme.stages, "h", slow, drift, bathe)
-    ends_in_bath = scheme.stages[-1].operator == BATH and counts_heat
-    if ends_constrained and not ends_in_bath:
+    ends_constrained = counts_heat or not scheme.bath_divides_drift
+    if ends_constrained and not (scheme.stages[-1].operator == BATH and counts_heat):
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     fraction = scheme.inner_fraction(number) if fast else 1.0
-    is_constrained = ends_constrained or ends_in_bath
-    return Program(scheme.name, parts, "", fraction, counts_heat, is_constrained, slow_group, scheme.momentum_lag)
+    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group, scheme.momentum_lag)
 
 
 def _update(counts_heat: bool) -> list[Line]:

@@ -19,8 +19,6 @@ def general_program(flow: Flow) -> Program:
 def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool) -> Program:
     """Return the program that follows a flow in a System, and costs least there.
 
-    It leaves velocities at the end of its steps to the engine, which constrains them after a call of `step`.
-
     Args:
         flow: what to follow.
         system: openmm.System.
@@ -37,7 +35,6 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
         has_virtual_sites=any(map(system.isVirtualSite, range(system.getNumParticles()))),
         counts_heat=counts_heat if flow.counts_heat is None else flow.counts_heat,
-        ends_constrained=False,
     )
 
 
