@@ -141,7 +141,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
 @pytest.mark.parametrize(
     ("settings", "remedy"),
     [
-        ({"rotation": mrdl}, "other free-rotation maps: leave out `rotation`"),
+        ({"rotation": mrdl}, "has only the exact free-rotation map: leave out `rotation`"),
         ({"bodies": [[0, 1, 2], [3, 4]]}, "no constraint joins atoms 3 and 4 .* with_frames"),
         ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
     ],
