@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend.formulas import body_frame
@@ -189,7 +188,7 @@ class RigidBodies:
                     f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
                 )
 
-    def restricted(self, bodies: ArrayLike) -> "RigidBodies":
+    def restricted(self, bodies: np.ndarray) -> "RigidBodies":
         """Return some of the bodies with the constraints between them. Their atoms keep their numbers.
 
         Args:
