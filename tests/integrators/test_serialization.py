@@ -84,7 +84,7 @@ DISTINCT = {
     "interval": lambda: langevin(pressure=1 * unit.bar, barostatInterval=5),
     "hybrid Monte Carlo": lambda: SIERHMCIntegrator(300, 0.002),
     "length of trials": lambda: SIERHMCIntegrator(300, 0.002, stepsPerTrial=5),
-    "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=1),
+    "momenta kept in part": lambda: SIERHMCIntegrator(300, 0.002, frictionCoeff=2),
     "velocity rescaling": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 1), 0.002),
     "another rate": lambda: SIERThermostatIntegrator(VelocityRescaling(300, 2), 0.002),
     "trials at constant pressure": lambda: SIERHMCIntegrator(300, 0.002, pressure=1 * unit.bar, barostatInterval=5),
@@ -267,7 +267,9 @@ def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
-    with pytest.raises(openmm.OpenMMException, match="another version of openmm_sier, in layout 7 where 1 is read"):
+    with pytest.raises(
+        openmm.OpenMMException, match="another version of openmm_sier, in layout 7, and this version reads layout 1"
+    ):
         deserialize(xml)
 
 

@@ -3,6 +3,7 @@
 import math
 import re
 import shlex
+import textwrap
 
 import mdtraj
 import numpy as np
@@ -167,10 +168,10 @@ def test_the_command_of_the_how_to_goes_from_coordinates_to_a_trajectory(tmp_pat
     """With less time, and every fifth step."""
     page = (SYSTEMS.parent / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()
     (line,) = re.findall(r"^    openmm-sier (run .*)$", page, re.M)
-    lines = re.search(r"with the lines `(.*?)` and `(.*?)`:", page)
+    (file,) = re.findall(r"here `domains.txt`:\n\n((?:    .*\n)+)", page)
     monkeypatch.chdir(tmp_path)
     chain.write(tmp_path)
-    (tmp_path / "domains.txt").write_text("\n".join(lines.groups()))
+    (tmp_path / "domains.txt").write_text(textwrap.dedent(file))
     shorter = re.sub(r"--time \S+", "--time 0.4", re.sub(r"--equilibrate \S+", "--equilibrate 0.06", line))
     assert main.main([*shlex.split(shorter), "--every", "0.2", "--platform", "CPU"]) == 0
     frames = mdtraj.load("chain.dcd", top="chain.pdb")
