@@ -167,7 +167,8 @@ def test_lammps_has_the_same_energies(tmp_path):
 def test_the_command_of_the_how_to_goes_from_coordinates_to_a_trajectory(tmp_path, monkeypatch):
     """With less time, and every fifth step."""
     page = (SYSTEMS.parent / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()
-    (line,) = re.findall(r"^    openmm-sier (run .*)$", page, re.M)
+    (listed,) = re.findall(r"^    openmm-sier (run (?:.*\\\n)*.*)$", page, re.M)
+    line = listed.replace("\\\n", " ")
     (file,) = re.findall(r"here `domains.txt`:\n\n((?:    .*\n)+)", page)
     monkeypatch.chdir(tmp_path)
     chain.write(tmp_path)
