@@ -52,6 +52,10 @@ COMMANDS = {
         "python -m studies.native.accuracy systems/peptide.pdb --schemes sier2 sier4g sier4p --time 0.2",
     ),
     "native-cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.native.cost systems/tip3p-512.pdb",),
+    "native-substeps.json": (
+        "python systems/make.py --model tip3p --molecules 64 --equilibrate 15 --out tip3p-64.pdb",
+        "python -m studies.native.substeps tip3p-64.pdb --time 300",
+    ),
     "native-platforms.json": (
         "python -m studies.native.accuracy systems/BOX.pdb --on Reference OpenCL:double OpenCL:mixed --time 0.06",
     ),
