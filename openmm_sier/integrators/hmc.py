@@ -70,9 +70,9 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             stepSize: the step of the scheme, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
             stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 72 fs.
-            frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
-                of length t, and the rest is drawn anew. None draws all of them anew, which is for trials of 0.15 ps or
-                more.
+            frictionCoeff: a quantity or a number in 1/ps, above zero; 1/ps unless you give it. Momenta keep a factor
+                exp(-friction t) in a trial of length t, and the rest is drawn anew. None draws all of them anew, which
+                is for trials of 0.15 ps or more.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
             barostatInterval: number of trials between attempts to change the volume, at least 1.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
