@@ -39,10 +39,11 @@ import numpy as np
 
 from openmm_sier.dynamics.noise import generator
 
-#: The usual length of a trial, ps, and the usual friction by which momenta are drawn in part, 1/ps. Momenta that last
-#: for many trials carry molecules far, and short trials exchange energy often (docs/measurements/sampling.md).
-TRIAL_LENGTH, TRIAL_FRICTION = 0.072, 1.0
+#: The usual length of a trial, ps. Short trials exchange energy often (docs/measurements/sampling.md).
+TRIAL_LENGTH = 0.072
 
+#: The usual friction by which momenta are drawn in part, 1/ps. Momenta that last for many trials carry molecules far.
+TRIAL_FRICTION = 1.0
 
 #: Number of kinetic energies that are drawn for one that is over-relaxed. It is odd, so that no rank is its own mirror
 #: image; with more of them, the new one would be closer to the opposite of the old one.

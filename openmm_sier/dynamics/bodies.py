@@ -329,7 +329,7 @@ class RigidBodies:
             NotFiniteError: one of them is not finite.
         """
         chosen = self.sites if sites is None else sites
-        return self._sum_over_sites("force on", chosen, forces, A, np.ones(chosen.places.shape[1]))
+        return self._sum_over_sites("force on", chosen, forces, A, chosen.ones)
 
     def _sum_over_sites(
         self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray

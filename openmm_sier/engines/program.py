@@ -1,4 +1,4 @@
-"""What OpenMM executes of an integrator: the computations of a CustomIntegrator, line by line."""
+"""Describe what OpenMM executes of an integrator: the computations of a CustomIntegrator, line by line."""
 
 from __future__ import annotations
 

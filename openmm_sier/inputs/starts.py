@@ -19,6 +19,7 @@ from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.stability.spins import Spins
 from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system import tables
+from openmm_sier.system.second_context import platform_of
 from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 
 #: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
@@ -228,15 +229,14 @@ def equilibrate(
 
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
     """Return a copy of a Context at constant temperature, with new velocities."""
-    integrator, platform = context.getIntegrator(), context.getPlatform()
+    integrator = context.getIntegrator()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
     fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(
         temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
     )
     langevin.setRandomNumberSeed(seed)
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    bath = openmm.Context(context.getSystem(), langevin, platform, properties)
+    bath = openmm.Context(context.getSystem(), langevin, *platform_of(context))
     bath.setState(context.getState(positions=True))
     bath.setVelocitiesToTemperature(temperature, seed)
     return bath

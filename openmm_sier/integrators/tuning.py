@@ -19,6 +19,7 @@ from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, Ste
 from openmm_sier.stability.vibrations import Vibrations
 from openmm_sier.system import own_methods
 from openmm_sier.system.arguments import checked_scheme, group_mask, whole_number
+from openmm_sier.system.second_context import follow_parameters, platform_of
 
 #: The schemes that are compared, beside that of the integrator.
 SCHEMES = (SIER2V2, SIER2P3, SIER4G)
@@ -180,13 +181,10 @@ def _context_for(context: openmm.Context, scheme: Scheme) -> openmm.Context:
         return context
     other = copy.copy(integrator)
     other.binding.change(scheme=scheme)
-    platform = context.getPlatform()
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    made = openmm.Context(context.getSystem(), other, platform, properties)
-    state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
+    made = openmm.Context(context.getSystem(), other, *platform_of(context))
+    state = own_methods.get_state(context, positions=True, velocities=True)
     own_methods.set_box(made, *state.getPeriodicBoxVectors())
-    for name, value in state.getParameters().items():
-        made.setParameter(name, value)
+    follow_parameters(context, made)
     own_methods.set_positions(made, state.getPositions(asNumpy=True))
     own_methods.set_velocities(made, state.getVelocities(asNumpy=True))
     return made

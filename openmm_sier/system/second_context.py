@@ -1,4 +1,4 @@
-"""A second Context beside that of a run, for energies and forces alone."""
+"""Make a second Context beside that of a run."""
 
 import openmm
 
@@ -16,12 +16,16 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
         context: the first Context.
         system: for the new one. It stays as it is.
     """
-    platform = context.getPlatform()
-    properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
-    made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), platform, properties)
+    made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), *platform_of(context))
     own_methods.set_box(made, *own_methods.get_state(context).getPeriodicBoxVectors())
     follow_parameters(context, made)
     return made
+
+
+def platform_of(context: openmm.Context) -> tuple[openmm.Platform, dict[str, str]]:
+    """Return the platform of a Context and its properties, with which to make another one there."""
+    platform = context.getPlatform()
+    return platform, {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
 
 
 def follow_parameters(first: openmm.Context, second: openmm.Context) -> None:

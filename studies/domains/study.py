@@ -251,7 +251,7 @@ def speeds(runs: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def gains(energies: pd.DataFrame, timed: pd.DataFrame) -> pd.DataFrame:
-    """What rigid bodies save: the processor time of Verlet with springs at the same error of the energy, over its own.
+    """Return what rigid bodies save: the processor time of Verlet with springs over theirs, at the same energy error.
 
     The step of Verlet is interpolated between those that were run, on logarithms; beyond them the error goes with the
     square of the step.

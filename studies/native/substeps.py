@@ -39,7 +39,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class SubstepSettings(BathSettings):
-    """What is compared; the seeds of runs follow `seed`.
+    """Choose what is compared; the seeds of runs follow `seed`.
 
     Attributes:
         box: PDB file of water of three sites.
@@ -57,7 +57,7 @@ class SubstepSettings(BathSettings):
 
 
 def tasks(settings: SubstepSettings) -> Iterator[Task]:
-    """All runs that the settings ask for, seed by seed."""
+    """Return all runs that the settings ask for, seed by seed."""
     cases = [("exact", ""), *(("native", number) for number in settings.substeps)]
     for seed, (engine, number) in product(range(settings.seed, settings.seed + settings.starts), cases):
         yield Task(settings, {"engine": engine, "substeps": number, "seed": seed})

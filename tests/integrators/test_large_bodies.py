@@ -68,7 +68,7 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
 
 
 def test_velocities_that_openmm_draws_are_those_of_the_body():
-    """What the Context shows before the first step is what moves: atoms of a body have no motion of their own.
+    """Atoms of a body have no motion of their own, also in what the Context shows before the first step.
 
     The body alone has 6 degrees of freedom, of 180 that its atoms would have.
     """

@@ -48,6 +48,7 @@ class Sites:
             set begins in `places` and in `atoms`, (m, 5).
         places: atom positions in the principal frame, once for each set, (3, k), nm.
         atoms: particle indices, body by body.
+        ones: for each of `places` the weight 1, (k,).
     """
 
     def __init__(self, alike: Sequence[AlikeSites]) -> None:
@@ -58,6 +59,7 @@ class Sites:
         self.sets = np.array([(each.part.start, each.part.stop, *row) for each, *row in rows], np.int64).reshape(-1, 5)
         self.places = np.concatenate([np.empty((3, 0)), *(each.places for each in alike)], axis=1)
         self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)], dtype=np.int64)
+        self.ones = np.ones(self.places.shape[1])
 
     def at(self, atoms: np.ndarray) -> "Sites":
         """Return the places at which any body of a set has one of some atoms, and what these bodies have there."""

@@ -16,7 +16,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
+from openmm_sier.engines.exact.minimization import minimize_bodies
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import own_methods, tables
 from openmm_sier.system.arguments import quantity_to_float
@@ -42,16 +42,14 @@ class BodyActions(Actions):
 
     def _holds_all_bodies(self) -> bool:
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""
-        held = constraints_hold(self._context.getSystem(), self._engine.bodies)
-        return held and not self._is_unsolved()
+        return self._engine.are_bodies_held and not self._is_unsolved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
         if self._is_unsolved():
             self._draw_velocities(temperature, seed)
             return
         by_openmm()
-        # Velocities may be drawn before there are positions.
-        if not self._holds_all_bodies() and Snapshot.of(self._context).positions.any():
+        if not self._holds_all_bodies():
             self._make_velocities_rigid()
 
     def _draw_velocities(self, temperature: Any, seed: int | None) -> None:

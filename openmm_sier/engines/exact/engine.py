@@ -104,6 +104,11 @@ class ExactEngine(Engine):
         return self._made.bodies
 
     @property
+    def are_bodies_held(self) -> bool:
+        """Tell whether the constraints of the System hold all bodies."""
+        return self._made.are_held
+
+    @property
     def check_step(self) -> StepCheck:
         return self._made.check_step
 

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces
 from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.exact.minimization import constraints_hold
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.stability.step_check import StepCheck
@@ -56,6 +57,11 @@ class MovingBodies:
     def molecule_centres(self) -> MoleculeCentres:
         """Return centres of mass of the molecules, each of which moves as a whole with the volume."""
         return MoleculeCentres(self.bodies, self._context.getMolecules())
+
+    @cached_property
+    def are_held(self) -> bool:
+        """Tell whether the constraints of the System hold all bodies."""
+        return constraints_hold(self._context.getSystem(), self.bodies)
 
     def _new_motion(self) -> Motion:
         fast = self._context.getIntegrator().getIntegrationForceGroups() & self._fast_groups

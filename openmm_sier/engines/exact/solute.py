@@ -37,14 +37,18 @@ def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarra
     found, wanted = [], frozenset(groups)
     for force in system.getForces():
         if force.getForceGroup() in wanted and not isinstance(force, WITHOUT_FORCES):
-            _refuse(force, owner, moving)
-            if len(working_terms(force, owner)):
+            terms = _checked_terms(force, owner, moving)
+            if len(terms):
                 found.append(with_working_terms(force, owner))
     return found
 
 
-def _refuse(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> None:
-    """Refuse a Force that is not bonded, or has a term on a particle that moves with no body."""
+def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Return the particles of each term of a bonded Force that does work, (t, k).
+
+    Raises:
+        SoluteError: it is not bonded, or has a term on a particle that moves with no body.
+    """
     remedy = (
         f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
         "there, prepare a new System for these bodies: prepare_system(system, bodies)"
@@ -62,6 +66,7 @@ def _refuse(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> None:
             f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but atom "
             f"{atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
         )
+    return terms
 
 
 def particles_of(forces: Sequence[openmm.Force]) -> np.ndarray:
