@@ -156,14 +156,21 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
     positions = np.array(box.positions.value_in_unit(unit.nanometer))
     if copies == (1, 1, 1):
         return Replica(box.topology.getNumResidues(), positions, box.system)
-    vectors = np.array(box.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
+    topology, moved = copied(box.topology, positions, copies)
+    return Replica(topology.getNumResidues(), moved, _system(topology, box, directory))
+
+
+def copied(
+    topology: app.Topology, positions: np.ndarray, copies: tuple[int, int, int]
+) -> tuple[app.Topology, np.ndarray]:
+    """Topology and positions of a box repeated along each edge; positions are (N, 3) in nm."""
+    vectors = np.array(topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
     places = np.array(list(itertools.product(*map(range, copies))))
-    topology = app.Topology()
+    made = app.Topology()
     for _ in places:
-        _add(list(box.topology.residues()), box.topology, topology)
-    topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
-    system = _system(topology, box, directory)
-    return Replica(topology.getNumResidues(), ((places @ vectors)[:, None] + positions).reshape(-1, 3), system)
+        _add(list(topology.residues()), topology, made)
+    made.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
+    return made, ((places @ vectors)[:, None] + positions).reshape(-1, 3)
 
 
 def cropped(box: Box, directory: Path, molecules: int) -> Replica:

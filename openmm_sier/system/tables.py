@@ -95,8 +95,9 @@ def _once(read: Callable[[openmm.System], Table]) -> Callable[[openmm.System], T
 @_once
 def masses(system: openmm.System) -> np.ndarray:
     """Return masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""
-    found = (system.getParticleMass(i) for i in range(system.getNumParticles()))
-    return np.fromiter((mass.value_in_unit(unit.dalton) for mass in found), float)
+    # OpenMM gives dalton and nm. To convert the units of each quantity would take ten times as long.
+    found = map(system.getParticleMass, range(system.getNumParticles()))
+    return np.fromiter((mass._value for mass in found), float)
 
 
 @_once
@@ -104,7 +105,7 @@ def constraint_rows(system: openmm.System) -> np.ndarray:
     """Return all constraints as the System has them, (c, 3): two particles, and the length in nm."""
     # An iterator, since a list of all quantities would be the largest thing in memory.
     found = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    return np.fromiter(((a, b, length.value_in_unit(unit.nanometer)) for a, b, length in found), np.dtype((float, 3)))
+    return np.fromiter(((a, b, length._value) for a, b, length in found), np.dtype((float, 3)))
 
 
 @_once

@@ -134,12 +134,26 @@ def one_chain() -> np.ndarray:
 
 
 def model(chains: int = 2) -> Model:
-    """Chains in a periodic box at 300 K.
+    """Chains along the diagonal of a periodic box at 300 K."""
+    places = EDGE / chains * (np.arange(chains) + 0.5)
+    return _model("two chains of 120 residues", np.column_stack([places] * 3))
+
+
+def sheet(edge: int) -> Model:
+    """So many rows of as many chains side by side in the same box: what is timed where two chains are too few."""
+    places = EDGE / edge * (np.arange(edge) + 0.5)
+    centres = np.array([[x, y, EDGE / 2] for x in places for y in places])
+    return _model(f"{edge * edge} chains of 120 residues", centres)
+
+
+def _model(name: str, centres: np.ndarray) -> Model:
+    """Chains about centres, (n, 3) in nm.
 
     With springs, pairs of a domain that no spring joins interact, as they do in models with elastic networks.
     """
+    chains = len(centres)
     single = one_chain() - one_chain().mean(axis=0)
-    places = np.concatenate([single + EDGE / chains * (k + 0.5) for k in range(chains)])
+    places = np.concatenate([single + centre for centre in centres])
     firsts = [chain * len(SEQUENCE) for chain in range(chains)]
     molecules = [list(range(first, first + len(SEQUENCE))) for first in firsts]
     bodies = [list(range(first + at, first + at + len(DOMAIN))) for first in firsts for at in STARTS]
@@ -148,7 +162,7 @@ def model(chains: int = 2) -> Model:
     network = dict.fromkeys(nearer(inside, places, REACH), NETWORK) | dict.fromkeys(bonds & inside, STIFFNESS)
     rigid = _system(chains, bonds - inside, bonds | inside, bodies)
     elastic = with_force(_system(chains, bonds - inside, bonds | set(network), bodies), springs(places, network))
-    return Model("two chains of 120 residues", rigid, elastic, places, bodies, molecules)
+    return Model(name, rigid, elastic, places, bodies, molecules)
 
 
 def stiff_model() -> Model:

@@ -95,6 +95,9 @@ TRIALS = (
     _contestant(SIER4G, 9, 8, 1.0, HEAVY),
 )
 
+#: Trials as integrator and command make them by default, and shorter ones, of which large boxes have more accepted.
+USUAL, SHORT = "SIER2V2 HMC, 9 fs x 8, 1/ps", "SIER2V2 HMC, 8 fs x 4, 1/ps"
+
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,22 +81,15 @@ def _file(folder: Path | None, name: Path, box: str) -> Path:
 
 
 def _of_pdb(name: str, pdb: app.PDBFile, fields: tuple[str, ...], copies: tuple[int, int, int]) -> GpuBox:
-    vectors = np.array(pdb.topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
-    places = np.array(list(itertools.product(*map(range, copies))))
-    modeller = app.Modeller(pdb.topology, pdb.positions)
-    for _ in places[1:]:
-        modeller.add(pdb.topology, pdb.positions)
-    modeller.topology.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
+    topology, positions = boxes.copied(pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)), copies)
     system = app.ForceField(*fields).createSystem(
-        modeller.topology,
+        topology,
         nonbondedMethod=app.PME,
         nonbondedCutoff=CUTOFF * unit.nanometer,
         constraints=app.HBonds,
         hydrogenMass=HYDROGEN * unit.dalton,
     )
-    positions = np.array(pdb.positions.value_in_unit(unit.nanometer))
-    moved = ((places @ vectors)[:, None] + positions).reshape(-1, 3)
-    return GpuBox(name, system, moved, None, not name.startswith("water"))
+    return GpuBox(name, system, positions, None, not name.startswith("water"))
 
 
 def _of_amber(name: str, folder: Path) -> GpuBox:

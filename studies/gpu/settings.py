@@ -1,0 +1,52 @@
+"""Settings of the study, and calls of steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import openmm
+
+from studies.command import Settings
+
+#: Steps in one call of `step`, as `Simulation` makes them.
+CALL = 10
+
+
+@dataclass(frozen=True)
+class GpuSettings(Settings):
+    """What is measured.
+
+    Attributes:
+        boxes: by name, see `boxes.named`.
+        averages: boxes in which averages are compared too.
+        energies: boxes in which energies of runs without a bath are followed too.
+        chains: number of chains with rigid domains that are timed, a square; None: none.
+        benchmarks: the folder examples/benchmarks of OpenMM's sources.
+        platform: of OpenMM; None takes the fastest.
+        temperature: K.
+        rounds: in which all methods take their turns.
+        turn: seconds of a turn.
+        time: of runs for averages, ps.
+        settle: before these, ps.
+        energy_time: of runs without a bath, ps.
+    """
+
+    boxes: tuple[str, ...] = ("water-4096", "dhfr", "water-32768")
+    averages: tuple[str, ...] = ("water-4096", "dhfr")
+    energies: tuple[str, ...] = ("water-4096", "dhfr")
+    chains: int | None = 64
+    benchmarks: Path | None = None
+    platform: str | None = None
+    temperature: float = 300.0
+    rounds: int = 5
+    turn: float = 0.5
+    time: float = 100.0
+    settle: float = 10.0
+    energy_time: float = 50.0
+
+
+def advance(integrator: openmm.Integrator, steps: int) -> None:
+    """Make steps by tens, and what is left at the end."""
+    for done in range(0, steps, CALL):
+        integrator.step(min(CALL, steps - done))
