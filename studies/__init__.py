@@ -13,7 +13,7 @@ STUDIES = {
     "studies.defaults": "13 min, as two commands with one thread each",
     "studies.reciprocal": "4 min of one core",
     "studies.speed": "20 min of one core of a busy machine",
-    "studies.gpu": "4 min of an H200",
+    "studies.gpu": "9 min of an H200",
     "studies.bench.accuracy": "15 min of one core of a busy machine",
     "studies.acceptance": "1 to 2 h of one core",
     "studies.step_study": "3.6 h of one core for all runs of the page of water against the step",

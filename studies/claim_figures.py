@@ -87,7 +87,7 @@ def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
 
 
 def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
-    rows, own = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs, heat counted"
+    rows, own = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs"
     found = {kind: one(rows, method=own, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))}
     middle = one(rows, method=f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens", box="water-4096")
     return {**found, "middle": middle["over"]}

@@ -26,7 +26,10 @@ COMMANDS = {
     "exactness.json": ("python -m studies.hmc.exactness",),
     "frames.json": ("OPENMM_CPU_THREADS=1 python -m studies.frames",),
     "gpu.json": (
-        "python -m studies.gpu --platform CUDA --benchmarks benchmarks --rounds 3 --turn 0.3 --time 60 --settle 5",
+        "python -m studies.gpu --platform CUDA --benchmarks benchmarks --chains 64 --rounds 3 --turn 0.3 --time 150 "
+        "--energy-time 30",
+        "python -m studies.gpu --platform CUDA --benchmarks benchmarks --boxes dhfr-8 --methods "
+        '"LangevinMiddle, 5 fs" "SIER2, 9 fs" "SIER2, 9 fs, heat counted" --rounds 3 --turn 0.3',
     ),
     "heat-bath.json": (
         "python -m studies.heat_bath",

@@ -67,7 +67,9 @@ def _edge(chains: int) -> int:
 def _own(model: Model, engine: str, step: float) -> Made:
     """Frames moved by the native engine, or bodies by the exact one."""
     if engine == "exact":
-        integrator = SIERLangevinIntegrator(model.temperature, FRICTION, 1e-3 * step, engine=engine, bodies=model.bodies)
+        integrator = SIERLangevinIntegrator(
+            model.temperature, FRICTION, 1e-3 * step, engine=engine, bodies=model.bodies
+        )
         return Made(model.rigid, integrator, model.positions)
     framed = with_frames(model.rigid, model.positions, model.bodies)
     integrator = SIERLangevinIntegrator(model.temperature, FRICTION, 1e-3 * step, engine=engine)

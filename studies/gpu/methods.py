@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
@@ -70,9 +71,10 @@ def methods(has_solute: bool) -> list[Contestant]:
     ]
 
 
-def averaged(has_solute: bool) -> list[Contestant]:
-    """Return those whose averages are compared."""
-    return [method for method in methods(has_solute) if method.has_bath and method != EXACT_ENGINE]
+def averaged(has_solute: bool, wanted: Collection[str]) -> list[Contestant]:
+    """Return those of `methods` whose averages are compared, if their names are wanted."""
+    found = [method for method in methods(has_solute) if method.has_bath and method != EXACT_ENGINE]
+    return [method for method in found if method.name in wanted]
 
 
 def at_constant_energies() -> list[Contestant]:

@@ -21,7 +21,8 @@ class GpuSettings(Settings):
         boxes: by name, see `boxes.named`.
         averages: boxes in which averages are compared too.
         energies: boxes in which energies of runs without a bath are followed too.
-        chains: number of chains with rigid domains that are timed, a square; None: none.
+        methods: names of those that are measured beside the one that ratios are taken over; all unless given.
+        chains: number of chains with rigid domains that are timed too, a square; None: none.
         benchmarks: the folder examples/benchmarks of OpenMM's sources.
         platform: of OpenMM; None takes the fastest.
         temperature: K.
@@ -35,7 +36,8 @@ class GpuSettings(Settings):
     boxes: tuple[str, ...] = ("water-4096", "dhfr", "water-32768")
     averages: tuple[str, ...] = ("water-4096", "dhfr")
     energies: tuple[str, ...] = ("water-4096", "dhfr")
-    chains: int | None = 64
+    methods: tuple[str, ...] = ()
+    chains: int | None = None
     benchmarks: Path | None = None
     platform: str | None = None
     temperature: float = 300.0

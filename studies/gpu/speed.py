@@ -12,7 +12,8 @@ import numpy as np
 import openmm
 
 from studies.bench.timing import median_and_error, turns
-from studies.gpu.settings import CALL, GpuSettings, advance
+from studies.gpu import settings as of_study
+from studies.gpu.settings import GpuSettings, advance
 
 
 def run(context: openmm.Context, steps: int) -> None:
@@ -60,7 +61,8 @@ def speeds(
 
 
 def _steps_of_turn(context: openmm.Context, seconds: float) -> int:
-    run(context, CALL)
+    call = of_study.CALL
+    run(context, call)
     begin = time.perf_counter()
-    run(context, CALL)
-    return CALL * max(1, math.ceil(seconds / (time.perf_counter() - begin)))
+    run(context, call)
+    return call * max(1, math.ceil(seconds / (time.perf_counter() - begin)))

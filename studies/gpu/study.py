@@ -10,6 +10,7 @@ import pandas as pd
 
 from openmm_sier.inputs.starts import make_context
 from studies import text
+from studies.command import chosen
 from studies.contestants import Bath, Contestant
 from studies.gpu import boxes, domains
 from studies.gpu.averages import averages
@@ -93,11 +94,13 @@ def measure(name: str, settings: GpuSettings, tables: Tables, report: Report) ->
     box = boxes.named(name, settings.benchmarks)
     report.note(f"{name}: {box.system.getNumParticles()} atoms")
     place, started = {"box": name, "atoms": box.system.getNumParticles()}, Started(box, settings)
-    timed = [method for method in methods(box.has_solute) if method.name != SHORT_STEPS]
+    known = {method.name: method for method in methods(box.has_solute)}
+    wanted = {REFERENCE, *(method.name for method in chosen(settings.methods, known, "method"))}
+    timed = [method for name, method in known.items() if name in wanted - {SHORT_STEPS}]
     contexts = {method.name: started.context(method) for method in timed}
     for row in speeds(contexts, {method.name: method.duration for method in timed}, REFERENCE, settings):
         tables.add("speeds", place, row, "{box}: {method}, {microseconds:.0f} µs a step, {over:.2f}")
-    for method in averaged(box.has_solute) if name in settings.averages else ():
+    for method in averaged(box.has_solute, wanted) if name in settings.averages else ():
         row = averages(box.has_solute, contexts.get(method.name) or started.context(method), method, settings)
         tables.add("averages", place, row, "{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol")
     del contexts

@@ -3,13 +3,14 @@
 import openmm
 import pytest
 
-from studies import boxes, gpu, heat_bath, speed
+from studies import boxes, heat_bath, speed
 from studies.command import SYSTEMS
 from studies.contestants import Bath
+from studies.gpu.methods import methods as on_gpus
 from tests.support.waters import periodic_system
 
 NAMES = {
-    "gpu": [method.name for method in gpu.methods(False)],
+    "gpu": [method.name for method in on_gpus(False)],
     "speed": [method.name.removeprefix("OpenMM ") for method in speed.contestants(False)],
     "heat bath": list(heat_bath.METHODS),
 }
@@ -23,7 +24,7 @@ def test_rigid_water_has_its_strongest_rival(study):
 
 
 def test_solutes_do_not():
-    methods = [*gpu.methods(True), *speed.contestants(True)]
+    methods = [*on_gpus(True), *speed.contestants(True)]
     assert not any(method.only_rigid for method in methods)
     assert {"MTSLangevin, 8 fs", "OpenMM MTSLangevin, 8 fs"} <= {method.name for method in methods}
     asked = {task.method for task in heat_bath.tasks(heat_bath.BathSettings())}

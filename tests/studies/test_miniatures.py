@@ -18,7 +18,6 @@ from studies import (
     defaults,
     equipartition,
     frames,
-    gpu,
     heat_bath,
     processed,
     reciprocal,
@@ -30,6 +29,11 @@ from studies import (
 )
 from studies.bench import accuracy, peers, usual_inputs
 from studies.domains import __main__ as domains_command
+from studies.gpu import __main__ as gpu_command
+from studies.gpu import averages as gpu_averages
+from studies.gpu import methods as gpu_methods
+from studies.gpu import settings as gpu_settings
+from studies.gpu import study as gpu_study
 from studies.hmc import exactness, lengths, mixture, solvated, trial_cost, trials
 from studies.native import substeps as native_substeps
 from studies.paper import __main__ as paper_command
@@ -252,21 +256,30 @@ def speeds(found):
 
 @miniature(
     "gpu",
-    gpu,
-    "--boxes water-512 --averages water-512 --rounds 1 --turn 1e-6 --time 0.08 --settle 0.01 --platform CPU",
-    patches=((gpu, "CALL", 2), (gpu, "EVERY", 0.018)),
+    gpu_command,
+    "--boxes water-512 --averages water-512 --energies water-512 --chains 1 --rounds 1 --turn 1e-6 --time 0.08 "
+    "--settle 0.01 --energy-time 0.2 --platform CPU",
+    patches=((gpu_settings, "CALL", 2), (gpu_averages, "EVERY", 0.018), (gpu_study, "WARM", 1.0)),
 )
 def on_gpus(found):
     rows = found["speeds"].set_index("method")
     assert (rows["atoms"] == 1536).all()
-    assert rows.loc[gpu.REFERENCE, "over"] == 1
+    assert rows.loc[gpu_methods.REFERENCE, "over"] == 1
     assert (rows["microseconds"] > 0).all()
+    assert rows.loc["SIER2, 9 fs", "engine"] == "exact" == rows.loc["SIER2, 9 fs, exact engine", "engine"]
     # Methods without a bath have no averages, and the one with short steps no speed.
     means = found["averages"].set_index("method")
-    assert set(rows.index) ^ set(means.index) == {"Verlet, 2 fs", "SIER4G, 4 fs", gpu.SHORT_STEPS}
+    alone = {"Verlet, 2 fs", "SIER4G, 4 fs", "SIER2, 9 fs, exact engine", gpu_methods.SHORT_STEPS}
+    assert set(rows.index) ^ set(means.index) == alone
+    assert means["trials"].dropna().tolist() == [1]
     # After 1 ps from the box's own start: 3072 degrees of freedom of water of 297 K scatter by 2.6 %.
     assert means["translation"].between(250, 350).all()
     assert means["rotation"].between(250, 350).all()
+    energies = found["energies"].set_index("method")
+    # Within 0.2 ps Verlet at 2 fs has some 0.5 %, and SIER4G on a prepared System 0.1 %.
+    assert energies.loc["SIER4G, 4 fs", "percent"] < energies.loc["Verlet, 2 fs", "percent"]
+    assert found["domains"]["beads"].tolist() == 5 * [120]
+    assert set(found["domains"]["engine"]) == {"", "native", "exact"}
 
 
 @miniature("whole-run", whole_run, "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1")
