@@ -116,7 +116,7 @@ def run(task: Task) -> dict[str, Any]:
     made: dict[str, Any] = task.point | {"step": step, "length": step * steps, "errors": [], "reversal": None}
     made |= {"noise": noise / (GAS_CONSTANT * settings.temperature), "broken": ""}
     integrator = SIERHMCIntegrator(
-        settings.temperature, 1e-3 * step, method.scheme, steps, bodies=bodies, rotation=method.rotation
+        settings.temperature, 1e-3 * step, method.scheme, steps, bodies=bodies, rotation=method.rotation, extraChances=0
     )
     integrator.setRandomNumberSeed(settings.seed)
     tried = make_context(replica.system, integrator, settings.platform)

@@ -262,16 +262,24 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
             context.setState(warmed.state)
         else:
             integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
+        before = _evaluations(integrator)
         samples, processor = _sampled(context, Observer(box, box.system, at_ends), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
     series = pd.DataFrame(samples).dropna(axis="columns")
     for key in AVERAGED.keys() & set(series):
         found |= {key: (of_key := mean_and_error(series[key].to_numpy())).value, f"{key}_error": of_key.error}
-    found |= _distributions(series) | _costs(series, 1e3 * settings.time / method.step * method.forces)
+    # Trials whose ends are not accepted at once take more forces.
+    forces = _evaluations(integrator) - before or 1e3 * settings.time / method.step * method.forces
+    found |= _distributions(series) | _costs(series, forces) | {"forces": forces}
     if isinstance(integrator, SIERHMCIntegrator):
         found |= {"trials": integrator.trials, "accepted": integrator.acceptanceRate}
     return found | {"fs_per_second": settings.time * 1e3 / processor}
+
+
+def _evaluations(integrator: openmm.Integrator) -> int:
+    """Return the number of force evaluations so far; 0 where only trials of hybrid Monte Carlo count them."""
+    return integrator.forceEvaluations if isinstance(integrator, SIERHMCIntegrator) else 0
 
 
 def _distributions(series: pd.DataFrame) -> dict[str, Any]:

@@ -19,6 +19,12 @@ drawn at random, but over-relaxed: where the old one was above its mean, the new
 flows back. It is canonical all the same, since it takes the mirrored rank among the old one and several that are drawn.
 Directions of momenta are as they were drawn.
 
+A rejection reverses all momenta, so that molecules go back to where they came from. It is rarer where a trajectory that
+would be rejected goes on, and the energy error at its next end is compared with the same random number. The next end is
+accepted as often from there as it is from here: let p be the probabilities of the ends. From the end i the end k is
+reached with max(0, min(p_i, p_k) - max_j min(p_i, p_j))/p_i, where j are the ends between them. If this is positive,
+each p_j is below p_i and p_k, so that p_i times it is the same from either side.
+
 Let the momenta have a part a of the heat capacity, and each trial share out the energy anew. Then the potential energy
 is forgotten in 2/a - 1 trials where kinetic energies are independent, and in 1/a where each is the opposite of the one
 before: in rigid water, where a is about 0.35, in 5 trials and in 3. What is slower than trials stays as slow.
@@ -26,7 +32,8 @@ before: in rigid water, where a is about 0.35, in 5 trials and in 3. What is slo
 Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247 (1991)
 for partly refreshed momenta, which detailed balance requires to be reversed after a rejection; Gupta, Irbaeck, Karsch
 and Petersson, Phys. Lett. B 242, 437 (1990) for the acceptance; R. M. Neal, in Learning in Graphical Models (1998), 205
-for over-relaxation by ranks.
+for over-relaxation by ranks; C. M. Campos and J. M. Sanz-Serna, J. Comput. Phys. 281, 365 (2015) for trajectories that
+go on.
 """
 
 # Without this, annotations would import numpy.random, which is slow.
@@ -45,6 +52,10 @@ TRIAL_LENGTH = 0.072
 #: The usual friction by which momenta are drawn in part, 1/ps. Momenta that last for many trials carry molecules far.
 TRIAL_FRICTION = 1.0
 
+#: The longest that a trial becomes where it goes on because its end would be rejected, ps. Chaos makes trajectories of
+#: some 0.6 ps irreversible.
+LONGEST_TRIAL = 3 * TRIAL_LENGTH
+
 #: Number of kinetic energies that are drawn for one that is over-relaxed. It is odd, so that no rank is its own mirror
 #: image; with more of them, the new one would be closer to the opposite of the old one.
 RANKED = 15
@@ -60,6 +71,15 @@ def usual_steps(step: float) -> int:
     8
     """
     return max(1, round(TRIAL_LENGTH / step)) if step else 1
+
+
+def usual_chances(length: float) -> int:
+    """Return how many times a trial of a length in ps goes on unless users say otherwise: at most twice.
+
+    >>> usual_chances(0.072), usual_chances(0.15)
+    (2, 0)
+    """
+    return min(2, max(0, int(LONGEST_TRIAL / length * (1 + 1e-9)) - 1)) if length else 0
 
 
 def over_relaxed(old: float, freedoms: float, noise: np.random.Generator) -> float:

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.acceptance import is_accepted, over_relaxed
+from openmm_sier.dynamics.acceptance import is_accepted, over_relaxed, usual_chances
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import BATH, Scheme
@@ -18,8 +18,8 @@ from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.ensembles.thermal_motion import ThermalMotion
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 
-#: Global variables of all trials: their number, how many were accepted, the energy error of the last one in kT; and the
-#: step in ps at which reversibility was checked, with the error found, nm.
+#: Global variables of all trials: their number, how many were accepted, the energy error at the first end of the last
+#: one in kT; and the step in ps at which reversibility was checked, with the error found, nm.
 TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL = (
     PREFIX + name for name in ("trials", "accepted", "error", "checked_step", "reversal")
 )
@@ -42,10 +42,13 @@ class Metropolis(ConstantTemperature):
         friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew. In
             either case their kinetic energy is over-relaxed, see `dynamics.acceptance`.
         steps_per_trial: number of steps of the scheme in a trial.
+        extra_chances: how many times a trajectory whose end is not accepted goes on by as many steps, and has its new
+            end accepted or not; None takes `usual_chances`.
     """
 
     friction: float | None
     steps_per_trial: int
+    extra_chances: int | None = None
 
     counts: ClassVar[tuple[str, ...]] = (
         *ConstantTemperature.counts,
@@ -65,6 +68,8 @@ class Metropolis(ConstantTemperature):
             if not self.friction:
                 raise ValueError("frictionCoeff must be above zero, got 0: momenta would never be drawn")
         make_number(self, "steps_per_trial", "stepsPerTrial", least=1)
+        if self.extra_chances is not None:
+            make_number(self, "extra_chances", "extraChances", least=0)
 
     @property
     def steps(self) -> int:
@@ -127,12 +132,12 @@ class Metropolis(ConstantTemperature):
                 "atoms overlap? Then minimize the energy first"
             )
         self._check_reversal(engine)
-        try:
-            engine.follow(self.steps_per_trial, wants_energy=True)
-            error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
-        except TrajectoryError:
-            error = math.inf
-        error = math.inf if math.isnan(error) else error
+        first = error = self._error_of_end(engine, energy)
+        for _ in range(self._chances(engine)):
+            # From where forces are not finite no trajectory goes on, from the other side neither.
+            if is_accepted(error, ledger.seed, decision) or not math.isfinite(error):
+                break
+            error = self._error_of_end(engine, energy)
         accepted = is_accepted(error, ledger.seed, decision)
         if not accepted:
             engine.go_back(start, reverse=True)
@@ -141,7 +146,25 @@ class Metropolis(ConstantTemperature):
         trials, before = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED]
         engine.clock = Clock(time + length, steps + 1)
         # At once, so that an error does not find a trial that is counted in part.
-        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: error}
+        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: first}
+
+    def _error_of_end(self, engine: Engine, energy: float) -> float:
+        """Follow a trajectory to its next end; return the energy there less that of the start, in kT.
+
+        It is infinite where the trajectory cannot be followed.
+        """
+        try:
+            engine.follow(self.steps_per_trial, wants_energy=True)
+            error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
+        except TrajectoryError:
+            return math.inf
+        return math.inf if math.isnan(error) else error
+
+    def _chances(self, engine: Engine) -> int:
+        """Return how many times a trajectory may go on."""
+        if self.extra_chances is None:
+            return usual_chances(self.steps_per_trial * engine.flow.step)
+        return self.extra_chances
 
     def _draw_momenta(self, engine: Engine, time: float) -> None:
         """Draw momenta anew, in part or all of them, with a kinetic energy that is over-relaxed."""
@@ -169,12 +192,16 @@ class Metropolis(ConstantTemperature):
         counts, step = engine.ledger.counts, engine.flow.step
         if counts[CHECKED_STEP] == step:
             return
-        error = reversal_error(engine, self.steps_per_trial)
+        # Later ends need not exist, for example where atoms leave a potential that ends.
+        for steps in (self.steps_per_trial * (1 + self._chances(engine)), self.steps_per_trial):
+            error = reversal_error(engine, steps)
+            if math.isfinite(error):
+                break
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
-                f"A trajectory of {self.steps_per_trial} steps, followed backwards, missed its start by {error:.1e} "
-                f"nm; up to {REVERSIBLE:.0e} nm is allowed. Samples would not be exact: take fewer or shorter steps "
-                "in a trajectory"
+                f"A trajectory of {steps} steps, followed backwards, missed its start by {error:.1e} nm; up to "
+                f"{REVERSIBLE:.0e} nm is allowed. Samples would not be exact: take fewer or shorter steps in a "
+                "trajectory, or fewer extraChances"
             )
         counts[REVERSAL] = error
         counts[CHECKED_STEP] = step

@@ -17,9 +17,10 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     """Sample the canonical ensemble by hybrid Monte Carlo, without any error of the step.
 
     `integrator.step(1)` makes a trial: it draws momenta, follows `stepsPerTrial` steps of the scheme, and accepts or
-    rejects the end by its true energy. After a rejection the Context is back at the start of the trial, with reversed
-    velocities. A step that is too long lowers the acceptance and causes no bias. Every state that the Context shows is
-    a sample, also after an interrupt or an error.
+    rejects the end by its true energy. A trajectory that would be rejected goes on, up to twice, and its next end may
+    be accepted. After a rejection the Context is back at the start of the trial, with reversed velocities. A step that
+    is too long lowers the acceptance and causes no bias. Every state that the Context shows is a sample, also after an
+    interrupt or an error.
 
     >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, frictionCoeff=2/picosecond)
     >>> simulation = Simulation(topology, system, integrator)
@@ -40,13 +41,13 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     integrator stops; `reversalError` is the distance.
 
     Random numbers are a function of the seed and of the number of draws so far. Checkpoints hold both, and a State
-    holds the number. The total energy less the heat changes only by the energy errors of accepted trials.
+    holds the number. The total energy less the heat changes only by the energy errors of ends that are accepted.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.
 
     Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247
-    (1991).
+    (1991); Campos and Sanz-Serna, J. Comput. Phys. 281, 365 (2015).
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         engine: str = "auto",
         substeps: int | None = None,
         fastForceGroups: ForceGroups | None = None,
+        extraChances: int | None = None,
     ):
         """
         Args:
@@ -80,13 +82,18 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             engine: you can skip this; see `SIERIntegrator`.
             substeps: you can skip this; see `SIERIntegrator`.
             fastForceGroups: you can skip this; see `SIERIntegrator`.
+            extraChances: you can skip this. It is how many times a trajectory whose end would be rejected goes on by
+                `stepsPerTrial` steps; None lets trials of up to 72 fs go on twice, those of up to 108 fs once, and
+                longer ones not at all.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
         steps = usual_steps(step_size(stepSize)) if stepsPerTrial is None else stepsPerTrial
-        trials = Metropolis(temperature, frictionCoeff, steps, pressure=pressure, interval=barostatInterval)
+        trials = Metropolis(
+            temperature, frictionCoeff, steps, extraChances, pressure=pressure, interval=barostatInterval
+        )
         super().__init__(trials, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     # --- what users ask ---
@@ -101,6 +108,15 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self._change_ensemble(steps_per_trial=steps)
         if self.binding.ensemble.steps_per_trial > before:
             self.setGlobalVariableByName(CHECKED_STEP, 0)
+
+    def getExtraChances(self) -> int | None:
+        """Return how many times a trajectory may go on; None if that depends on the length of trials."""
+        return self.binding.ensemble.extra_chances
+
+    def setExtraChances(self, chances: int | None) -> None:
+        """Set how many times a trajectory whose end would be rejected goes on; None takes the usual number."""
+        self._change_ensemble(extra_chances=chances)
+        self.setGlobalVariableByName(CHECKED_STEP, 0)
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """Return the step of the scheme, a quantity in ps."""
@@ -136,9 +152,10 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def lastEnergyError(self) -> float:
-        """Return the energy at the end of the last trial minus that at its start, in kT; infinite if it failed.
+        """Return the energy after `stepsPerTrial` steps of the last trial minus that at its start, in kT.
 
-        NaN before the first trial and after `resetStatistics`.
+        It is infinite if the trajectory failed, and says nothing of later ends, see `extraChances`. NaN before the
+        first trial and after `resetStatistics`.
         """
         return self.getGlobalVariableByName(ERROR) if self.trials else math.nan
 

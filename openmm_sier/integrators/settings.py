@@ -28,7 +28,7 @@ from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, ste
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored.
-LAYOUT = 1
+LAYOUT = 2
 
 #: The tabulated function whose values are the text. A CustomIntegrator has no better place: checkpoints hold its
 #: variables, and a checkpoint must not bring back the temperature of the run that wrote it.

@@ -285,9 +285,11 @@ def _find_step(
 def _try_step(context: openmm.Context, step: float, steps: int, trials: int) -> StepFound:
     integrator = context.getIntegrator()
     _set(integrator, step, steps)
-    begun = _seconds(context)
+    before, begun = integrator.forceEvaluations, _seconds(context)
     errors = [_trial(integrator) for _ in range(trials)]
-    seconds = (_seconds(context) - begun) / (trials * steps * step)
+    # Trajectories that go on after a first end that is not accepted are no part of what is compared.
+    share = trials * steps * integrator.scheme.force_evaluations / (integrator.forceEvaluations - before)
+    seconds = min(share, 1.0) * (_seconds(context) - begun) / (trials * steps * step)
     followed = [error for error in errors if math.isfinite(error)]
     spread = float(np.std(followed, ddof=1)) if len(followed) > trials / 2 else math.inf
     return StepFound(step, spread, _chances(errors), seconds)

@@ -83,7 +83,8 @@ def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[di
     for spring in springs:
         well.addParticle(system.addParticle(1.0), [spring])
     system.addForce(well)
-    integrator = SIERHMCIntegrator(TEMPERATURE, h, SIER2, frictionCoeff=-math.log(kept) / h if kept else None)
+    friction = -math.log(kept) / h if kept else None
+    integrator = SIERHMCIntegrator(TEMPERATURE, h, SIER2, frictionCoeff=friction, extraChances=2)
     integrator.setRandomNumberSeed(17)
     squares, fourths, kinetic, products = [], [], [], []
     for state in samples(system, integrator, np.zeros((6, 3)), trials, steps):
@@ -125,7 +126,7 @@ def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
     system.setDefaultPeriodicBoxVectors(*np.eye(3) * n ** (1 / 3))
     # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume.
     integrator = SIERHMCIntegrator(
-        TEMPERATURE, h, SIER4G, pressure=KT / BAR, barostatInterval=1, rotation=mrdl, engine="exact"
+        TEMPERATURE, h, SIER4G, pressure=KT / BAR, barostatInterval=1, rotation=mrdl, engine="exact", extraChances=2
     )
     integrator.setRandomNumberSeed(round(field))
     cosines, squares, volumes = [], [], []

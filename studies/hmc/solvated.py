@@ -89,7 +89,7 @@ def integrator_of(settings: SolvatedSettings, scheme: str, per_force: float) -> 
     control: dict[str, Any] = {"fastForceGroups": set()} if scheme == "verlet" else {}
     steps = max(1, round(settings.length / step))
     integrator = SIERHMCIntegrator(
-        settings.temperature, 1e-3 * step, method.scheme, steps, rotation=method.rotation, **control
+        settings.temperature, 1e-3 * step, method.scheme, steps, rotation=method.rotation, extraChances=0, **control
     )
     integrator.setRandomNumberSeed(settings.seed)
     return integrator

@@ -139,7 +139,8 @@ def measure(settings: CostSettings, name: str) -> Iterator[dict[str, Any]]:
     step = scheme.heavy_trial_step or scheme.trial_step or 0.004
     box = heat_bath.read_box(settings)
     prepare_system(box.system, hydrogenMass=HYDROGEN)
-    integrator = SIERHMCIntegrator(settings.temperature, step, scheme, round(1e-3 * settings.length / step))
+    steps = round(1e-3 * settings.length / step)
+    integrator = SIERHMCIntegrator(settings.temperature, step, scheme, steps, extraChances=0)
     integrator.setRandomNumberSeed(settings.seed)
     context = make_context(box.system, integrator, "CPU")
     context.setPositions(box.positions)

@@ -162,7 +162,8 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     method = METHODS[row["method"]]
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
     share = runs["time"] / runs["time"].sum()
-    known = runs.reindex(columns=["accepted", "trials", "fs_per_second", *COSTS, *(f"{name}_error" for name in COSTS)])
+    errors = [f"{name}_error" for name in COSTS]
+    known = runs.reindex(columns=["accepted", "trials", "fs_per_second", "forces", *COSTS, *errors])
     row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
     for name in COSTS:
         # Where a run is too short to show its memory, its cost has no error, and is as little known.
@@ -170,7 +171,9 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
         row[name] = (share * known[name]).sum() if is_known else math.nan
         row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum() ** 0.5 if is_known else math.nan
     processor = (runs["time"] * 1e3 / known["fs_per_second"]).sum()
-    row["milliseconds"] = 1e3 * processor / (1e3 * row["time"] / method.step * method.forces)
+    row["milliseconds"] = (
+        1e3 * processor / known["forces"].fillna(1e3 * runs["time"] / method.step * method.forces).sum()
+    )
     row |= {f"seconds{part}": 1e-3 * row["milliseconds"] * row[f"cost{part}"] for part in ("", "_error")}
     return row | records.pooled(runs, AVERAGED)
 
@@ -179,14 +182,12 @@ def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]
     """Forces and processor time of an independent sample over those of LangevinMiddle in the same box."""
     same = (each for each in rows if (each["box"], each["at"], each["method"]) == (row["box"], row["at"], REFERENCE))
     reference = next(same, None)
-    if reference is None:
-        return {}
     found = {}
     names = {"relative": "cost", "seconds_relative": "seconds", "dipole_relative": "dipole_cost"}
     for name, of in (names | {"psi_relative": "psi_cost"}).items():
-        found[name] = row[of] / reference[of]
-        errors = [each[f"{of}_error"] / each[of] for each in (row, reference)]
-        found[f"{name}_error"] = found[name] * (errors[0] ** 2 + errors[1] ** 2) ** 0.5
+        pair = (row, reference) if reference else (row, dict.fromkeys((of, f"{of}_error"), math.nan))
+        found[name] = pair[0][of] / pair[1][of]
+        found[f"{name}_error"] = found[name] * math.hypot(*(each[f"{of}_error"] / each[of] for each in pair))
     return found
 
 

@@ -76,7 +76,7 @@ METHODS = {
     "sier4g": Method("SIER4G, 4 fs", lambda: SIER4GIntegrator(0.004, engine="native")),
     "hmc": Method(
         "hybrid Monte Carlo, a trial of 10 steps of 9 fs",
-        lambda: SIERHMCIntegrator(TEMPERATURE, 0.009, SIER4G, 10, engine="native"),
+        lambda: SIERHMCIntegrator(TEMPERATURE, 0.009, SIER4G, 10, engine="native", extraChances=0),
         calls=3,
         steps=2,
     ),

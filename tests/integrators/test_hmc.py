@@ -9,7 +9,7 @@ from openmm import app, unit
 from scipy import stats
 
 from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_chances
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.engines.native.installation import EXACT_ONLY
 from openmm_sier.ensembles import metropolis
@@ -40,7 +40,7 @@ def conserved(context):
 @ENGINES
 def test_a_step_is_a_trial(cluster, options, engine):
     """After a rejection the Context is where the last sample was; the conserved energy counts accepted errors alone."""
-    integrator = sampler(**options, **engine)
+    integrator = sampler(0.010, extraChances=0, **options, **engine)
     context = context_at(cluster[0], integrator, cluster[1])
     assert integrator.engine == engine.get("engine", "exact")
     # Velocities of another integrator are not quite those of rigid bodies.
@@ -58,7 +58,7 @@ def test_a_step_is_a_trial(cluster, options, engine):
         assert conserved(context) - energy == pytest.approx(change, abs=1e-7)
     assert seen == {True, False}
     # Sums of thirty numbers.
-    assert context.getTime()._value == pytest.approx(30 * 4 * 0.008, rel=1e-14)
+    assert context.getTime()._value == pytest.approx(30 * 4 * 0.010, rel=1e-14)
     assert integrator.acceptanceRate == integrator.accepted / 30
     # The exact engine reverses to rounding, SETTLE's lengths are of single precision, 5e-9 nm a step.
     assert 0 <= integrator.reversalError < (1e-7 if engine else 1e-10)
@@ -118,7 +118,8 @@ def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
 @ENGINES
 def test_constant_pressure_moves_the_volume_between_trials(engine):
     _, system, point = settled(*periodic_system(), steps=100)
-    integrator = sampler(0.003, 2, pressure=1000 * unit.bar, barostatInterval=2, frictionCoeff=30, **engine)
+    options = {"pressure": 1000 * unit.bar, "barostatInterval": 2, "frictionCoeff": 30, "extraChances": 0}
+    integrator = sampler(0.003, 2, **options, **engine)
     context = context_at(system, integrator, point, "CPU")
 
     def volume():
@@ -142,17 +143,51 @@ def test_constant_pressure_moves_the_volume_between_trials(engine):
     assert all(step % 2 == 0 for step in changed)
 
 
+@ENGINES
+def test_a_trajectory_that_would_be_rejected_goes_on(cluster, engine):
+    """Accepted ends are those of one, two or three trajectories, and forces are those that were followed."""
+    integrator = sampler(0.010, extraChances=2, scheme=SIER2, **engine)
+    context = context_at(cluster[0], integrator, cluster[1], steps=1)
+    followed, gained, fewer = set(), [], sampler(0.010, extraChances=0, **engine)
+    for _ in range(60):
+        before, forces = conserved(context), integrator.forceEvaluations
+        accepted, place = integrator.accepted, phase_point(context)[0]
+        integrator.step(1)
+        lengths = (integrator.forceEvaluations - forces) // 4
+        followed.add(lengths)
+        # A change of energy of less than what is accepted for sure needs no second trajectory.
+        assert lengths == 1 or integrator.lastEnergyError > 0
+        if integrator.accepted == accepted:
+            assert lengths == 3
+            assert np.array_equal(phase_point(context)[0], place)
+        elif lengths > 1:
+            gained.append((conserved(context) - before) / KT - integrator.lastEnergyError)
+    assert followed == {1, 2, 3}
+    # The accepted end has a smaller error than the first, by the same random number.
+    assert max(gained) < 0
+    assert context.getTime()._value == pytest.approx(61 * 4 * 0.010, rel=1e-13)
+    assert (integrator.getExtraChances(), fewer.getExtraChances()) == (2, 0)
+
+
+def test_trials_that_are_long_do_not_go_on():
+    assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
+    assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
+    with pytest.raises(ValueError, match="extraChances must be a whole number that is not negative, got -1"):
+        SIERHMCIntegrator(300, 0.009, extraChances=-1)
+
+
 @pytest.mark.slow
 @ENGINES
 @pytest.mark.parametrize("at_rest", [False, True])
-def test_wells_are_sampled_exactly(engine, at_rest):
-    """Four particles in harmonic wells, at a step so long that half of the trials are rejected.
+@pytest.mark.parametrize("chances", [0, 2])
+def test_wells_are_sampled_exactly(engine, at_rest, chances):
+    """Four particles in harmonic wells, at a step so long that half of the first ends are rejected.
 
     The motion of the centre of mass is removed after a trial; positions are sampled as without that.
     """
     k, removers = 1000.0, [openmm.CMMotionRemover()] if at_rest else []
     system = assembled(4 * [10.0], field("500*(x^2+y^2+z^2)", range(4)), *removers)
-    integrator = sampler(0.13, 3, frictionCoeff=3.0, **engine)
+    integrator = sampler(0.13, 3, frictionCoeff=3.0, extraChances=chances, **engine)
     context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))), steps=20)
     integrator.resetStatistics()
     rows = []
@@ -160,7 +195,7 @@ def test_wells_are_sampled_exactly(engine, at_rest):
         integrator.step(1)
         x, v = phase_point(context)
         rows.append([k * (x**2).mean() / KT, 10 * (v**2).mean() / KT, 100 * (x * v).mean() / KT])
-    assert 0.3 < integrator.acceptanceRate < 0.7
+    assert 0.3 < integrator.acceptanceRate < (0.95 if chances else 0.7)
     # Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
     assert_means(rows, [1, 0.75 if at_rest else 1, 0], [0.03] * 3)
 
@@ -311,7 +346,7 @@ def test_a_trial_that_failed_in_mid_step_leaves_nothing_to_the_next():
 def test_a_trial_reads_what_it_must(cluster, monkeypatch, options, at_rest):
     """On GPUs each reading of positions or velocities waits for the device, and takes longer than the host's work."""
     system = with_forces(cluster[0], openmm.CMMotionRemover()) if at_rest else cluster[0]
-    integrator = sampler(engine="native", substeps=2, **options)
+    integrator = sampler(0.010, engine="native", substeps=2, extraChances=0, **options)
     _context = context_at(system, integrator, cluster[1], steps=5)
     # The watch for runaways reads velocities now and then.
     monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
@@ -330,7 +365,7 @@ def test_a_trial_reads_what_it_must(cluster, monkeypatch, options, at_rest):
 def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
     """A trial of the exact engine has no evaluation for its energy alone."""
     for scheme in (SIER2, SIER4G):
-        integrator = sampler(scheme=scheme, engine="exact")
+        integrator = sampler(scheme=scheme, engine="exact", extraChances=0)
         _context = context_at(cluster[0], integrator, cluster[1], steps=2)
         asked = states_asked(monkeypatch)
         integrator.step(10)
@@ -366,7 +401,7 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
     integrator.setSchemeStepSize(0.009)
     with monkeypatch.context() as patch:
         patch.setattr("openmm_sier.ensembles.metropolis.REVERSIBLE", -1.0)
-        with pytest.raises(openmm.OpenMMException, match=r"4 steps.* missed its start"):
+        with pytest.raises(openmm.OpenMMException, match=r"12 steps.* missed its start"):
             integrator.step(1)
         # The native engine's constraints leave 1e-9 nm when momenta are drawn.
         for one, other in zip(counted(context), before, strict=True):
@@ -376,7 +411,7 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
         integrator.setStepsPerTrial(2)
         integrator.step(1)
         integrator.setStepsPerTrial(4)
-        with pytest.raises(openmm.OpenMMException, match=r"4 steps.* missed its start"):
+        with pytest.raises(openmm.OpenMMException, match=r"12 steps.* missed its start"):
             integrator.step(1)
     integrator.step(1)
 

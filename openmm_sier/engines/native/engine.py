@@ -11,6 +11,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
@@ -53,7 +54,7 @@ class Potential(NamedTuple):
 class NativeEngine(Engine):
     """An engine that is the program of the integrator.
 
-    The Context has the state at any time. An error in mid-step leaves it where it happened, as with OpenMM's
+    The Context has the state after each flow. An error in mid-step leaves it where it happened, as with OpenMM's
     integrators. What moves are the massive atoms; rigid bodies are only what users are told of.
     """
 
@@ -225,12 +226,14 @@ class NativeEngine(Engine):
         self.evaluations += steps * self.flow.scheme.force_evaluations
 
     def publish(self) -> None:
-        """Do nothing: the Context has the state at any time."""
+        """Write velocities that an ensemble changed; all else the Context has at any time."""
+        self._known.publish()
 
     def _settle(self) -> None:
         """Make the next steps depend on nothing but the Context, after a change from outside."""
         if not self._is_fresh:
             return
+        self._known.publish()
         refuse_what_is_not_finite(Snapshot.of(self._context))
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
@@ -292,16 +295,11 @@ class NativeEngine(Engine):
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
         self._settle()
-        known, before = self._known, self.kinetic_energy()
-        old = known.velocities
-        # OpenMM replaces a zero by a seed of its own choice.
-        seed = int(self.ledger.noise().integers(1, 2**31 - 1))
-        known.forget_velocities()
-        own_methods.draw_velocities(self._context, bath.temperature, seed)
+        before, kept = self.kinetic_energy(), math.exp(-bath.friction * time)
+        self._known.refresh_velocities(kept, GAS_CONSTANT * bath.temperature, self.ledger.noise())
+        if len(self._constraints.pairs):
+            self._known.constrain_velocities(self._integrator.getConstraintTolerance())
         self._has_force = False
-        kept = math.exp(-bath.friction * time)
-        if kept:
-            known.write_velocities(kept * old + math.sqrt(1 - kept**2) * known.velocities)
         self.ledger.heat += self.kinetic_energy() - before
         self.ledger.draws += 1
 

@@ -1,9 +1,10 @@
 """Positions, velocities and box of a Context, each read when it is needed and known until something moves the atoms.
 
-To read the velocities of 24,000 atoms from a GPU takes 0.4 ms, and ensembles ask for them several times between two
-flows.
+To read the velocities of 24,000 atoms from a GPU takes 0.4 ms, and to write them as long. Ensembles ask for them
+several times between two flows, and change them several times.
 """
 
+import math
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +25,8 @@ class KnownAtoms:
     """Read positions, velocities and box of a Context, and write positions and velocities.
 
     Arrays are read-only, so that they can be kept. Within `kept` they are kept until `forget`, without which nobody may
-    move atoms. At other times everything is read anew, since anybody may.
+    move atoms, and velocities are not written before `publish` or `forget`. At other times everything is read anew and
+    written at once, since anybody may move atoms.
     """
 
     def __init__(self, context: openmm.Context, is_single: bool) -> None:
@@ -38,9 +40,13 @@ class KnownAtoms:
         self._masses = tables.masses(context.getSystem())
         self._mass = float(self._masses.sum())
         self._massless = np.flatnonzero(self._masses == 0)
+        #: Spread of velocities at unit thermal energy; massless particles have none.
+        self._spreads = np.sqrt(np.divide(1.0, self._masses, out=np.zeros_like(self._masses), where=self._masses > 0))
         self._is_single = is_single
         self._is_keeping = False
         self._known: dict[str, np.ndarray] = {}
+        #: Whether the Context does not have the known velocities yet.
+        self._is_unwritten = False
         #: Kinetic energy and velocity of the centre of mass, where they were computed from the known velocities.
         self._kinetic: float | None = None
         self._centre: np.ndarray | None = None
@@ -57,14 +63,22 @@ class KnownAtoms:
             self.forget()
             self._is_keeping = False
 
+    def publish(self) -> None:
+        """Write velocities that the Context does not have yet."""
+        if self._is_unwritten:
+            self._is_unwritten = False
+            own_methods.set_velocities(self._context, self._known[VELOCITIES])
+
     def forget(self) -> None:
-        """Read everything anew: atoms were moved."""
+        """Write what is unwritten, and read everything anew: somebody is about to move atoms, or has moved them."""
+        self.publish()
         self._known, self._box = {}, None
         self.forget_velocities()
 
     def forget_velocities(self) -> None:
-        """Read velocities anew: they were changed, and positions were not."""
+        """Read velocities anew: they were replaced in the Context, and positions were not."""
         self._known.pop(VELOCITIES, None)
+        self._is_unwritten = False
         self._kinetic = None
         self._centre = None
 
@@ -116,15 +130,17 @@ class KnownAtoms:
         own_methods.set_positions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
-        """Set velocities, which are known then."""
+        """Set velocities, which are known then; within `kept` the Context gets them later."""
         if self._is_single:
             # A run that goes on must know what a restart would read.
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
-        own_methods.set_velocities(self._context, velocities)
-        if self._is_keeping:
-            velocities.flags.writeable = False
-            self._known[VELOCITIES] = velocities
+        if not self._is_keeping:
+            own_methods.set_velocities(self._context, velocities)
+            return
+        velocities.flags.writeable = False
+        self._known[VELOCITIES] = velocities
+        self._is_unwritten = True
 
     def scale(self, factor: float, shift: np.ndarray) -> None:
         """Multiply the velocities of all atoms with mass by a factor, and add a velocity, (3,), nm/ps."""
@@ -132,6 +148,25 @@ class KnownAtoms:
         new = factor * old + shift
         new[self._massless] = old[self._massless]
         self.write_velocities(new)
+
+    def refresh_velocities(self, kept: float, kT: float, noise: np.random.Generator) -> None:
+        """Draw velocities from a canonical distribution, of which the old ones stay a part. Constraints do not matter.
+
+        Args:
+            kept: factor that the old velocities keep.
+            kT: thermal energy, kJ/mol.
+            noise: random numbers.
+        """
+        drawn = noise.standard_normal((len(self._masses), 3))
+        drawn *= self._spreads[:, None] * math.sqrt((1 - kept**2) * kT)
+        drawn += kept * self.velocities
+        self.write_velocities(drawn)
+
+    def constrain_velocities(self, tolerance: float) -> None:
+        """Let OpenMM take away what velocities have along the constraints."""
+        self.publish()
+        own_methods.constrain_velocities(self._context, tolerance)
+        self.forget_velocities()
 
     # --- what follows from them ---
 
