@@ -268,7 +268,7 @@ def test_xml_of_another_version(monkeypatch):
     xml = serialize(SIER2Integrator(0.001))
     monkeypatch.undo()
     with pytest.raises(
-        openmm.OpenMMException, match="another version of openmm_sier, in layout 7, and this version reads layout 1"
+        openmm.OpenMMException, match="another version of openmm_sier, in layout 7, and this version reads layout 2"
     ):
         deserialize(xml)
 
@@ -291,7 +291,7 @@ def bodies_of(species, particles=2):
 
 #: Each a field of the settings, and values that it must not have.
 WRONG = {
-    "layout": [None, 2, "1"],
+    "layout": [None, 1, "2"],
     "kind": [None, 3, "os:path", "venv.__main__:EnvBuilder", "openmm:VerletIntegrator", "nowhere", ":", "a:b.c.d"],
     "scheme": [
         None,
@@ -368,7 +368,7 @@ def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
 
 def test_damaged_settings_are_refused():
     plain = openmm.CustomIntegrator(0.001)
-    for text in ("", "{", "[]", "null", '{"layout": 1}', "\u00e9" * 20):
+    for text in ("", "{", "[]", "null", '{"layout": 2}', "\u00e9" * 20):
         settings.store_text(plain, text)
         with pytest.raises(openmm.OpenMMException, match=r"stored (in this )?SIER integrator|another"):
             deserialize(serialize(plain))

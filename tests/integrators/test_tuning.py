@@ -21,14 +21,14 @@ from tests.support.waters import context_at, platform
 TEMPERATURE = 300.0
 
 
-def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20):
+def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20, **options):
     """A Context of particles in wells of several frequencies, 30 to 60 per ps."""
     well = openmm.CustomExternalForce("0.5*k*(x^2+y^2+z^2)")
     well.addPerParticleParameter("k")
     for i in range(particles):
         well.addParticle(i, [1000.0 * (1 + 3 * i / particles)])
     system = assembled(particles * [1.0], well)
-    integrator = seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, n, frictionCoeff=None), seed)
+    integrator = seeded(SIERHMCIntegrator(TEMPERATURE, h, scheme, n, frictionCoeff=None, **options), seed)
     return context_at(system, integrator, np.zeros((2, particles, 3)))
 
 
@@ -86,7 +86,7 @@ def test_the_cheapest_length_is_taken(monkeypatch):
 
 def test_a_length_that_does_not_reverse_is_left_out(monkeypatch):
     monkeypatch.setattr(metropolis, "reversal_error", lambda engine, steps: 1.0 if steps > 4 else 0.0)
-    context = wells(n=4)
+    context = wells(n=4, extraChances=0)
     found = tune(context, trials=10, samples=10, lengths=[2, 8], schemes=["SIER2"])
     assert "missed its start" in found.lengths[1].refused
     assert "missed its start" in str(found)

@@ -4,6 +4,9 @@ To read the velocities of 24,000 atoms from a GPU takes 0.4 ms, and to write the
 several times between two flows, and change them several times.
 """
 
+# Without this, annotations would import numpy.random, which is slow.
+from __future__ import annotations
+
 import math
 import weakref
 from collections.abc import Iterator
