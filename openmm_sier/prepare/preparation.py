@@ -16,6 +16,7 @@ from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
 
@@ -98,37 +99,66 @@ def prepare_system(
     """
     system = checked_system(system)
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
-    found = known_or_planned(system, checked_bodies(bodies))
-    known = FastForces(system, found)
-    if group is None:
-        group = known.free_group()
+    heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
+    with tables.read_once():
+        found = known_or_planned(system, checked_bodies(bodies))
+        known = FastForces(system, found)
+        group = known.free_group() if group is None else group
+        _refuse_others_in(group, known)
+        if heavy is not None and isinstance(bodies, RigidBodies):
+            raise ValueError(
+                "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, "
+                "hydrogenMass=…) before RigidBodies.from_system"
+            )
+        done = _balance(system)
+        for i in reversed(close_pairs.own_forces(system)):
+            system.removeForce(i)
+        done += _join(system, known)
+    if heavy is not None:
+        done.append(set_hydrogen_masses(system, heavy))
+    with tables.read_once():
+        coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
+        fast, said = _gather_fast_forces(system, known, group, coarse)
+        excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
+        done += said + _inside_bodies(system, found, excluded, known.owner)
+        limits = describe_jumps(system)
+    groups = frozenset({group} if fast else ())
+    return Preparation(groups, tuple(done), limits, excluded.pairs, excluded.energy * unit.kilojoule_per_mole)
+
+
+def _refuse_others_in(group: int, known: FastForces) -> None:
     for force in known.others_in(group):
         raise ValueError(
             f"{force.getName()} is in force group {group}, which must have only fast forces: give another "
             "fastForceGroup, or leave it out, so that an empty group is taken; if the System was prepared for other "
             "bodies, prepare a new System"
         )
-    heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
-    if heavy is not None and isinstance(bodies, RigidBodies):
-        raise ValueError(
-            "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, hydrogenMass=…) "
-            "before RigidBodies.from_system"
-        )
-    done = []
-    if meshed_forces(system):
-        balance_pme(system)
-        done.append("The sums of PME are balanced.")
-    for i in reversed(close_pairs.own_forces(system)):
-        system.removeForce(i)
-    if joined := join_bodies(system, known.owner):
-        done.append(
-            f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
-            "molecule, in trajectories and with barostats."
-        )
-    if heavy is not None:
-        done.append(set_hydrogen_masses(system, heavy))
-    coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
+
+
+def _balance(system: openmm.System) -> list[str]:
+    """Balance the sums of PME, if there are any; return what was done."""
+    if not meshed_forces(system):
+        return []
+    balance_pme(system)
+    return ["The sums of PME are balanced."]
+
+
+def _join(system: openmm.System, known: FastForces) -> list[str]:
+    """Join bodies that consist of several molecules; return what was done."""
+    if not (joined := join_bodies(system, known.owner)):
+        return []
+    return [
+        f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
+        "molecule, in trajectories and with barostats."
+    ]
+
+
+def _gather_fast_forces(
+    system: openmm.System, known: FastForces, group: int, coarse: Stiffest | None
+) -> tuple[list[openmm.Force], list[str]]:
+    """Put fast forces into a group unless all motion is coarse; return them, and what was done."""
     fast = [] if coarse else _put_fast_forces(system, known, group)
+    done = []
     if fast:
         done += _add_close_pairs(system, known, fast, group)
     elif coarse:
@@ -144,15 +174,7 @@ def prepare_system(
             f"These stay slow forces, since another Force contains them: {', '.join(known.inner)}. Add them "
             "to the System itself to make them fast, if the other Force does not change what they do."
         )
-    excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
-    done += _inside_bodies(system, found, excluded, known.owner)
-    return Preparation(
-        frozenset({group} if fast else ()),
-        tuple(done),
-        describe_jumps(system),
-        excluded.pairs,
-        excluded.energy * unit.kilojoule_per_mole,
-    )
+    return fast, done
 
 
 def _coarse_motion(system: openmm.System, bodies: RigidBodies | BodyPlan, owner: np.ndarray) -> Stiffest | None:
