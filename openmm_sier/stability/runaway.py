@@ -19,9 +19,9 @@ HOTTEST = 3000.0
 #: A few bodies may be hotter by chance. They exceed what `hottest` allows with a probability below exp(-this).
 UNLIKELY = 50.0
 
-#: The watch looks after at least so many steps, which cost as many forces or more. Reading the velocities of 24,000
-#: atoms takes 0.3 ms, a step of them some 50 ms on two cores. Other calls of `step` cost 1 us.
-INTERVAL = 100
+#: The watch looks after at least so many steps. To read the velocities of 24,000 atoms takes 0.3 ms, as long as a step
+#: on a GPU. Other calls of `step` cost 1 us.
+INTERVAL = 500
 
 #: After a start it looks after so many steps, since the worst runaways take a dozen, and then after twice as many each
 #: time, up to `INTERVAL`.
