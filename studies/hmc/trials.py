@@ -88,6 +88,7 @@ TRIALS = (
     *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY) for steps in (4, 16)),
     _contestant(SIER2V2, 9, 17, None, HEAVY),
     _contestant(SIER2V2, 10, 7, 1.0, HEAVY),
+    _contestant(SIER2V2, 12, 6, 1.0, HEAVY),
     *(_contestant(SIER2V2, 8, steps, 1.0, HEAVY) for steps in (4, 9)),
     _contestant(SIER2V2, 6, 12, 1.0, None),
     _contestant(SIER2P3, 18, 4, 1.0, HEAVY),

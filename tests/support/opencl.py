@@ -27,4 +27,5 @@ def gpu_platforms() -> tuple[str, ...]:
     done = subprocess.run(
         [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=600, env=environment(), check=False
     )
-    return tuple(name for name in done.stdout.split() if name in ("CUDA", "HIP", "OpenCL"))
+    # Drivers may print words of their own.
+    return tuple(name for name in ("CUDA", "HIP", "OpenCL") if name in done.stdout.split())
