@@ -96,7 +96,7 @@ def measure(name: str, settings: GpuSettings, tables: Tables, report: Report) ->
     place, started = {"box": name, "atoms": box.system.getNumParticles()}, Started(box, settings)
     known = {method.name: method for method in methods(box.has_solute)}
     wanted = {REFERENCE, *(method.name for method in chosen(settings.methods, known, "method"))}
-    timed = [method for name, method in known.items() if name in wanted - {SHORT_STEPS}]
+    timed = [method for called, method in known.items() if called in wanted - {SHORT_STEPS}]
     contexts = {method.name: started.context(method) for method in timed}
     for row in speeds(contexts, {method.name: method.duration for method in timed}, REFERENCE, settings):
         tables.add("speeds", place, row, "{box}: {method}, {microseconds:.0f} µs a step, {over:.2f}")
