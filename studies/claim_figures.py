@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
-from openmm_sier.dynamics.schemes import SIER2, SIER2V2, SIER4G
+from openmm_sier.dynamics.schemes import SIER2, SIER4G
+from studies.hmc import trials
 from studies.records import Record
 from studies.trust import one
 
@@ -138,17 +138,17 @@ def trials_of_dhfr(record: Record) -> Mapping[str, float]:
 
 
 def costs_of_trials(record: Record) -> Mapping[str, float]:
-    """Forces for an independent energy over those of LangevinMiddle, of trials as they are without arguments."""
-    step = SIER2V2.heavy_trial_step or 0.0
-    found, accepted = dict[str, float](), []
-    boxes = {"tip3p": "tip3p-64", "spce": "spce-64", "tip4p2005": "tip4p2005-64", "peptide": "peptide"}
-    for name, box in boxes.items():
-        method = f"SIER2V2 HMC, {1e3 * step:g} fs x {usual_steps(step)}, {TRIAL_FRICTION:g}/ps"
-        row = one(record.tables["rows"], box=box, method=method)
-        found |= {name: row["relative"], f"{name}_error": row["relative_error"]}
-        accepted.append(row["accepted"])
-    costs = [found[name] for name in boxes]
-    return found | {"least": min(costs), "most": max(costs), "accepted": min(accepted)}
+    """Forces for an independent energy over those of LangevinMiddle: of usual trials, and of longer steps in water."""
+    waters = {"tip3p": "tip3p-64", "spce": "spce-64", "tip4p2005": "tip4p2005-64"}
+    rows, found = record.tables["rows"], dict[str, float]()
+    usual = {name: one(rows, box=box, method=trials.USUAL) for name, box in (waters | {"peptide": "peptide"}).items()}
+    longer = {f"{name}_longer": one(rows, box=box, method=trials.LONGER) for name, box in waters.items()}
+    for kind, of in (("", usual), ("_longer", longer)):
+        costs = [row["relative"] for row in of.values()]
+        found |= {f"least{kind}": min(costs), f"most{kind}": max(costs)}
+        found |= {name: row["relative"] for name, row in of.items()}
+        found |= {f"{name}_error": row["relative_error"] for name, row in of.items()}
+    return found | {"accepted": min(row["accepted"] for row in usual.values())}
 
 
 def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:

@@ -26,6 +26,7 @@ import openmm
 import pandas as pd
 
 from openmm_sier import SIERHMCIntegrator
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
 from studies import heat_bath, records, text
 from studies.command import SYSTEMS, chosen, command
@@ -40,6 +41,7 @@ COSTS = ("cost", "dipole_cost", "psi_cost")
 COLUMNS = {
     **text.columns("box", "method", "hydrogens", "time"),
     "accepted": "{accepted:.3f}",
+    "forces a trial": "{per_trial:.1f}",
     "V, kJ/mol": "{potential_text}",
     "forces an independent V": "{cost:.0f} ± {cost_error:.0f}",
     "dipole": "{dipole_cost:.0f} ± {dipole_cost_error:.0f}",
@@ -96,8 +98,11 @@ TRIALS = (
     _contestant(SIER4G, 9, 8, 1.0, HEAVY),
 )
 
-#: Trials as integrator and command make them by default, and shorter ones, of which large boxes have more accepted.
-USUAL, SHORT = "SIER2V2 HMC, 9 fs x 8, 1/ps", "SIER2V2 HMC, 8 fs x 4, 1/ps"
+#: Trials as integrator and command make them with heavy hydrogens, shorter ones, of which large boxes have more
+#: accepted, and those of longer steps, for small boxes of water.
+STEP = SIER2V2.heavy_trial_step or 0.0
+USUAL = f"SIER2V2 HMC, {1e3 * STEP:g} fs x {usual_steps(STEP)}, {TRIAL_FRICTION:g}/ps"
+SHORT, LONGER = (f"SIER2V2 HMC, {trial}, 1/ps" for trial in ("8 fs x 4", "12 fs x 6"))
 
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
@@ -166,6 +171,7 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     errors = [f"{name}_error" for name in COSTS]
     known = runs.reindex(columns=["accepted", "trials", "fs_per_second", "forces", *COSTS, *errors])
     row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
+    row["per_trial"] = known["forces"].sum() / row["trials"] if row["trials"] else math.nan
     for name in COSTS:
         # Where a run is too short to show its memory, its cost has no error, and is as little known.
         is_known = known[f"{name}_error"].notna().all()
