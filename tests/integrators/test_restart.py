@@ -48,7 +48,7 @@ def langevin(scheme, **options):
 
 
 def trials(engine="exact", **options):
-    return seeded(SIERHMCIntegrator(297.0, 0.006, SIER2, stepsPerTrial=2, engine=engine, **options))
+    return seeded(SIERHMCIntegrator(297.0, 0.006, SIER2, stepsPerTrial=2, engine=engine, **options), 4)
 
 
 def rescaled(engine):
