@@ -163,7 +163,7 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
 def copied(
     topology: app.Topology, positions: np.ndarray, copies: tuple[int, int, int]
 ) -> tuple[app.Topology, np.ndarray]:
-    """Topology and positions of a box repeated along each edge; positions are (N, 3) in nm."""
+    """Return topology and positions of a box repeated along each edge; positions are (N, 3) in nm."""
     vectors = np.array(topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
     places = np.array(list(itertools.product(*map(range, copies))))
     made = app.Topology()

@@ -278,7 +278,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
 
 
 def _evaluations(integrator: openmm.Integrator) -> int:
-    """Return the number of force evaluations so far; 0 where only trials of hybrid Monte Carlo count them."""
+    """Return the number of force evaluations so far of hybrid Monte Carlo; 0 for integrators that do not count them."""
     return integrator.forceEvaluations if isinstance(integrator, SIERHMCIntegrator) else 0
 
 

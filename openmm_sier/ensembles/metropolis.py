@@ -132,13 +132,13 @@ class Metropolis(ConstantTemperature):
                 "atoms overlap? Then minimize the energy first"
             )
         self._check_reversal(engine)
-        first = error = self._error_of_end(engine, energy)
-        for _ in range(self._chances(engine)):
+        errors, accepted = [], False
+        for _ in range(1 + self._chances(engine)):
+            errors.append(self._error_of_end(engine, energy))
+            accepted = is_accepted(errors[-1], ledger.seed, decision)
             # From where forces are not finite no trajectory goes on, from the other side neither.
-            if is_accepted(error, ledger.seed, decision) or not math.isfinite(error):
+            if accepted or not math.isfinite(errors[-1]):
                 break
-            error = self._error_of_end(engine, energy)
-        accepted = is_accepted(error, ledger.seed, decision)
         if not accepted:
             engine.go_back(start, reverse=True)
         if engine.removes_momentum:
@@ -146,7 +146,7 @@ class Metropolis(ConstantTemperature):
         trials, before = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED]
         engine.clock = Clock(time + length, steps + 1)
         # At once, so that an error does not find a trial that is counted in part.
-        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: first}
+        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: errors[0]}
 
     def _error_of_end(self, engine: Engine, energy: float) -> float:
         """Follow a trajectory to its next end; return the energy there less that of the start, in kT.

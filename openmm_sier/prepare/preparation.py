@@ -127,6 +127,7 @@ def prepare_system(
 
 
 def _refuse_others_in(group: int, known: FastForces) -> None:
+    """Refuse a force group that has other Forces than fast ones."""
     for force in known.others_in(group):
         raise ValueError(
             f"{force.getName()} is in force group {group}, which must have only fast forces: give another "

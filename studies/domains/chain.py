@@ -134,20 +134,20 @@ def one_chain() -> np.ndarray:
 
 
 def model(chains: int = 2) -> Model:
-    """Chains along the diagonal of a periodic box at 300 K."""
+    """Return chains along the diagonal of a periodic box at 300 K."""
     places = EDGE / chains * (np.arange(chains) + 0.5)
     return _model("two chains of 120 residues", np.column_stack([places] * 3))
 
 
 def sheet(edge: int) -> Model:
-    """So many rows of as many chains side by side in the same box: what is timed where two chains are too few."""
+    """Return so many rows of as many chains, side by side in the same box, for timings of larger Systems."""
     places = EDGE / edge * (np.arange(edge) + 0.5)
     centres = np.array([[x, y, EDGE / 2] for x in places for y in places])
     return _model(f"{edge * edge} chains of 120 residues", centres)
 
 
 def _model(name: str, centres: np.ndarray) -> Model:
-    """Chains about centres, (n, 3) in nm.
+    """Return chains about centres, (n, 3) in nm.
 
     With springs, pairs of a domain that no spring joins interact, as they do in models with elastic networks.
     """

@@ -1,4 +1,4 @@
-"""What a step costs on a GPU, beside OpenMM's integrators, with averages that would show a program that is wrong.
+"""Measure what a step costs on a GPU, beside OpenMM's integrators, and averages that would show a wrong program.
 
     python -m studies.gpu [--platform CUDA] [--benchmarks openmm/examples/benchmarks] [--boxes dhfr water-4096]
 

@@ -1,4 +1,4 @@
-"""Averages of energies and temperatures over a run."""
+"""Average energies and temperatures over a run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.system import tables
 from studies.contestants import Contestant
-from studies.gpu.settings import GpuSettings, advance
+from studies.gpu.calls import advance
+from studies.gpu.settings import GpuSettings
 from studies.units import md
 
 #: Time between two samples, ps.
@@ -30,7 +31,7 @@ BONDED = {
 
 
 class Observed:
-    """Energies and temperatures of a Context of a box.
+    """Observe energies and temperatures of a Context of a box.
 
     Bonded energies are those of another Context, without the Forces that take time.
     """
@@ -109,5 +110,4 @@ def _trials(integrator: openmm.Integrator) -> np.ndarray:
     """Return how many trials were made, and how many accepted; zeros where there are none."""
     if not isinstance(integrator, SIERHMCIntegrator):
         return np.zeros(2)
-    made = integrator.trials
-    return np.array([made, round(made * integrator.acceptanceRate) if made else 0])
+    return np.array([integrator.trials, integrator.accepted])

@@ -1,4 +1,4 @@
-"""Speeds of chains of beads with rigid domains, in a bath."""
+"""Measure the speed of chains of beads with rigid domains, in a bath."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _edge(chains: int) -> int:
 
 
 def _own(model: Model, engine: str, step: float) -> Made:
-    """Frames moved by the native engine, or bodies by the exact one."""
+    """Return frames that the native engine moves, or bodies that the exact one does."""
     if engine == "exact":
         integrator = SIERLangevinIntegrator(
             model.temperature, FRICTION, 1e-3 * step, engine=engine, bodies=model.bodies

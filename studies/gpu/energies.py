@@ -1,4 +1,4 @@
-"""Conservation of energy on a GPU."""
+"""Follow the energy of runs without a bath."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import openmm
 from openmm_sier.analysis.observables import energy_error, energy_walk
 from openmm_sier.analysis.statistics import slope_and_error
 from studies.contestants import Contestant
-from studies.gpu.settings import GpuSettings, advance
+from studies.gpu.calls import advance
+from studies.gpu.settings import GpuSettings
 from studies.units import md
 
 #: Time between two samples, fs.
@@ -34,10 +35,4 @@ def conservation(context: openmm.Context, method: Contestant, settings: GpuSetti
         "walk": 100 * energy_walk(time, total, potential),
         "drift": drift,
         "drift_error": error,
-        "freedoms": _freedoms(context.getSystem()),
     }
-
-
-def _freedoms(system: openmm.System) -> int:
-    massive = sum(system.getParticleMass(i)._value > 0 for i in range(system.getNumParticles()))
-    return 3 * massive - system.getNumConstraints() - 3

@@ -1,4 +1,4 @@
-"""Integrators that are compared on GPUs."""
+"""Choose the integrators that are compared on GPUs."""
 
 from __future__ import annotations
 

@@ -1,21 +1,16 @@
-"""Settings of the study, and calls of steps."""
+"""Define the settings of the study."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-import openmm
-
 from studies.command import Settings
-
-#: Steps in one call of `step`, as `Simulation` makes them.
-CALL = 10
 
 
 @dataclass(frozen=True)
 class GpuSettings(Settings):
-    """What is measured.
+    """Choose what is measured.
 
     Attributes:
         boxes: by name, see `boxes.named`.
@@ -46,9 +41,3 @@ class GpuSettings(Settings):
     time: float = 100.0
     settle: float = 10.0
     energy_time: float = 50.0
-
-
-def advance(integrator: openmm.Integrator, steps: int) -> None:
-    """Make steps by tens, and what is left at the end."""
-    for done in range(0, steps, CALL):
-        integrator.step(min(CALL, steps - done))

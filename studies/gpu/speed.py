@@ -1,4 +1,4 @@
-"""Wall time of steps, by turns."""
+"""Measure the wall time of steps, by turns."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 import openmm
 
 from studies.bench.timing import median_and_error, turns
-from studies.gpu import settings as of_study
-from studies.gpu.settings import GpuSettings, advance
+from studies.gpu import calls
+from studies.gpu.settings import GpuSettings
 
 
 def run(context: openmm.Context, steps: int) -> None:
     """Make steps as `Simulation` does, and wait for the GPU."""
-    advance(context.getIntegrator(), steps)
+    calls.advance(context.getIntegrator(), steps)
     context.getState(positions=True)
 
 
@@ -61,8 +61,7 @@ def speeds(
 
 
 def _steps_of_turn(context: openmm.Context, seconds: float) -> int:
-    call = of_study.CALL
-    run(context, call)
+    run(context, calls.CALL)
     begin = time.perf_counter()
-    run(context, call)
-    return call * max(1, math.ceil(seconds / (time.perf_counter() - begin)))
+    run(context, calls.CALL)
+    return calls.CALL * max(1, math.ceil(seconds / (time.perf_counter() - begin)))

@@ -1,4 +1,4 @@
-"""Measures each box, and writes what was found."""
+"""Measure each box, and write what was found."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ENERGIES = text.columns("box", "method", "fs_per_force") | {
 
 
 class Tables:
-    """Rows that were found, by the names of their tables."""
+    """Keep the rows that were found, by the names of their tables."""
 
     def __init__(self, report: Report):
         self._report = report
@@ -52,7 +52,7 @@ class Tables:
 
 
 class Started:
-    """A box after a minimization and some ps of LangevinMiddle at 2 fs, from which all methods start.
+    """Start all methods in a box after a minimization and some ps of LangevinMiddle at 2 fs.
 
     Attributes:
         box: what is moved.

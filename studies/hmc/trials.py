@@ -102,7 +102,8 @@ TRIALS = (
 #: accepted, and those of longer steps, for small boxes of water.
 STEP = SIER2V2.heavy_trial_step or 0.0
 USUAL = f"SIER2V2 HMC, {1e3 * STEP:g} fs x {usual_steps(STEP)}, {TRIAL_FRICTION:g}/ps"
-SHORT, LONGER = (f"SIER2V2 HMC, {trial}, 1/ps" for trial in ("8 fs x 4", "12 fs x 6"))
+SHORT = "SIER2V2 HMC, 8 fs x 4, 1/ps"
+LONGER = "SIER2V2 HMC, 12 fs x 6, 1/ps"
 
 #: What others take, with which exact averages are compared.
 REFERENCE = "LangevinMiddle, 4 fs"
@@ -189,12 +190,15 @@ def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]
     """Forces and processor time of an independent sample over those of LangevinMiddle in the same box."""
     same = (each for each in rows if (each["box"], each["at"], each["method"]) == (row["box"], row["at"], REFERENCE))
     reference = next(same, None)
-    found = {}
+    found: dict[str, Any] = {}
     names = {"relative": "cost", "seconds_relative": "seconds", "dipole_relative": "dipole_cost"}
     for name, of in (names | {"psi_relative": "psi_cost"}).items():
-        pair = (row, reference) if reference else (row, dict.fromkeys((of, f"{of}_error"), math.nan))
-        found[name] = pair[0][of] / pair[1][of]
-        found[f"{name}_error"] = found[name] * math.hypot(*(each[f"{of}_error"] / each[of] for each in pair))
+        if reference is None:
+            found |= {name: math.nan, f"{name}_error": math.nan}
+            continue
+        found[name] = row[of] / reference[of]
+        errors = [each[f"{of}_error"] / each[of] for each in (row, reference)]
+        found[f"{name}_error"] = found[name] * math.hypot(*errors)
     return found
 
 

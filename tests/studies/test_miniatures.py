@@ -31,8 +31,8 @@ from studies.bench import accuracy, peers, usual_inputs
 from studies.domains import __main__ as domains_command
 from studies.gpu import __main__ as gpu_command
 from studies.gpu import averages as gpu_averages
+from studies.gpu import calls as gpu_calls
 from studies.gpu import methods as gpu_methods
-from studies.gpu import settings as gpu_settings
 from studies.gpu import study as gpu_study
 from studies.hmc import exactness, lengths, mixture, solvated, trial_cost, trials
 from studies.native import substeps as native_substeps
@@ -259,7 +259,7 @@ def speeds(found):
     gpu_command,
     "--boxes water-512 --averages water-512 --energies water-512 --chains 1 --rounds 1 --turn 1e-6 --time 0.08 "
     "--settle 0.01 --energy-time 0.2 --platform CPU",
-    patches=((gpu_settings, "CALL", 2), (gpu_averages, "EVERY", 0.018), (gpu_study, "WARM", 1.0)),
+    patches=((gpu_calls, "CALL", 2), (gpu_averages, "EVERY", 0.018), (gpu_study, "WARM", 1.0)),
 )
 def on_gpus(found):
     rows = found["speeds"].set_index("method")

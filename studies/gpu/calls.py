@@ -1,0 +1,14 @@
+"""Call steps as `Simulation` does."""
+
+from __future__ import annotations
+
+import openmm
+
+#: Steps in one call of `step`.
+CALL = 10
+
+
+def advance(integrator: openmm.Integrator, steps: int) -> None:
+    """Make steps by tens, and what is left at the end."""
+    for done in range(0, steps, CALL):
+        integrator.step(min(CALL, steps - done))
