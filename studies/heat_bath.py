@@ -139,6 +139,7 @@ class BathSettings(RunsSettings):
         friction: 1/ps.
         pressure: bar; the volume is kept unless given.
         tolerance: OpenMM's ewaldErrorTolerance; the sums of PME are balanced.
+        platform: of OpenMM; processor time is known of CPU alone.
     """
 
     box: Path = SYSTEMS / "peptide.pdb"
@@ -150,6 +151,7 @@ class BathSettings(RunsSettings):
     friction: float = FRICTION
     pressure: float | None = None
     tolerance: float = 1e-4
+    platform: str = "CPU"
 
     SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance", "equilibrate")
     FIRST = "box"
@@ -240,7 +242,7 @@ def run(task: Task) -> dict[str, Any]:
 def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool = False) -> dict[str, Any]:
     """Return averages and costs of a run with their errors, and its speed in fs per second of processor time.
 
-    `at_ends` is as of `Observer`.
+    The speed is NaN on other platforms than CPU. `at_ends` is as of `Observer`.
     """
     box = read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
@@ -252,7 +254,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
     masses = "as they are" if method.hydrogens is None else f"{method.hydrogens:g} Da"
     found: dict[str, Any] = {"hydrogens": masses, "broken": ""}
     try:
-        context = make_context(box.system, integrator, "CPU")
+        context = make_context(box.system, integrator, settings.platform)
         context.setPositions(box.positions)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 300)
         context.setVelocitiesToTemperature(settings.temperature, seed)
@@ -274,7 +276,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
     found |= _distributions(series) | _costs(series, forces) | {"forces": forces}
     if isinstance(integrator, SIERHMCIntegrator):
         found |= {"trials": integrator.trials, "accepted": integrator.acceptanceRate}
-    return found | {"fs_per_second": settings.time * 1e3 / processor}
+    return found | {"fs_per_second": settings.time * 1e3 / processor if settings.platform == "CPU" else math.nan}
 
 
 def _evaluations(integrator: openmm.Integrator) -> int:

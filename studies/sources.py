@@ -57,7 +57,7 @@ COMMANDS = {
     "native-cost.json": ("OPENMM_CPU_THREADS=1 python -m studies.native.cost systems/tip3p-512.pdb",),
     "native-substeps.json": (
         "python systems/make.py --model tip3p --molecules 64 --equilibrate 15 --out tip3p-64.pdb",
-        "python -m studies.native.substeps tip3p-64.pdb --time 300",
+        "python -m studies.native.substeps tip3p-64.pdb --substeps 1 3 --time 1000",
     ),
     "native-platforms.json": (
         "python -m studies.native.accuracy systems/BOX.pdb --on Reference OpenCL:double OpenCL:mixed --time 0.06",

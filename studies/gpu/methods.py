@@ -42,8 +42,9 @@ STEADY = Contestant(
 
 def in_water() -> list[Contestant]:
     """Return the methods that are compared in rigid water alone."""
+    middle_steps = [replace(MIDDLE_IN_RIGID_WATER, step=step, detail="heavy hydrogens") for step in (9, 10)]
     longer = [replace(LONG_STEPS, step=step) for step in (10, 11)]
-    return [replace(MIDDLE_IN_RIGID_WATER, detail="heavy hydrogens"), *longer, trials.METHODS[trials.USUAL]]
+    return [*middle_steps, *longer, trials.METHODS[trials.USUAL]]
 
 
 def around_a_solute() -> list[Contestant]:

@@ -8,8 +8,8 @@
 Samples are the potential energy, the dipole of the box and, of a peptide, the cosine of psi. A trial of hybrid Monte
 Carlo has so many steps of so many fs; momenta are drawn anew, or in part by the friction that is named. LangevinMiddle
 has a friction of 5/ps and hydrogens of 3 dalton, hybrid Monte Carlo hydrogens of 4. Each run is kept in trials.jsonl as
-soon as it is done and is not repeated; runs with other seeds or times add to the same averages. Processor time is of
-one thread. Writes trials.json.
+soon as it is done and is not repeated; runs with other seeds, times or platforms add to the same averages. Processor
+time is of one thread on the CPU platform. Writes trials.json.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ from studies.contestants import Bath, Contestant, middle
 from studies.heat_bath import AVERAGED, BathSettings
 from studies.records import Record, Task
 from studies.report import SILENT, Report
+
+#: The share of the time of all runs that those must have whose costs are known.
+MOST = 0.8
 
 #: What is known of a run beside its averages, with errors.
 COSTS = ("cost", "dipole_cost", "psi_cost")
@@ -62,16 +65,21 @@ class TrialContestant(Contestant):
         return f"{self.method}, {self.step:g} fs x {self.steps}{', ' if self.detail else ''}{self.detail}"
 
 
-def _draw(bath: Bath, step: float, scheme: Scheme, steps: int, friction: float | None) -> openmm.Integrator:
-    return SIERHMCIntegrator(bath.temperature, step, scheme, steps, friction, bath.pressure)
+def _draw(
+    bath: Bath, step: float, scheme: Scheme, steps: int, friction: float | None, chances: int | None
+) -> openmm.Integrator:
+    return SIERHMCIntegrator(bath.temperature, step, scheme, steps, friction, bath.pressure, extraChances=chances)
 
 
-def _contestant(scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None) -> TrialContestant:
+def _contestant(
+    scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None, chances: int | None = None
+) -> TrialContestant:
     details = ([] if friction is None else [f"{friction:g}/ps"]) + (["light"] if mass is None else [])
+    details += [] if chances is None else [f"{chances} extra chances"]
     return TrialContestant(
         f"{scheme.name} HMC",
         step,
-        partial(_draw, scheme=scheme, steps=steps, friction=friction),
+        partial(_draw, scheme=scheme, steps=steps, friction=friction, chances=chances),
         scheme.force_evaluations,
         mass,
         prepared=True,
@@ -83,11 +91,12 @@ def _contestant(scheme: Scheme, step: float, steps: int, friction: float | None,
 #: Mass of heavy hydrogens, dalton.
 HEAVY = 4.0
 
-#: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, and mass of hydrogens,
-#: None where they keep theirs.
+#: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, mass of hydrogens, None
+#: where they keep theirs, and extra chances, None for the usual number.
 TRIALS = (
     *(_contestant(SIER2V2, 9, 8, friction, HEAVY) for friction in (1.0, 2.0, 4.0, None)),
     *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY) for steps in (4, 16)),
+    *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY, chances) for steps, chances in ((8, 5), (12, 2), (16, 2))),
     _contestant(SIER2V2, 9, 17, None, HEAVY),
     _contestant(SIER2V2, 10, 7, 1.0, HEAVY),
     _contestant(SIER2V2, 12, 6, 1.0, HEAVY),
@@ -164,9 +173,8 @@ def compared(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _row(runs: pd.DataFrame) -> dict[str, Any]:
-    """Means over the runs of one method in one box, weighted by their time."""
+    """Means over the runs of one method in one box, weighted by their time, and the least time of a force."""
     row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
-    method = METHODS[row["method"]]
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
     share = runs["time"] / runs["time"].sum()
     errors = [f"{name}_error" for name in COSTS]
@@ -174,16 +182,25 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
     row["per_trial"] = known["forces"].sum() / row["trials"] if row["trials"] else math.nan
     for name in COSTS:
-        # Where a run is too short to show its memory, its cost has no error, and is as little known.
-        is_known = known[f"{name}_error"].notna().all()
-        row[name] = (share * known[name]).sum() if is_known else math.nan
-        row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum() ** 0.5 if is_known else math.nan
-    processor = (runs["time"] * 1e3 / known["fs_per_second"]).sum()
-    row["milliseconds"] = (
-        1e3 * processor / known["forces"].fillna(1e3 * runs["time"] / method.step * method.forces).sum()
-    )
+        row |= _mean_cost(name, known, share)
+    method = METHODS[row["method"]]
+    forces = known["forces"].fillna(1e3 * runs["time"] / method.step * method.forces)
+    # Other work on the machine only adds to it.
+    row["milliseconds"] = (1e6 * runs["time"] / known["fs_per_second"] / forces).min()
     row |= {f"seconds{part}": 1e-3 * row["milliseconds"] * row[f"cost{part}"] for part in ("", "_error")}
     return row | records.pooled(runs, AVERAGED)
+
+
+def _mean_cost(name: str, runs: pd.DataFrame, share: pd.Series) -> dict[str, float]:
+    """Return a mean with its error over the runs that were long enough to show their memory, which most must be."""
+    long = runs[f"{name}_error"].notna()
+    if share[long].sum() < MOST:
+        return {name: math.nan, f"{name}_error": math.nan}
+    weight = share[long] / share[long].sum()
+    return {
+        name: (weight * runs[name][long]).sum(),
+        f"{name}_error": ((weight * runs[f"{name}_error"][long]) ** 2).sum() ** 0.5,
+    }
 
 
 def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Averages of rigid water in a heat bath by the number of substeps of the native engine, beside the exact engine.
+"""Averages of rigid water in a heat bath by the number of substeps of the native engine, beside exact ones.
 
-    python -m studies.native.substeps [BOX.pdb] [--substeps 1 2 3] [--step 9] [--time 100] [--starts 2]
+    python -m studies.native.substeps [BOX.pdb] [--substeps 1 2 3] [--steps 9 10] [--time 100] [--starts 2]
 
-SIER2 moves water with hydrogens of 4 dalton. A substep is a step of RATTLE in each half of its drift, where the exact
-engine rotates molecules exactly. Temperatures are those of velocities at the end of steps, with both engines. Each run
-is kept in native-substeps.jsonl as soon as it is done and is not repeated; runs with other seeds add to the same
-averages. Writes native-substeps.json.
+SIER2 moves water with hydrogens of 4 dalton. With n substeps its drift has 2n - 1 steps of RATTLE, where the exact
+engine rotates molecules exactly. Hybrid Monte Carlo has no error of the step. Temperatures are those of velocities at
+the end of steps. Each run is kept in native-substeps.jsonl as soon as it is done and is not repeated; runs with other
+seeds add to the same averages. Writes native-substeps.json.
 """
 
 from __future__ import annotations
@@ -23,13 +23,22 @@ from studies import heat_bath, records, text
 from studies.command import SYSTEMS, command
 from studies.contestants import Contestant, in_bath
 from studies.heat_bath import BathSettings
+from studies.hmc import trials
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
 #: What is averaged, with its heading.
 AVERAGED = {key: heat_bath.AVERAGED[key] for key in ("translation", "rotation", "potential")}
 
+#: What a run differs by from the others, beside its seed.
+POINT = ("method", "step", "engine", "substeps")
+
+#: Trials of steps that small boxes of water bear.
+EXACT = trials.METHODS[trials.LONGER]
+
 COLUMNS = {
+    "method": "{method}",
+    "step, fs": "{step:g}",
     "engine": "{engine}",
     "substeps": "{substeps}",
     "ps": "{time:g}",
@@ -44,42 +53,45 @@ class SubstepSettings(BathSettings):
     Attributes:
         box: PDB file of water of three sites.
         substeps: numbers of them on the native engine.
-        step: fs.
+        steps: of SIER2, fs.
     """
 
     box: Path = SYSTEMS / "tip3p-512.pdb"
     time: float = 100.0
     starts: int = 2
     substeps: tuple[int, ...] = (1, 2, 3)
-    step: float = 9.0
+    steps: tuple[float, ...] = (9.0, 10.0)
 
-    SHARED = ("temperature", "tolerance", "equilibrate", "friction", "pressure", "time", "step", "box")
+    SHARED = ("temperature", "tolerance", "equilibrate", "friction", "pressure", "time", "box")
 
 
 def tasks(settings: SubstepSettings) -> Iterator[Task]:
     """Return all runs that the settings ask for, seed by seed."""
-    cases = [("exact", ""), *(("native", number) for number in settings.substeps)]
-    for seed, (engine, number) in product(range(settings.seed, settings.seed + settings.starts), cases):
-        yield Task(settings, {"engine": engine, "substeps": number, "seed": seed})
+    engines = [("exact", ""), *(("native", number) for number in settings.substeps)]
+    cases = [("SIER2", step, *engine) for step, engine in product(settings.steps, engines)]
+    cases.append((EXACT.method, EXACT.step, "exact", ""))
+    for seed, case in product(range(settings.seed, settings.seed + settings.starts), cases):
+        yield Task(settings, dict(zip(POINT, case, strict=True)) | {"seed": seed})
 
 
 def run(task: Task) -> dict[str, Any]:
     """Return what is kept of a run."""
     point, settings = task.point, task.settings
     make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
-    method = Contestant("SIER2", settings.step, make, hydrogens=4.0, prepared=True)
+    own = Contestant("SIER2", point["step"], make, hydrogens=4.0, prepared=True)
+    method = EXACT if point["method"] == EXACT.method else own
     return point | {"time": settings.time} | heat_bath.measure(settings, method, point["seed"], at_ends=True)
 
 
 def study(settings: SubstepSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write native-substeps.json."""
-    form = "{engine} engine, substeps {substeps}, seed {seed}: done"
+    form = "{method}, {step:g} fs, {engine} engine, substeps {substeps}, seed {seed}: done"
     runs = records.all_runs(settings, "native-substeps", tasks(settings), run, report, form)
     rows = pd.DataFrame(
-        {"engine": engine, "substeps": number, "time": mine["time"].sum()} | records.pooled(mine, AVERAGED)
-        for (engine, number), mine in runs.groupby(["engine", "substeps"], sort=False)
+        dict(zip(POINT, case, strict=True)) | {"time": mine["time"].sum()} | records.pooled(mine, AVERAGED)
+        for case, mine in runs.groupby(list(POINT), sort=False)
     )
-    report.table(f"{settings.box.stem}, SIER2 at {settings.step:g} fs", text.table(rows, COLUMNS))
+    report.table(f"{settings.box.stem} in a heat bath", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "native-substeps.json")
 
 

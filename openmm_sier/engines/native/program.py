@@ -21,7 +21,7 @@ from functools import partial
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, UPDATE, V0, WORK, Line, Program, Statement
 from openmm_sier.engines.variables import PREFIX
@@ -48,6 +48,9 @@ NEVER = -9
 #: Counts the kinetic energy gained since velocities were kept.
 GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
+#: Count the kinetic energy gained between the two, where velocities are not kept.
+BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
+
 #: A force as a sum of OpenMM's forces, each with its sign.
 Force = list[tuple[str, str]]
 
@@ -60,8 +63,9 @@ def usual_substeps(scheme: Scheme, nested: bool) -> int:
 
     SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
     suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
-    as long as a drift of SIER4G, 3 fs. Beside a bath in the middle of the drift one RATTLE step in each half, of 4.5
-    fs, has the averages of water that three have; with fast forces a third of the step is short enough for bonds.
+    as long as a drift of SIER4G, 3 fs. With a bath in the middle of the drift one RATTLE step of 9 fs, which has the
+    bath in its middle, has the averages of water that three have; with fast forces a third of the step is short enough
+    for bonds.
     """
     if scheme.bath_divides_drift:
         return 2 if nested else 1
@@ -87,19 +91,20 @@ def write(
     move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
     each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs follows
     springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the drift is
-    an odd number of leapfrog steps with the bath in the middle of one.
+    an odd number of RATTLE steps with the bath in the middle of one, with or without fast forces.
 
-    Velocities are constrained where they are read, before a bath whose heat is counted and at the end of the step, and
-    not after every stage: what they have along the constraints changes no position that is constrained next, since the
-    constraint forces take it up. Only forces at displaced positions are constrained where they act. A step with a bath
-    in its middle whose heat is not counted leaves its end to the engine, which constrains velocities once after a call
-    of `step`; trajectories then depend by rounding on how steps are divided into calls.
+    Velocities are constrained where they are read, before a bath and at the end of the step, and not after every stage:
+    what they have along the constraints changes no position that is constrained next, since the constraint forces take
+    it up. Only forces at displaced positions are constrained where they act. A step with a bath in its middle whose
+    heat is not counted leaves its end to the engine, which constrains velocities once after a call of `step`;
+    trajectories then depend by rounding on how steps are divided into calls.
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
         substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal inner steps in each drift, the one with a bath in its
-            middle counted half. None: `usual_substeps`.
+            numbers are equal steps. With fast groups, equal inner steps in each drift. Beside a bath in the middle of
+            the drift steps are always equal, and the one that has the bath in its middle is counted in the drifts on
+            both sides. None: `usual_substeps`.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat, unless that of a bath is not.
@@ -119,24 +124,34 @@ def write(
     slow = [("+", "f"), *(("-", name) for name in fast)] if slow_group is None else [("+", f"f{slow_group}")]
 
     def drift(stage: Stage) -> Line:
+        if scheme.bath_divides_drift:
+            return _drift_beside_bath(stage, scheme.inner_fraction(number), number - 1, fast, counts_heat)
         return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
 
     def bathe(time: str) -> Line:
         if bath is None:
             raise ValueError(f"OpenMM cannot execute the operator '{BATH}' in a CustomIntegrator")
-        keeps = bool(fast) and scheme.bath_divides_drift
-        return _bath(bath.velocity(time, FRICTION, THERMAL), counts_heat, keeps)
+        velocity = bath.velocity(time, FRICTION, THERMAL)
+        if scheme.bath_divides_drift:
+            return _bath_in_drift(velocity, keeps=bool(fast))
+        return _bath(velocity, counts_heat)
 
     lines = _update(counts_heat) if updates_context else []
     lines += _lines(scheme.stages, "h", slow, drift, bathe)
     ends_constrained = counts_heat or not scheme.bath_divides_drift
-    if ends_constrained and not (scheme.stages[-1].operator == BATH and counts_heat):
+    if ends_constrained and not _leaves_constrained(lines[-1]):
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
     parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     fraction = scheme.inner_fraction(number) if fast else 1.0
     return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group, scheme.momentum_lag)
+
+
+def _leaves_constrained(line: Line) -> bool:
+    """Tell whether velocities satisfy the constraints after a line."""
+    changes = [statement.target for statement, _ in line.executed() if statement.target in ("v", CONSTRAIN_V)]
+    return changes[-1:] == [CONSTRAIN_V]
 
 
 def _update(counts_heat: bool) -> list[Line]:
@@ -160,22 +175,60 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
 
 
 def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) -> Line:
-    """Write a drift under the forces of fast groups.
-
-    See `dynamics.constrained.steps_around_bath` for drifts beside a bath.
-    """
-    force = [("+", name) for name in fast]
+    """Write a drift under the forces of fast groups."""
+    inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
+    stages = scheme.within_drifts.stages
+    within = _lines(stages, "e", _sum_of(fast), lambda one: inner_drift(one.fraction))
     title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
-    if not scheme.bath_divides_drift:
-        inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
-        within = _lines(scheme.within_drifts.stages, "e", force, lambda one: inner_drift(one.fraction))
-        return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
-    e = scheme.inner_fraction(number)
-    whole = (Stage(KICK, 1), Stage(DRIFT, 1)) * (number - 1)
-    half = Stage(DRIFT, 0.5)
-    stages = (half, *whole) if stage.operator == DRIFT_FROM_BATH else (*whole, Stage(KICK, 1), half)
-    within = _lines(stages, "e", force, lambda one: _drift(one.fraction, 1, "d/e"))
-    return Line(title, (), (e,), "e/h", tuple(within))
+    return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
+
+
+def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], counts_heat: bool) -> Line:
+    """Write what a drift has on one side of a bath in its middle: half an inner step, and whole ones.
+
+    See `dynamics.constrained.steps_around_bath`.
+
+    Args:
+        stage: the drift to the bath or from it.
+        e: the length of an inner step in units of h.
+        whole: number of whole inner steps.
+        fast: names of the forces of fast groups, which kick before each inner step.
+        counts_heat: whether the heat of the bath is counted.
+    """
+
+    def drift(one: Stage) -> Line:
+        if one.operator == DRIFT:
+            return _drift(one.fraction, 1, "d/e")
+        half = _half_drift_to_bath(counts_heat) if one.operator == DRIFT_TO_BATH else _half_drift_from_bath(counts_heat)
+        return Line(one.operator, half, (one.fraction,), "d/e")
+
+    kick = (Stage(KICK, 1),) if fast else ()
+    steps = (*kick, Stage(DRIFT, 1)) * whole
+    half = Stage(stage.operator, 0.5)
+    stages = (half, *steps) if stage.operator == DRIFT_FROM_BATH else (*steps, *kick, half)
+    within = _lines(stages, "e", _sum_of(fast), drift)
+    if len(within) == 1:
+        return within[0]._replace(unit="d/h")
+    return Line(f"{stage.operator}, inner steps", (), (e,), "e/h", tuple(within))
+
+
+def _half_drift_to_bath(counts_heat: bool) -> tuple[Statement, ...]:
+    """Write free motion for half a RATTLE step; `_half_drift_from_bath` constrains the positions.
+
+    Velocities must be tangent, since the bath leaves along the constraints less than the free motion has moved there.
+    """
+    return Statement(CONSTRAIN_V), *((BEFORE,) if counts_heat else ()), Statement("x", "x + d*v")
+
+
+def _half_drift_from_bath(counts_heat: bool) -> tuple[Statement, ...]:
+    """Write free motion for the second half of a RATTLE step, and bring positions back onto the constraints.
+
+    Velocities are corrected for this displacement over the whole step, as OpenMM's LangevinMiddleIntegrator does, so
+    that one solution of the constraints is enough for both halves. Half of the noise along the constraints is left, and
+    is taken away where velocities are constrained next.
+    """
+    after = (Statement(CONSTRAIN_V), AFTER) if counts_heat else ()
+    return *_constrained_motion("(2*d)"), *after
 
 
 def _lines(
@@ -209,13 +262,21 @@ def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
     """
     weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
-    statements = (
+    return Line("drift", _constrained_motion("d"), tuple(fraction * weight for weight in weights), unit)
+
+
+def _constrained_motion(time: str) -> tuple[Statement, ...]:
+    """Write free motion for a time d, constraints, and the velocities that these change over a time."""
+    return (
         Statement(KEPT, "x + d*v"),
         Statement("x", KEPT),
         Statement(CONSTRAIN_X),
-        Statement("v", f"v + (x - {KEPT})/d"),
+        Statement("v", f"v + (x - {KEPT})/{time}"),
     )
-    return Line("drift", statements, tuple(fraction * weight for weight in weights), unit)
+
+
+def _sum_of(names: list[str]) -> Force:
+    return [("+", name) for name in names]
 
 
 def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
@@ -256,14 +317,17 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     return [Line("displace", displace), Line("kick from there", kick)]
 
 
-def _bath(velocity: str, counts_heat: bool, keeps: bool) -> Line:
+def _bath_in_drift(velocity: str, keeps: bool) -> Line:
+    """Write a bath in the middle of a drift; `keeps` keeps velocities after it as `V0`, for temperatures."""
+    return Line("bath", (Statement("v", velocity), *([Statement(V0, "v")] if keeps else [])))
+
+
+def _bath(velocity: str, counts_heat: bool) -> Line:
     """Write a bath. Where its heat is counted, velocities are constrained before and after it.
 
-    Otherwise the drift that follows takes away what they have along the constraints. `keeps` keeps those after the bath
-    as `V0`, for temperatures; where heat is counted they are always kept.
+    Otherwise the drift that follows takes away what they have along the constraints.
     """
     drawn = Statement("v", velocity)
     if not counts_heat:
-        return Line("bath", (drawn, Statement(V0, "v")) if keeps else (drawn,))
-    after = Statement(CONSTRAIN_V), GAINED, Statement(V0, "v")
-    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, *after))
+        return Line("bath", (drawn,))
+    return Line("bath", (Statement(CONSTRAIN_V), Statement(V0, "v"), drawn, Statement(CONSTRAIN_V), GAINED))
