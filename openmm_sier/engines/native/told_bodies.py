@@ -87,7 +87,7 @@ class ToldBodies:
         bodies, state = self.bodies(lambda: now.positions), self.state(now)
         if thermal is not None:
             p, _ = bodies.momenta(thermal, state.A)
-            # Where heat is not counted, the bath leaves noise along the constraints.
+            # The bath leaves noise along the constraints.
             p = bodies.constraints.project(state.q, p)
             state = replace(state, p=np.where(bodies.flexible, p, state.p))
         return temperatures(bodies, state, conserved)
