@@ -43,8 +43,11 @@ class KnownAtoms:
         self._masses = tables.masses(context.getSystem())
         self._mass = float(self._masses.sum())
         self._massless = np.flatnonzero(self._masses == 0)
-        #: Spread of velocities at unit thermal energy; massless particles have none.
-        self._spreads = np.sqrt(np.divide(1.0, self._masses, out=np.zeros_like(self._masses), where=self._masses > 0))
+        #: Of each component of the velocities, (N, 3): with one number for each atom loops take twice as long.
+        self._masses_of_components = np.repeat(self._masses[:, None], 3, axis=1)
+        #: Spread of velocities at unit thermal energy, (N, 3); massless particles have none.
+        masses = self._masses_of_components
+        self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         self._is_single = is_single
         self._is_keeping = False
         self._known: dict[str, np.ndarray] = {}
@@ -161,7 +164,7 @@ class KnownAtoms:
             noise: random numbers.
         """
         drawn = noise.standard_normal((len(self._masses), 3))
-        drawn *= self._spreads[:, None] * math.sqrt((1 - kept**2) * kT)
+        drawn *= self._spreads * math.sqrt((1 - kept**2) * kT)
         drawn += kept * self.velocities
         self.write_velocities(drawn)
 
@@ -179,7 +182,7 @@ class KnownAtoms:
             return self._kinetic
         velocities = self.velocities
         # No products of matrices: their last bits depend on the number of threads.
-        energy = 0.5 * float((self._masses[:, None] * velocities * velocities).sum())
+        energy = 0.5 * float((self._masses_of_components * velocities * velocities).sum())
         if self._is_keeping:
             self._kinetic = energy
         return energy

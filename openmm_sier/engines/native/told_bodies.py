@@ -33,6 +33,8 @@ class ToldBodies:
             points: the massive atoms, each a body of its own.
         """
         self._points, self._constraints = points, len(tables.constraints(system).pairs)
+        #: What `degrees_of_freedom` told, which trials ask for twice.
+        self._freedoms: dict[bool, float] = {}
         self._found: RigidBodies | BodyPlan | RigidityError
         try:
             self._found = known_or_planned(system, given)
@@ -111,6 +113,11 @@ class ToldBodies:
             positions: see `bodies`.
             conserved: whether the total momentum is conserved.
         """
+        if conserved not in self._freedoms:
+            self._freedoms[conserved] = self._counted(positions, conserved)
+        return self._freedoms[conserved]
+
+    def _counted(self, positions: Callable[[], np.ndarray], conserved: bool) -> float:
         if isinstance(self._found, RigidityError):
             return self._freedoms_of_atoms(conserved)
         return sum(degrees_of_freedom(self.bodies(positions), conserved))
