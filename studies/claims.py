@@ -126,6 +126,7 @@ IN_A_HEAT_BATH = (
         figures.speeds_on_a_gpu,
         {"water": (1.7, ANY), "dhfr": (1.3, ANY)},
         in_readme=True,
+        in_paper=True,
     ),
     Claim(
         "With light hydrogens SIER2 at 4 fs simulates {share:.0f} % of what LangevinMiddle does at 4 fs, in TIP3P.",
