@@ -52,6 +52,7 @@ COLUMNS = {
     "ms a force": "{milliseconds:.2f}",
     "seconds an independent V": "{seconds:.2f} ± {seconds_error:.2f}",
     "V over LangevinMiddle": "{relative:.2f} ± {relative_error:.2f}",
+    "in processor time": "{seconds_relative:.2f} ± {seconds_relative_error:.2f}",
     "dipole over": "{dipole_relative:.2f} ± {dipole_relative_error:.2f}",
 }
 
