@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 
 from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from studies.hmc import trials
-from studies.records import Record
+from studies.records import Record, percent_off
 from studies.trust import one
 
 #: Of SIER4G at constant energy, and of SIER2 in a bath with heavy hydrogens, fs.
@@ -96,8 +95,7 @@ def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
 def _beside_exact(record: Record, method: str, key: str, **at: str) -> tuple[float, float]:
     """How far an average is from that of hybrid Monte Carlo, with its standard error, in per cent."""
     own, exact = (one(record.tables["rows"], **at, method=each) for each in (method, "SIER4G HMC, 8 fs"))
-    error = math.hypot(own[f"{key}_error"], exact[f"{key}_error"])
-    return 100 * (own[key] - exact[key]) / abs(exact[key]), 100 * error / abs(exact[key])
+    return percent_off(own, exact, key)
 
 
 def water_in_a_bath(record: Record) -> Mapping[str, float]:

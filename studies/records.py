@@ -176,6 +176,12 @@ def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     return found
 
 
+def percent_off(row: Mapping[str, Any], exact: Mapping[str, Any], key: str) -> tuple[float, float]:
+    """Return how far a value of a row is from that of another, and the standard error of this, in per cent."""
+    error = math.hypot(row[f"{key}_error"], exact[f"{key}_error"])
+    return 100 * (row[key] - exact[key]) / abs(exact[key]), 100 * error / abs(exact[key])
+
+
 def all_runs(
     settings: RunsSettings,
     name: str,

@@ -35,9 +35,6 @@ from studies.heat_bath import AVERAGED, BathSettings
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
-#: The share of the time of all runs that those must have whose costs are known.
-MOST = 0.8
-
 #: What is known of a run beside its averages, with errors.
 COSTS = ("cost", "dipole_cost", "psi_cost")
 
@@ -183,25 +180,16 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     row |= {"accepted": (share * known["accepted"]).sum(min_count=1), "trials": known["trials"].sum()}
     row["per_trial"] = known["forces"].sum() / row["trials"] if row["trials"] else math.nan
     for name in COSTS:
-        row |= _mean_cost(name, known, share)
+        # Where a run is too short to show its memory, its cost has no error, and is as little known.
+        is_known = known[f"{name}_error"].notna().all()
+        row[name] = (share * known[name]).sum() if is_known else math.nan
+        row[f"{name}_error"] = ((share * known[f"{name}_error"]) ** 2).sum() ** 0.5 if is_known else math.nan
     method = METHODS[row["method"]]
     forces = known["forces"].fillna(1e3 * runs["time"] / method.step * method.forces)
     # Other work on the machine only adds to it.
     row["milliseconds"] = (1e6 * runs["time"] / known["fs_per_second"] / forces).min()
     row |= {f"seconds{part}": 1e-3 * row["milliseconds"] * row[f"cost{part}"] for part in ("", "_error")}
     return row | records.pooled(runs, AVERAGED)
-
-
-def _mean_cost(name: str, runs: pd.DataFrame, share: pd.Series) -> dict[str, float]:
-    """Return a mean with its error over the runs that were long enough to show their memory, which most must be."""
-    long = runs[f"{name}_error"].notna()
-    if share[long].sum() < MOST:
-        return {name: math.nan, f"{name}_error": math.nan}
-    weight = share[long] / share[long].sum()
-    return {
-        name: (weight * runs[name][long]).sum(),
-        f"{name}_error": ((weight * runs[f"{name}_error"][long]) ** 2).sum() ** 0.5,
-    }
 
 
 def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from studies.report import SILENT, Report
 AVERAGED = {key: heat_bath.AVERAGED[key] for key in ("translation", "rotation", "potential")}
 
 #: What a run differs by from the others, beside its seed.
-POINT = ("method", "step", "engine", "substeps")
+POINT = ["method", "step", "engine", "substeps"]
 
 #: Trials of steps that small boxes of water bear.
 EXACT = trials.METHODS[trials.LONGER]
@@ -68,18 +68,22 @@ class SubstepSettings(BathSettings):
 def tasks(settings: SubstepSettings) -> Iterator[Task]:
     """Return all runs that the settings ask for, seed by seed."""
     engines = [("exact", ""), *(("native", number) for number in settings.substeps)]
-    cases = [("SIER2", step, *engine) for step, engine in product(settings.steps, engines)]
-    cases.append((EXACT.method, EXACT.step, "exact", ""))
-    for seed, case in product(range(settings.seed, settings.seed + settings.starts), cases):
-        yield Task(settings, dict(zip(POINT, case, strict=True)) | {"seed": seed})
+    points = [
+        {"method": "SIER2", "step": step, "engine": engine, "substeps": number}
+        for step, (engine, number) in product(settings.steps, engines)
+    ]
+    points.append({"method": EXACT.method, "step": EXACT.step, "engine": "exact", "substeps": ""})
+    for seed, point in product(range(settings.seed, settings.seed + settings.starts), points):
+        yield Task(settings, point | {"seed": seed})
 
 
 def run(task: Task) -> dict[str, Any]:
     """Return what is kept of a run."""
     point, settings = task.point, task.settings
-    make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
-    own = Contestant("SIER2", point["step"], make, hydrogens=4.0, prepared=True)
-    method = EXACT if point["method"] == EXACT.method else own
+    method: Contestant = EXACT
+    if point["method"] == "SIER2":
+        make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
+        method = Contestant("SIER2", point["step"], make, hydrogens=4.0, prepared=True)
     return point | {"time": settings.time} | heat_bath.measure(settings, method, point["seed"], at_ends=True)
 
 
@@ -88,8 +92,8 @@ def study(settings: SubstepSettings, report: Report = SILENT) -> Record:
     form = "{method}, {step:g} fs, {engine} engine, substeps {substeps}, seed {seed}: done"
     runs = records.all_runs(settings, "native-substeps", tasks(settings), run, report, form)
     rows = pd.DataFrame(
-        dict(zip(POINT, case, strict=True)) | {"time": mine["time"].sum()} | records.pooled(mine, AVERAGED)
-        for case, mine in runs.groupby(list(POINT), sort=False)
+        mine.iloc[0][POINT].to_dict() | {"time": mine["time"].sum()} | records.pooled(mine, AVERAGED)
+        for _, mine in runs.groupby(POINT, sort=False)
     )
     report.table(f"{settings.box.stem} in a heat bath", text.table(rows, COLUMNS))
     return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "native-substeps.json")

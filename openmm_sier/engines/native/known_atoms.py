@@ -43,7 +43,7 @@ class KnownAtoms:
         self._masses = tables.masses(context.getSystem())
         self._mass = float(self._masses.sum())
         self._massless = np.flatnonzero(self._masses == 0)
-        #: Of each component of the velocities, (N, 3): with one number for each atom loops take twice as long.
+        #: A mass for each component of the velocities, (N, 3): with one for each atom loops take twice as long.
         self._masses_of_components = np.repeat(self._masses[:, None], 3, axis=1)
         #: Spread of velocities at unit thermal energy, (N, 3); massless particles have none.
         masses = self._masses_of_components

@@ -48,7 +48,7 @@ NEVER = -9
 #: Counts the kinetic energy gained since velocities were kept.
 GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 
-#: Count the kinetic energy gained between the two, where velocities are not kept.
+#: Count the kinetic energy gained from the first to the second, without keeping velocities.
 BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
 
 #: A force as a sum of OpenMM's forces, each with its sign.
@@ -214,7 +214,8 @@ def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], coun
 def _half_drift_to_bath(counts_heat: bool) -> tuple[Statement, ...]:
     """Write free motion for half a RATTLE step; `_half_drift_from_bath` constrains the positions.
 
-    Velocities must be tangent, since the bath leaves along the constraints less than the free motion has moved there.
+    Velocities are constrained first. What they have along the constraints would move atoms here, and the bath would
+    change it before the second half corrects the velocities for that.
     """
     return Statement(CONSTRAIN_V), *((BEFORE,) if counts_heat else ()), Statement("x", "x + d*v")
 

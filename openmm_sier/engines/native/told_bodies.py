@@ -33,7 +33,7 @@ class ToldBodies:
             points: the massive atoms, each a body of its own.
         """
         self._points, self._constraints = points, len(tables.constraints(system).pairs)
-        #: What `degrees_of_freedom` told, which trials ask for twice.
+        #: Degrees of freedom, by whether the total momentum is conserved. Each trial asks for them twice.
         self._freedoms: dict[bool, float] = {}
         self._found: RigidBodies | BodyPlan | RigidityError
         try:
@@ -114,10 +114,10 @@ class ToldBodies:
             conserved: whether the total momentum is conserved.
         """
         if conserved not in self._freedoms:
-            self._freedoms[conserved] = self._counted(positions, conserved)
+            self._freedoms[conserved] = self._count_freedoms(positions, conserved)
         return self._freedoms[conserved]
 
-    def _counted(self, positions: Callable[[], np.ndarray], conserved: bool) -> float:
+    def _count_freedoms(self, positions: Callable[[], np.ndarray], conserved: bool) -> float:
         if isinstance(self._found, RigidityError):
             return self._freedoms_of_atoms(conserved)
         return sum(degrees_of_freedom(self.bodies(positions), conserved))
