@@ -20,6 +20,9 @@ TWICE = "WARNING: duplicate atom "
 #: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
 
+#: nm between opposite faces of a box, below which no cut-off reaches a neighbour: half of it is less than a bond.
+NARROWEST = 0.3
+
 #: The last column of the coordinates of an atom in a PDB file.
 COORDINATES_END = 54
 
@@ -158,6 +161,12 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
         raise ForceFieldError(
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If "
             "the system has no box, remove it from the file (in a PDB file the record CRYST1)"
+        )
+    narrowest = float(np.diag(vectors).min())
+    if narrowest < NARROWEST:
+        raise ForceFieldError(
+            f"{path}: the box, {extent(vectors)}, has opposite faces {narrowest:.3g} nm apart, expected {NARROWEST:g} "
+            "or more. Correct its edges and angles (in a PDB file the record CRYST1)"
         )
 
 

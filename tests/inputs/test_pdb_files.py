@@ -42,6 +42,11 @@ def with_edges(lines, a, b, c):
             lambda lines: with_edges(lines, "1.000", "1.000", "1.000"),
             "a volume of 0.001 nm3, too small for atoms of 486",
         ),
+        # A sliver of enough volume, in which OpenMM minimizes the energy without end.
+        (
+            lambda lines: with_edges(lines, "99.000", "99.000", "1.000"),
+            r"9\.9000 x 9\.9000 x 0\.1000 nm, has opposite faces 0\.1 nm apart",
+        ),
         (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
         # The last number of the last atom would be 1.
         (
