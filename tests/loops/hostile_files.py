@@ -248,7 +248,7 @@ def cases(directory: Path) -> st.SearchStrategy[Case]:
     short = f"--steps {STEPS} --equilibrate 0 --dt 2 --scheme sier2 --platform Reference --every 0.02".split()
     # Steps are given, since a changed number of them may last for days.
     resumed = ["run", "--restart", "run.chk", "--steps", str(LATER)]
-    begun = ["run", "--out", "new.dcd", *short]
+    begun = ["run", "--out", "new.dcd", "--report", "new.csv", *short]
     summary = ["summary", "run.csv", "--json", "numbers.json"]
     readers = {
         "run.chk": (
@@ -258,7 +258,7 @@ def cases(directory: Path) -> st.SearchStrategy[Case]:
         "run.csv": (changed_bytes(files["run.csv"]), [summary, resumed]),
         "run.dcd": (changed_bytes(files["run.dcd"]), [resumed]),
         "box.pdb": (changed_bytes(files["box.pdb"]), [["info", "box.pdb"], [*begun, "box.pdb"]]),
-        "run.toml": (changed_bytes(files["run.toml"]), [["run", "--config", "run.toml", "--out", "new.dcd", *short]]),
+        "run.toml": (changed_bytes(files["run.toml"]), [[*begun, "--config", "run.toml"]]),
         "system.xml": (
             changed_xml(files["system.xml"], evil) | changed_bytes(files["system.xml"]),
             [["info", "box.pdb", "--topology", "system.xml"], [*begun, "box.pdb", "--topology", "system.xml"]],
