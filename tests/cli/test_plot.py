@@ -253,7 +253,9 @@ def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
 def test_a_picture_destroys_no_log(capsys):
     write_log("a.png")
     before = contents(Path())
-    assert "a.png would overwrite a.png: give another name" in complaint(capsys, "plot", "a.png", "--out", "a.png")
+    assert "a.png would overwrite the input a.png: give another name" in complaint(
+        capsys, "plot", "a.png", "--out", "a.png"
+    )
     assert contents(Path()) == before
 
 
