@@ -259,6 +259,20 @@ def test_a_picture_destroys_no_log(capsys):
     assert contents(Path()) == before
 
 
+@pytest.mark.parametrize("ending", ["png", "svg", "html"])
+def test_a_picture_replaces_only_an_earlier_one(capsys, ending):
+    write_log("a.csv")
+    name = f"a.{ending}"
+    for _ in range(2):
+        run("plot", "a.csv", "--out", name)
+    for text in (b"\x89PNG\r\n", b"<svg>openmm-sier</svg>", b""):
+        Path(name).write_bytes(text)
+        assert f"{name} exists, and is no earlier file of openmm-sier" in complaint(
+            capsys, "plot", "a.csv", "--out", name
+        )
+        assert Path(name).read_bytes() == text
+
+
 def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):
     """Before a run begins, not at its end."""
     write_log("a.csv")
