@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from openmm_sier.analysis.many_runs import word
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import records
@@ -52,4 +53,4 @@ def execute(
     records.replace(path, memoryview(as_pdb(made).encode()))
     title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
     table(title, ("", ""), made.changes, left=2)
-    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
+    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', word(path), '--ensemble', 'npt'])}")

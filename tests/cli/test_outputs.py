@@ -133,6 +133,18 @@ def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration,
     assert Path(name).read_bytes() == before
 
 
+def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypatch, no_equilibration):
+    """It would name the coordinates by their way from another directory."""
+    Path("there").mkdir()
+    here = Path(os.fsdecode(b"m\xff"))
+    here.mkdir()
+    box.rename(here / box)
+    monkeypatch.chdir(here)
+    message = complaint(capsys, "run", box, *SMALL, "--out", "../there/a.dcd")
+    assert r"the directory of b'../m\xff/box.pdb' is not UTF-8: run in another directory" in message
+    assert not list(Path("../there").iterdir())
+
+
 # --- what cannot be written is found at once ---
 
 

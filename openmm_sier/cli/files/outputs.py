@@ -9,12 +9,13 @@ import openmm
 
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.files.locks import is_name_of_a_lock
 from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.platforms import platform_of
-from openmm_sier.cli.settings import RunSettings
+from openmm_sier.cli.settings import FILES, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 
 #: Bytes at the beginning of a file in which the mark of its kind is.
@@ -60,6 +61,9 @@ class Outputs:
         Raises:
             RunError: naming the file.
         """
+        for path in map(self._settings.noted(self.checkpoint).get, FILES):
+            if path and not is_utf8(path):
+                raise RunError(f"the directory of {os.fsencode(path)!r} is not UTF-8: run in another directory")
         start = self._settings.start
         inputs = [*sources, *([start] if start else [])]
         # Whoever named the trajectory did not name the checkpoint.
