@@ -218,7 +218,7 @@ def summary(
     """Print means over several runs.
 
     Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five or
-    more, else from the errors of each. --json and --plot replace earlier files.
+    more, else from the errors of each. --json and --plot replace only files that they wrote earlier.
     """
     _execute("summary", logs, json, plot, skip)
 
