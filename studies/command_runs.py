@@ -12,8 +12,8 @@ import mdtraj
 import numpy as np
 
 from openmm_sier import analysis
+from openmm_sier.analysis.many_runs import words
 from openmm_sier.cli.errors import NothingLeft
-from openmm_sier.cli.settings import words
 
 #: Names of the files of a run.
 TRAJECTORY, LOG, CHECKPOINT = "run.dcd", "run.csv", "run.chk"

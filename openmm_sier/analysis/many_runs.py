@@ -139,14 +139,22 @@ def named(path: Path, seed: int) -> Path:
 
 def _line(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
     """Return the words of the command line of a member."""
-    line = ["run", os.fspath(box), "--seed", str(member.seed), "--out", os.fspath(member.out), "--resume"]
-    for name, value in options.items():
-        flag = name.replace("_", "-")
-        if isinstance(value, bool):
-            line.append(f"--{flag}" if value else f"--no-{flag}")
-        elif value is not None:
-            line += [f"--{flag}", *map(str, value if isinstance(value, (list, tuple)) else [value])]
-    return line
+    line = ["run", word(box), "--seed", str(member.seed), "--out", word(member.out), "--resume"]
+    return line + [each for name, value in options.items() if value is not None for each in words(name, value)]
+
+
+def words(name: str, value: Any) -> list[str]:
+    """Return the words of a command line that give an option, by its name with underscores, a value."""
+    flag = f"--{name.replace('_', '-')}"
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag[2:]}"]
+    return [flag, *map(word, value if isinstance(value, (list, tuple)) else [value])]
+
+
+def word(value: Any) -> str:
+    """Return a value as a word that is not taken for an option, which a number below zero is not."""
+    text = str(value)
+    return f"./{text}" if text.startswith("-") and not isinstance(value, (int, float)) else text
 
 
 # --- the pool, which is Dask's ---

@@ -1,5 +1,6 @@
 """The commands and their options, read from a command line."""
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,7 +14,7 @@ from cyclopts.validators import Number
 from pydantic import ValidationError
 
 from openmm_sier.cli.errors import Misused
-from openmm_sier.cli.fields import Options, options, refusal
+from openmm_sier.cli.fields import Options, is_utf8, options, refusal
 from openmm_sier.cli.seeds import read_seeds
 from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings, flag
 from openmm_sier.cli.streams import PROGRAM
@@ -217,7 +218,7 @@ def summary(
     """Print means over several runs.
 
     Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five or
-    more, else from the errors of each. --json and --plot replace earlier files.
+    more, else from the errors of each. --json and --plot replace only files that they wrote earlier.
     """
     _execute("summary", logs, json, plot, skip)
 
@@ -257,6 +258,9 @@ def parse(arguments: Sequence[str] | None = None) -> Call:
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     if not tokens:
         raise Misused(f"expected a command, one of {', '.join(name for name in app if name[0] != '-')}")
+    for token in tokens:
+        if not is_utf8(token):
+            raise Misused(f"the argument {os.fsencode(token)!r} is not UTF-8: give the file another name")
     try:
         function, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
     except CycloptsError as error:

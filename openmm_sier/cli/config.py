@@ -13,6 +13,7 @@ from openmm_sier.cli.fields import options, refusal
 from openmm_sier.cli.files import records
 from openmm_sier.cli.planning import useless_settings
 from openmm_sier.cli.settings import LENGTHS, NOTED, SETTINGS, RunSettings
+from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.version import __version__
 
 if sys.version_info >= (3, 11):
@@ -22,6 +23,9 @@ else:
 
 #: Settings of one call of the command that a file has where they were given: they change how a new run begins.
 OF_A_BEGINNING = "start", "equilibrate", "minimize", "platform", "plot"
+
+#: What a file of `--save-config` begins with.
+MARK = f"# A run of {PROGRAM} ".encode()
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -61,5 +65,5 @@ def write_config(path: Path, settings: RunSettings) -> None:
     useless = useless_settings(settings)
     # What JSON writes of texts, numbers and lists of them is TOML.
     lines = [f"{name} = {json.dumps(value)}" for name, value in values.items() if name not in useless]
-    text = "\n".join([f"# A run of openmm-sier {__version__}: openmm-sier run --config {path.name}", *lines, ""])
-    records.replace(path, memoryview(text.encode()))
+    text = "\n".join([f"{__version__}: {PROGRAM} run --config {path.name}", *lines, ""])
+    records.replace(path, memoryview(MARK + text.encode()))

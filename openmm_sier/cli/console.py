@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table as RichTable
 
+from openmm_sier.cli.streams import printable
 from openmm_sier.inputs.report import Advance, Report
 
 PS_PER_NS = 1000.0
@@ -24,7 +25,7 @@ LINE_AFTER = 30.0
 
 def note(message: str) -> None:
     """Print a line of progress information."""
-    print(message, flush=True)
+    print(printable(message), flush=True)
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
@@ -36,11 +37,11 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         rows: cells, in each row one for each column.
         left: number of leading columns that are aligned to the left, the others being numbers.
     """
-    made = RichTable(title=title, title_justify="left", show_header=any(columns))
+    made = RichTable(title=printable(title), title_justify="left", show_header=any(columns))
     for i, heading in enumerate(columns):
         made.add_column(heading, justify="left" if i < left else "right", overflow="fold")
     for row in rows:
-        made.add_row(*row)
+        made.add_row(*map(printable, row))
     # In a file, lines are as long as they need to be.
     Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
 

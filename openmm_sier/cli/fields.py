@@ -26,9 +26,18 @@ FILE, NAME = "the name of a file", "a name"
 # --- types ---
 
 
+def is_utf8(text: str) -> bool:
+    """Return whether a text, such as a name of a file, can be written in UTF-8, as JSON and TOML need it."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _check_file(path: Path) -> Path:
     # The root, this directory and the one above are no files, and outputs may be named after inputs.
-    if path.name in ("", "..") or "\0" in str(path):
+    if path.name in ("", "..") or "\0" in str(path) or not is_utf8(str(path)):
         raise ValueError(f"expected {FILE}")
     return path
 

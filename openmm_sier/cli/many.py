@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import openmm
-
 from openmm_sier.analysis.many_runs import Member, RunsError, named, run_many
 from openmm_sier.cli import summary
 from openmm_sier.cli.console import note
@@ -21,6 +19,7 @@ from openmm_sier.cli.seeds import shown
 from openmm_sier.cli.settings import RunSettings, flag
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.engines.choice import usual_platform
 
 #: Options that name a file which each member writes by itself.
 OF_MEMBERS = ("report", "pressure_tensor", "save_config")
@@ -128,9 +127,7 @@ def _is_usual(name: str, value: object) -> bool:
 
 def _usual_workers(platform: str | None) -> int:
     """Return how many runs a machine has at a time: one for each core, or one alone on a GPU."""
-    there = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
-    fastest = max(there, key=lambda each: each.getSpeed()).getName()
-    return cores() if (platform or fastest) in ON_CORES else 1
+    return cores() if (platform or usual_platform().getName()) in ON_CORES else 1
 
 
 # --- what is told ---

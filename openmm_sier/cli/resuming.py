@@ -18,6 +18,7 @@ from openmm_sier.cli.platforms import keep_platform, tell_of_another_platform
 from openmm_sier.cli.running import Run, check_extras, tell_of_settings
 from openmm_sier.cli.settings import RunSettings, checkpoint_of, trajectory_of
 from openmm_sier.cli.stopping import StopRequests
+from openmm_sier.inputs.inputs import fingerprints, sources_of
 
 #: Relative difference allowed between the energy of a checkpoint's positions and the energy noted in it. Platforms
 #: differ by single precision.
@@ -76,10 +77,12 @@ def resume(given: Mapping[str, Any], checkpoint: Path, locks: FileLocks, request
     settings = keep_platform(settings, checkpoint, notes["platform"])
     outputs = Outputs(settings, checkpoint)
     check_extras(settings, outputs, may_replace=True)
+    sources = sources_of(settings.box, settings.topology, settings.forcefield)
+    _refuse_other_inputs(sources, checkpoint, notes["inputs"])
+    outputs.check(sources.values())
     _check_unfinished(settings, outputs, notes)
     tell_of_settings(settings)
     simulated = Simulated(settings)
-    outputs.check(simulated.box.sources.values())
     locks.hold(outputs.paths)
     outputs.check_noted(notes)
     found = cuts.find_cuts(settings, notes)
@@ -114,7 +117,6 @@ def _check_unfinished(settings: RunSettings, outputs: Outputs, notes: Mapping[st
 
 def _restored(simulated: Simulated, state: openmm.State, checkpoint: Path, notes: Mapping[str, Any]) -> openmm.Context:
     """Return a Context in the state of a checkpoint, which must belong to this system."""
-    _refuse_other_inputs(simulated, checkpoint, notes["inputs"])
     context = simulated.context(notes["step"])
     context.setState(state)
     energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
@@ -127,11 +129,14 @@ def _restored(simulated: Simulated, state: openmm.State, checkpoint: Path, notes
     return context
 
 
-def _refuse_other_inputs(simulated: Simulated, checkpoint: Path, noted: Mapping[str, str]) -> None:
-    """Refuse to go on with files that are not those of the run, which may hold another system of nearly its energy."""
-    for use, path in simulated.box.sources.items():
-        if simulated.inputs[use] != noted.get(use):
+def _refuse_other_inputs(sources: Mapping[str, Path], checkpoint: Path, noted: Mapping[str, str]) -> None:
+    """Refuse files that are not those of the run, which may hold another system of nearly its energy."""
+    inputs = fingerprints(sources)
+    for use, path in sources.items():
+        if inputs[use] != noted.get(use):
             raise RunError(
                 f"{path} is not the file that the run of {checkpoint} read, or was edited. Give the original file, or "
                 "begin a new run with --start"
             )
+    if missing := [use for use in noted if use not in sources]:
+        raise RunError(f"{missing[0]}, which the run of {checkpoint} read, is missing: put it back under this name")

@@ -7,11 +7,11 @@ from signal import Signals
 
 import openmm
 
-from openmm_sier.cli import results, run_checks
+from openmm_sier.cli import config, results, run_checks
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.console import clock, note, progress_bar
 from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.files.outputs import Outputs, check_place
+from openmm_sier.cli.files.outputs import Outputs, check_place, refuse_to_replace
 from openmm_sier.cli.logged_runs import FEWEST_ROWS
 from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.pictures import canvas
@@ -29,7 +29,12 @@ COLD = 100.0
 
 
 def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> None:
-    """Refuse a picture and a file of settings that cannot be written, or would destroy another file.
+    """Refuse a picture that cannot be drawn, and a picture or settings that would replace another file.
+
+    Args:
+        settings: of the run.
+        outputs: of the run.
+        may_replace: whether a picture and settings of an earlier run are replaced.
 
     Raises:
         RunError: naming the file, and what is expected.
@@ -37,14 +42,14 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
     """
     inputs = [path for path in (settings.box, settings.topology, settings.start) if path]
     if settings.plot:
-        canvas.check(settings.plot, [*inputs, *outputs.paths], may_replace)
+        canvas.check(settings.plot, inputs, may_replace, outputs.paths)
         rows = settings.steps // settings.interval(settings.report_every) + 1
         if rows < FEWEST_ROWS:
             needs = f"--plot needs a log of {FEWEST_ROWS} rows or more"
             raise RunError(f"{needs}, and this one would have {rows}: lower --report-every")
     if settings.save_config:
-        others = [*inputs, *outputs.paths, *([settings.plot] if settings.plot else [])]
-        check_place(settings.save_config, others, "" if may_replace else "--save-config")
+        check_place(settings.save_config, inputs, [*outputs.paths, *outputs.extras[:-1]])
+        refuse_to_replace(settings.save_config, "--save-config", config.MARK if may_replace else b"")
 
 
 def tell_of_settings(settings: RunSettings) -> None:

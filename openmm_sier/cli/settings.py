@@ -399,10 +399,3 @@ LENGTHS = "steps", "time"
 def flag(name: str) -> str:
     """Return the option of a setting on a command line."""
     return f"--{name.replace('_', '-')}"
-
-
-def words(name: str, value: Any) -> list[str]:
-    """Return the words of a command line that give a setting this value."""
-    if isinstance(value, bool):
-        return [flag(name) if value else f"--no-{flag(name)[2:]}"]
-    return [flag(name), *map(str, value if isinstance(value, list) else [value])]

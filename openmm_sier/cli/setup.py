@@ -4,10 +4,11 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from openmm_sier.analysis.many_runs import word
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
 
@@ -40,7 +41,11 @@ def execute(
         ForceFieldError, OSError, ModuleNotFoundError: as their messages say.
     """
     path = out or Path(f"{structure.stem}-water.pdb")
-    _check_out(path, structure, overwrite)
+    if path.suffix != ".pdb":
+        raise RunError(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
+    check_place(path, [structure, *(forcefield or ())])
+    if not overwrite:
+        refuse_to_replace(path, "--out")
     files = tuple(map(str, forcefield or FILES))
     note(f"{structure}: for the force field {' '.join(files)}")
     whole = complete(structure, files, leave_out or (), ends, ph, seed)
@@ -48,16 +53,4 @@ def execute(
     records.replace(path, memoryview(as_pdb(made).encode()))
     title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
     table(title, ("", ""), made.changes, left=2)
-    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', str(path), '--ensemble', 'npt'])}")
-
-
-def _check_out(path: Path, structure: Path, overwrite: bool) -> None:
-    """Refuse a file that is no PDB file by its name, would destroy another, or cannot be written."""
-    if path.suffix != ".pdb":
-        raise RunError(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
-    if same_file(path, structure):
-        raise RunError(f"{path} is the structure that is read, and would be overwritten: give another name with --out")
-    if path.exists() and not (overwrite and path.is_file()):
-        raise RunError(f"{path} exists: give another name with --out, or replace it with --overwrite")
-    if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
+    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', word(path), '--ensemble', 'npt'])}")

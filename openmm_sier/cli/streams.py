@@ -45,6 +45,14 @@ def escape(stream: TextIO | None) -> None:
         stream.reconfigure(errors="backslashreplace")
 
 
+def printable(text: str) -> str:
+    """Return a text, lines included, with escapes in place of what would control a terminal.
+
+    All lines and tables of the command go through here, since names and texts of files may hold anything.
+    """
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
 def discard(stream: TextIO) -> None:
     """Send unwritten text of a broken stream to the null device; otherwise Python would fail on it when it exits."""
     with contextlib.suppress(OSError, ValueError):
@@ -56,7 +64,7 @@ def discard(stream: TextIO) -> None:
 def complain(message: str) -> None:
     """Print one line on standard error, or nothing if that fails, as with a closed terminal."""
     try:
-        print(f"{PROGRAM}: {message}", file=sys.stderr, flush=True)
+        print(printable(f"{PROGRAM}: {message}"), file=sys.stderr, flush=True)
     except OSError:
         discard(sys.stderr)
 
@@ -69,7 +77,7 @@ def in_one_line(message: Warning | BaseException | str) -> str:
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
-    print(f"warning: {in_one_line(message)}", flush=True)
+    print(printable(f"warning: {in_one_line(message)}"), flush=True)
 
 
 def described(error: Exception) -> str:

@@ -9,11 +9,14 @@ from typing import Any
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import check_place
+from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
 from openmm_sier.cli.logged_runs import Runs, read_runs, remarks
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.results import Quantity
 from openmm_sier.version import __version__
+
+#: What a file of `--json` begins with.
+MARK = b'{\n "openmm_sier": "'
 
 
 def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float | None) -> None:
@@ -30,8 +33,9 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
     """
     if json:
         check_place(json, logs)
+        refuse_to_replace(json, "--json", MARK)
     if plot:
-        canvas.check(plot, [*logs, *([json] if json else [])], may_replace=True)
+        canvas.check(plot, logs, may_replace=True, outputs=[json] if json else [])
     runs = read_runs(logs, skip)
     means = runs.means()
     rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]

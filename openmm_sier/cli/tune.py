@@ -4,11 +4,11 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
+from openmm_sier.analysis.many_runs import word, words
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.planning import new_settings
-from openmm_sier.cli.settings import words
 from openmm_sier.cli.starting import begin, read_origin
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.integrators.tuning import SCHEMES, tune
@@ -51,7 +51,7 @@ def run_line(given: Mapping[str, Any], found: Tuning) -> str:
         "dt": float(f"{1000 * found.stepSize:.4g}"),
         "steps_per_trial": found.stepsPerTrial,
     }
-    line = [PROGRAM, "run", str(given["box"]), "--ensemble", "hmc"]
+    line = [PROGRAM, "run", word(given["box"]), "--ensemble", "hmc"]
     for name, value in {**given, **chosen}.items():
         line += [] if name == "box" else words(name, value)
     return shlex.join(line)

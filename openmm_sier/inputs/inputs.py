@@ -71,7 +71,7 @@ def read_input(
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
     forcefields.tell_of_thin_box(path, box)
-    return _with_sources(box, Path(path), None if topology is None else Path(topology))
+    return box._replace(sources=sources_of(path, topology, files))
 
 
 def topology_kind(path: str | Path) -> str:
@@ -239,14 +239,29 @@ def _molecules(system: openmm.System) -> list[list[int]]:
 # --- what was read ---
 
 
-def _with_sources(box: Box, path: Path, topology: Path | None) -> Box:
-    """Return a Box with the files that were read, by purpose, without OpenMM's own and GROMACS's."""
-    sources, named = {"box": path}, box.files
+def sources_of(
+    path: str | Path, topology: str | Path | None = None, files: Sequence[str | Path] | None = None
+) -> dict[str, Path]:
+    """Return the files that `read_input` reads, by purpose, without OpenMM's own and GROMACS's.
+
+    Args:
+        path, topology, files: see `read_input`.
+
+    Raises:
+        ForceFieldError: a PDB file names no force field, and none is given.
+        OSError: a file that names others cannot be read.
+    """
+    sources, named = {"box": Path(path)}, files or ()
     if topology is not None:
-        sources["topology"], named = topology, box.files[1:]
-        sources |= {str(name): topology.parent / name for name in _included(topology)}
-    sources |= {name: Path(forcefields.locate(name, path.parent)) for name in named}
-    return box._replace(sources={use: place for use, place in sources.items() if place.is_file()})
+        sources["topology"] = Path(topology)
+        sources |= {str(name): Path(topology).parent / name for name in _included(Path(topology))}
+    elif not named:
+        try:
+            named, _ = forcefields.pick(path)
+        except ForceFieldError as error:
+            raise error.within(path) from None
+    located = {str(name): Path(forcefields.locate(str(name), Path(path).parent)) for name in named}
+    return sources | {name: place for name, place in located.items() if place.is_file()}
 
 
 def _included(topology: Path) -> Iterator[Path]:

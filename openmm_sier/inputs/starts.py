@@ -2,7 +2,6 @@
 
 import math
 import warnings
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from openmm import unit
 from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.engines.choice import usual_platform
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.inputs.report import SILENT, Advance, Report
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
@@ -93,7 +93,7 @@ def make_context(system: openmm.System, integrator: openmm.Integrator, platform:
         system, integrator: of the Context.
         platform: its name; None takes the platform that OpenMM takes by itself, the fastest that works here.
     """
-    chosen = _usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
+    chosen = usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
     properties, names = {}, chosen.getPropertyNames()
     if "Precision" in names:
         properties["Precision"] = "mixed"
@@ -101,13 +101,6 @@ def make_context(system: openmm.System, integrator: openmm.Integrator, platform:
         # OpenMM counts the cores of the machine.
         properties["Threads"] = str(min(int(chosen.getPropertyDefaultValue("Threads")), cores()))
     return openmm.Context(system, integrator, chosen, properties)
-
-
-@cache
-def _usual_platform() -> openmm.Platform:
-    particle = openmm.System()
-    particle.addParticle(1.0)
-    return openmm.Context(particle, openmm.VerletIntegrator(0.001)).getPlatform()
 
 
 def prepare(

@@ -15,7 +15,7 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.choice import engine_for, fastest_platform, is_on_host
+from openmm_sier.engines.choice import engine_for, is_on_host, usual_platform
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
@@ -184,7 +184,7 @@ class Binding:
         integrator, given = self._integrator, self.settings
         # There is one already where a Context could not be created.
         installation.uninstall(integrator)
-        on_gpu = not is_on_host(platform or fastest_platform())
+        on_gpu = not is_on_host(platform or usual_platform())
         groups = integrator.getIntegrationForceGroups()
         self.program = program_for(self._whole_flow(), system, groups, counts_heat=not on_gpu)
         # What the exact engine stores makes the kernels of GPUs slower.

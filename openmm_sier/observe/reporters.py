@@ -1,5 +1,6 @@
 """Reporters for OpenMM's Simulation that know about rigid bodies."""
 
+import os
 from os import PathLike
 from pathlib import Path
 
@@ -8,6 +9,10 @@ from openmm import app
 
 from openmm_sier.observe import body_states, conservation, pressure
 from openmm_sier.system.arguments import whole_number
+from openmm_sier.system.notices import notify
+
+#: Bytes, more than a row has.
+LONGEST_ROW = 2**16
 
 
 class _Reporter:
@@ -35,7 +40,8 @@ class _TableReporter(_Reporter):
         Args:
             file: path of the CSV file.
             reportInterval: number of steps between two rows, at least 1.
-            append: True continues an existing file without a second header; False replaces it.
+            append: True continues an existing file without a second header, and first removes, with a warning, a last
+                row without its end, as a killed run leaves it; False replaces the file.
 
         Raises:
             ValueError: the interval is not a whole number of at least 1, or the file to be continued has other columns.
@@ -45,17 +51,33 @@ class _TableReporter(_Reporter):
         self._path = Path(file)
         continued = append and self._path.exists() and self._path.stat().st_size
         self._header = self._columns_there() if continued else None
+        if continued:
+            self._cut_incomplete_row()
         self._out = self._path.open("a" if append else "w", newline="\n")
 
     def _columns_there(self) -> tuple[str, ...]:
         with self._path.open() as file:
-            found = file.readline().rstrip().split(",")
+            heading = file.readline()
+        if not heading.endswith("\n"):
+            raise ValueError(f"{self._path} cannot be continued: its heading was cut off. Remove the file")
+        found = heading.rstrip().split(",")
         if tuple(found[: len(self.COLUMNS)]) != self.COLUMNS:
             raise ValueError(
                 f"{self._path} cannot be continued: it has {len(found)} columns that begin with "
                 f"{', '.join(found[:3])}, expected the {len(self.COLUMNS)} of {type(self).__name__}"
             )
         return tuple(found)
+
+    def _cut_incomplete_row(self) -> None:
+        with self._path.open("r+b") as file:
+            end = file.seek(0, os.SEEK_END)
+            file.seek(max(0, end - LONGEST_ROW))
+            row = file.read().rpartition(b"\n")[2]
+            if len(row) == LONGEST_ROW:
+                raise ValueError(f"{self._path} cannot be continued: its last row has no end")
+            file.truncate(end - len(row))
+        if row:
+            notify(f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of that")
 
     def _write(self, columns: tuple[str, ...], row: tuple[float, ...]) -> None:
         """Write one row, and flush it."""

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.commands import SMALL, complaint, contents, run, write_lattice
+from openmm_sier.cli.files.records import _fingerprint
+from tests.support.commands import SMALL, complaint, contents, rewrite_notes, run, write_lattice
 
 FILES = ["--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
 AGAIN = ["run", "box.pdb", "--platform", "Reference", "--restart", "box.chk"]
@@ -48,4 +49,40 @@ def test_edited_log_is_refused(one, capsys, old, new):
     Path("box.csv").write_bytes(Path("box.csv").read_bytes().replace(old, new))
     before = contents(Path())
     assert "box.csv was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20")
+    assert contents(Path()) == before
+
+
+#: By the notes of a checkpoint, the option that names the file, and files that are not of that kind.
+VICTIMS = [
+    ("trajectory", "out", "photo.dcd"),
+    ("trajectory", "out", "photo.xtc"),
+    ("log", "report", "thesis.tex"),
+    ("tensors", "pressure_tensor", "thesis.tex"),
+]
+
+
+@pytest.mark.parametrize(("name", "option", "victim"), [*VICTIMS, ("log", "report", "box.csv")])
+@pytest.mark.parametrize("size", [0, 10, 60, 2**40])
+def test_a_checkpoint_cuts_no_file_of_another_kind(one, capsys, name, option, victim, size):
+    """Not even one that knows what a file holds; and none below its heading."""
+    path = Path(victim)
+    if not path.exists():
+        path.write_bytes(b"mine, not that of a run\n" * 1000)
+
+    def change(notes):
+        notes["plan"][option] = victim
+        notes[name] = {"size": size, "count": 0, "fingerprint": _fingerprint(path, size)}
+
+    rewrite_notes("box.chk", change)
+    before = contents(Path())
+    assert f"{victim} was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20", "--overwrite")
+    assert contents(Path()) == before
+
+
+@pytest.mark.parametrize("size", [0, 100, 275, 277, 2**40])
+def test_a_trajectory_is_cut_between_its_frames(one, capsys, size):
+    noted = {"size": size, "count": 0, "fingerprint": _fingerprint(Path("box.dcd"), size)}
+    rewrite_notes("box.chk", lambda notes: notes.update(trajectory=noted))
+    before = contents(Path())
+    assert "box.dcd was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20", "--overwrite")
     assert contents(Path()) == before

@@ -90,8 +90,8 @@ def test_files_of_settings_destroy_nothing(box, capsys):
     Path("mine.toml").write_text("mine")
     for name, message in (
         ("mine.toml", "mine.toml exists: give another name with --save-config, or replace it with --overwrite"),
-        (box, f"{box} would overwrite {box}"),
-        ("box.csv", "box.csv would overwrite box.csv"),
+        (box, f"{box} would overwrite the input {box}"),
+        ("box.csv", "box.csv and box.csv are the same"),
         ("none/a.toml", "there is no directory none for a.toml"),
     ):
         before = contents(Path())

@@ -118,6 +118,8 @@ def test_frames_after_a_length_are_counted(kind, has_box, atoms):
         file.write(positions * unit.nanometer, box)
         lengths.append(file.size)
     assert [kind.records_after(file.path, length) for length in lengths] == [4, 3, 2, 1, 0]
+    assert all(kind.are_records(file.path, length) for length in lengths)
+    assert not any(kind.are_records(file.path, length) for length in (1, lengths[-1] + 1))
     for lost in (1, 4, 50):
         with open("frames", "r+b") as cut:
             cut.truncate(lengths[-1] - lost)
@@ -126,11 +128,13 @@ def test_frames_after_a_length_are_counted(kind, has_box, atoms):
 
 
 def test_rows_after_a_length_are_counted():
-    file = Log(Path("log.csv"), ["a", "b"], None)
-    file.write([1, 2])
+    file = Log(Path("log.csv"), ["Step", "Time (ps)", "b"], None)
+    file.write([1, 2, 3])
     length = file.size
     assert Log.records_after(file.path, length) == 0
-    file.write([3, 4])
+    assert Log.are_records(file.path, length)
+    assert not Log.are_records(file.path, length - 1)
+    file.write([3, 4, 5])
     file.append(b"5,", counts=False)
     assert Log.records_after(file.path, length) == 2
     file.close()

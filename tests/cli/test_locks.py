@@ -106,6 +106,29 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
             mine.hold([Path(name)])
 
 
+@pytest.mark.parametrize("make", ["file", "link", "broken link"])
+def test_a_file_with_the_name_of_a_lock_is_somebodys(make):
+    Path("mine").write_text("mine")
+    place = Path(".a.dcd.lock")
+    if make == "file":
+        place.write_text("process of science")
+    else:
+        place.symlink_to("mine" if make == "link" else "none")
+    before = contents(Path())
+    with (
+        FileLocks() as mine,
+        pytest.raises(RunError, match=r"\.a\.dcd\.lock is not a lock of openmm-sier.*: rename it"),
+    ):
+        mine.hold([Path("a.dcd")])
+    assert contents(Path()) == before
+
+
+def test_no_output_has_the_name_of_a_lock(box, capsys):
+    message = complaint(capsys, "run", box, *SMALL, "--out", "a.dcd", "--report", ".a.chk.lock")
+    assert ".a.chk.lock has the name of a lock: give another name" in message
+    assert not names()
+
+
 OUTPUTS = ["--out", "a.dcd", "--pressure-tensor", "p.csv"]
 
 

@@ -1,12 +1,15 @@
 """The declaration of options: what `--help` says, and that files are checked by it before anything is written."""
 
+import json
 import math
 import shutil
+import zipfile
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from openmm_sier.cli.files.checkpoints import Notes
 from openmm_sier.cli.main import MISUSED, main
 from openmm_sier.cli.methods import ENSEMBLES, METHODS
 from openmm_sier.cli.planning import new_settings
@@ -134,6 +137,46 @@ def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
         (copied / "box.chk").write_bytes(original)
         rewrite_notes("box.chk", lambda notes, change=change: change(notes["plan"]))
         refuse(capsys, copied, "box.chk ", f"setting {name}", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
+
+
+ESCAPE = "\x1b]0;owned\x07"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("step", value) for value in (-1, 0, 1.5, True, "2", 10**16, None)),
+        *(("potential_energy", value) for value in (math.nan, math.inf, "0", None)),
+        *(("unsettled", value) for value in (ESCAPE, "", 1)),
+        *(("platform", value) for value in ({}, {"Platform": ESCAPE}, {"Platform": 1}, "Reference")),
+        *(("inputs", value) for value in ({"box": "0"}, [], None)),
+        *(("log", value) for value in ({}, None, {"size": -1, "count": 0, "fingerprint": 32 * "0"})),
+        ("trajectory", {"size": 300, "count": True, "fingerprint": 32 * "0"}),
+        ("tensors", None),
+        ("plan", []),
+        ("bodies", 1),
+    ],
+)
+def test_wrong_notes_in_a_checkpoint(copied, capsys, name, value):
+    rewrite_notes("box.chk", lambda notes: notes.update({name: value}))
+    refuse(capsys, copied, "box.chk is damaged, or is not a checkpoint", name, "run", "--restart", "box.chk")
+
+
+@pytest.mark.parametrize("name", [*Notes.model_fields])
+def test_missing_notes_in_a_checkpoint(copied, capsys, name):
+    rewrite_notes("box.chk", lambda notes: notes.pop(name))
+    refuse(capsys, copied, "box.chk is damaged, or is not a checkpoint", name, "run", "--restart", "box.chk")
+    refuse(capsys, copied, "box.chk is damaged", name, "run", "box.pdb", "--start", "box.chk", "--out", "new.dcd")
+
+
+@pytest.mark.parametrize("notes", [[], None, 1, "\ud800", {"format": [ESCAPE]}])
+def test_notes_that_are_none(copied, capsys, notes):
+    with zipfile.ZipFile("box.chk") as archive:
+        state = archive.read("state.xml")
+    with zipfile.ZipFile("box.chk", "w") as archive:
+        archive.writestr("state.xml", state)
+        archive.writestr("notes.json", json.dumps(notes))
+    refuse(capsys, copied, "box.chk is damaged", "note", "run", "--restart", "box.chk")
 
 
 # --- outputs of a restart ---

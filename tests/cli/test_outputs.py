@@ -12,7 +12,7 @@ import pytest
 from openmm import app
 
 from openmm_sier.cli import main, streams
-from openmm_sier.cli.files import checkpoints
+from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.settings import OUTPUTS, SETTINGS
 from openmm_sier.inputs import starts
@@ -101,6 +101,48 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
     Path("linked.csv").symlink_to("x.dcd")
     command = ["run", box, *SMALL, "--out", "x.dcd", *options, "--overwrite"]
     assert "outputs must be different files" in complaint(capsys, *command)
+
+
+def test_temporary_files_are_nobodys(box, capsys):
+    """Neither those of somebody nor other outputs of the run have their names."""
+    Path("x.chk.tmp").write_text("mine")
+    extras = ["--report", "x.csv.tmp", "--save-config", "x.toml.tmp"]
+    assert main.main(["run", str(box), *SMALL, "--steps", "5", "--out", "x.dcd", *extras]) == 0
+    assert Path("x.chk.tmp").read_text() == "mine"
+    assert Path("x.csv.tmp").read_text().startswith("Step,")
+    assert Path("x.toml.tmp").read_text().startswith("# A run of openmm-sier ")
+    assert sorted(path.name for path in Path().iterdir()) == [
+        *("box.pdb", "x.chk", "x.chk.tmp", "x.csv.tmp", "x.dcd", "x.toml.tmp"),
+    ]
+
+
+def test_a_new_file_has_the_permissions_of_others():
+    Path("there").write_text("")
+    records.replace(Path("made"), memoryview(b""))
+    assert Path("made").stat().st_mode == Path("there").stat().st_mode
+
+
+@pytest.mark.parametrize("option", ["--plot", "--save-config"])
+def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration, option):
+    name = {"--plot": "a.png", "--save-config": "a.toml"}[option]
+    Path(name).write_bytes(b"\x89PNG mine, of openmm-sier\n")
+    before = Path(name).read_bytes()
+    command = ["run", box, *SMALL, option, name]
+    assert f"{name} exists: give another name with {option}" in complaint(capsys, *command)
+    assert "is no earlier file of openmm-sier" in complaint(capsys, *command, "--overwrite")
+    assert Path(name).read_bytes() == before
+
+
+def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypatch, no_equilibration):
+    """It would name the coordinates by their way from another directory."""
+    Path("there").mkdir()
+    here = Path(os.fsdecode(b"m\xff"))
+    here.mkdir()
+    box.rename(here / box)
+    monkeypatch.chdir(here)
+    message = complaint(capsys, "run", box, *SMALL, "--out", "../there/a.dcd")
+    assert r"the directory of b'../m\xff/box.pdb' is not UTF-8: run in another directory" in message
+    assert not list(Path("../there").iterdir())
 
 
 # --- what cannot be written is found at once ---

@@ -253,8 +253,24 @@ def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
 def test_a_picture_destroys_no_log(capsys):
     write_log("a.png")
     before = contents(Path())
-    assert "a.png would overwrite a.png: give another name" in complaint(capsys, "plot", "a.png", "--out", "a.png")
+    assert "a.png would overwrite the input a.png: give another name" in complaint(
+        capsys, "plot", "a.png", "--out", "a.png"
+    )
     assert contents(Path()) == before
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "html"])
+def test_a_picture_replaces_only_an_earlier_one(capsys, ending):
+    write_log("a.csv")
+    name = f"a.{ending}"
+    for _ in range(2):
+        run("plot", "a.csv", "--out", name)
+    for text in (b"\x89PNG\r\n", b"<svg>openmm-sier</svg>", b""):
+        Path(name).write_bytes(text)
+        assert f"{name} exists, and is no earlier file of openmm-sier" in complaint(
+            capsys, "plot", "a.csv", "--out", name
+        )
+        assert Path(name).read_bytes() == text
 
 
 def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from openmm import app
 
 from openmm_sier.cli import main
 from openmm_sier.cli.files import checkpoints
@@ -63,6 +64,31 @@ def test_a_complete_run_of_which_a_file_is_missing_is_not_complete(box, whole_ru
     assert "a.dcd, which the run of this checkpoint writes, is missing" in complaint(capsys, *resume(box, *WHOLE))
 
 
+def test_a_complete_run_is_that_of_its_inputs(box, whole_run, capsys):
+    shutil.copytree(whole_run, ".", dirs_exist_ok=True)
+    Path("edited.pdb").write_text("REMARK mine\n" + Path(box).read_text())
+    before = contents(Path())
+    for command in (resume("edited.pdb", *WHOLE), ["run", "edited.pdb", "--restart", "a.chk"]):
+        message = complaint(capsys, *command)
+        assert "edited.pdb is not the file that the run of a.chk read, or was edited" in message
+    assert "none.pdb: No such file or directory" in complaint(capsys, *resume("none.pdb", *WHOLE))
+    # The numbers are the same, wherever the file is.
+    shutil.copyfile(box, "copy.pdb")
+    run(*resume("copy.pdb", *WHOLE))
+    Path("copy.pdb").unlink()
+    assert contents(Path()) == before
+
+
+def test_a_complete_run_needs_its_force_field(box, capsys):
+    field = Path(app.__file__).parent / "data" / "tip3p.xml"
+    shutil.copyfile(field, "mine.xml")
+    line = [*resume(box, "--steps", "1"), "--forcefield", "mine.xml"]
+    run(*line)
+    run(*line)
+    Path("mine.xml").unlink()
+    assert "mine.xml, which the run of a.chk read, is missing: put it back" in complaint(capsys, *line)
+
+
 @pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
 @pytest.mark.parametrize("kept", [0, 1, 20, None])
 def test_what_a_run_left_before_its_first_checkpoint_is_replaced(box, capsys, suffix, kept):
@@ -97,6 +123,10 @@ def test_a_table_of_somebody_is_refused(box, capsys):
         Path("a.csv").write_text(text)
         assert "a.csv exists, but its checkpoint" in complaint(capsys, *resume(box, "--steps", "1"))
         assert Path("a.csv").read_text() == text
+    Path("a.csv").unlink()
+    Path("a.dcd").write_text("mine\n")
+    assert "a.dcd exists, but its checkpoint" in complaint(capsys, *resume(box, "--steps", "1"))
+    assert Path("a.dcd").read_text() == "mine\n"
 
 
 def test_options_must_be_those_of_the_run(box, whole_run, capsys):

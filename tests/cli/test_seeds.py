@@ -8,12 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import openmm
 import pytest
 
-from openmm_sier.analysis.many_runs import Member, run_many
-from openmm_sier.cli import main
-from openmm_sier.cli.many import _grouped
+from openmm_sier.analysis.many_runs import Member, _line, run_many
+from openmm_sier.cli import main, many
+from openmm_sier.cli.command_line import parse
+from openmm_sier.cli.many import _grouped, _usual_workers
 from openmm_sier.cli.seeds import read_seeds, shown
+from openmm_sier.dynamics.backend.threads import cores
 from tests.support.commands import SMALL, complaint, contents, log, run, wait_for
 
 pytest.importorskip("distributed")
@@ -94,6 +97,24 @@ def test_seeds_that_are_none(capsys, text):
 def test_seeds_are_shown_as_they_are_read():
     assert shown([3, 1, 2, 9]) == "seeds 1-3,9"
     assert shown([4]) == "seed 4"
+
+
+def test_names_with_a_dash_are_no_options_of_a_member():
+    options = {"forcefield": [Path("-f.xml"), Path("g.xml")], "pressure": -5.0, "topology": Path("-t.top")}
+    line = _line(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
+    given = parse(line).carry_out.args[0].given()
+    assert given.pop("resume")
+    assert given == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
+    # Where a member looks for it.
+    assert line[line.index("--out") + 1] == "./-m-seed1.dcd"
+
+
+def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
+    """OpenMM takes another one, whose cores members share; here Reference stands for a GPU without its driver."""
+    monkeypatch.setattr(many, "ON_CORES", ("CPU",))
+    monkeypatch.setattr(openmm.Platform, "getSpeed", lambda platform: 100 * (platform.getName() == "Reference"))
+    assert _usual_workers(None) == cores()
+    assert _usual_workers("Reference") == 1
 
 
 def test_each_complaint_is_told_once():

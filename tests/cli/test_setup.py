@@ -31,7 +31,7 @@ def test_what_is_made_is_read(structure, capsys):
 def test_files_in_the_way(structure, capsys):
     for name, text in (
         ("box.cif", "--out box.cif: expected the name of a PDB file, which ends in .pdb"),
-        ("1VII.pdb", "1VII.pdb is the structure that is read, and would be overwritten"),
+        ("1VII.pdb", "1VII.pdb would overwrite the input 1VII.pdb: give another name"),
         ("none/box.pdb", "there is no directory none for box.pdb"),
     ):
         assert text in complaint(capsys, "setup", structure, "--out", name)

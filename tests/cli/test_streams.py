@@ -7,7 +7,9 @@ import openmm
 import pytest
 
 import openmm_sier
-from openmm_sier.cli.streams import AS_OPTIONS, described
+from openmm_sier.cli.console import note, table
+from openmm_sier.cli.main import MISUSED
+from openmm_sier.cli.streams import AS_OPTIONS, described, note_warning
 from openmm_sier.inputs.pdb_files import ForceFieldError
 from openmm_sier.stability import advice
 from openmm_sier.system.notices import Remedy
@@ -83,3 +85,38 @@ def test_words_that_are_the_same_are_said_once():
 )
 def test_inputs(remedy, message):
     assert described(ForceFieldError("a.pdb is empty", *filter(None, [remedy]))) == message
+
+
+#: Renames a terminal, and moves its cursor.
+ESCAPES, ESCAPED = "a\x1b]0;b\x07\x9b1A\u202ec", r"a\x1b]0;b\x07\x9b1A\u202ec"
+
+
+def test_texts_of_files_control_no_terminal(capsys):
+    note(ESCAPES)
+    note_warning(ESCAPES)
+    table(ESCAPES, ("", ""), [("cell", ESCAPES)])
+    said = capsys.readouterr().out
+    assert said.count(ESCAPED) == 4
+    assert all(letter.isprintable() for line in said.splitlines() for letter in line)
+    assert ESCAPED in complaint(capsys, "run", f"{ESCAPES}.pdb")
+    assert ESCAPED in complaint(capsys, "run", "box.pdb", f"--{ESCAPES}", code=MISUSED)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "{}.pdb"],
+        ["run", "box.pdb", "--out={}.dcd"],
+        ["run", "box.pdb", "--rigid", "{}"],
+        ["run", "box.pdb", "--config", "{}.toml"],
+        ["tune", "box.pdb", "--start", "{}.chk"],
+        ["info", "{}.pdb"],
+        ["setup", "a.pdb", "--out", "{}.pdb"],
+        ["plot", "{}.csv"],
+        ["summary", "a.csv", "--json", "{}.json"],
+    ],
+)
+def test_names_that_are_not_utf8_are_refused_at_once(capsys, command):
+    message = complaint(capsys, *(word.format("m\udcff") for word in command), code=MISUSED)
+    assert r"m\xff" in message
+    assert "is not UTF-8: give the file another name" in message

@@ -111,3 +111,15 @@ def test_no_log_is_destroyed(logs, capsys):
     for option, name in (("--json", "seed2.csv"), ("--json", "none/a.json"), ("--plot", "seed2.csv")):
         complaint(capsys, "summary", *logs, option, name)
     assert contents(Path()) == before
+
+
+@pytest.mark.parametrize("name", ["a.chk", "a.dcd", "a.csv", "mine.json"])
+def test_numbers_replace_only_earlier_ones(logs, capsys, name):
+    """Files of the run too, of which the command knows only the log."""
+    Path(name).write_text('{"mine": "openmm_sier"}')
+    before = contents(Path())
+    message = complaint(capsys, "summary", *logs, "--json", name)
+    assert f"{name} exists, and is no earlier file of openmm-sier: give another name, or remove it" in message
+    assert contents(Path()) == before
+    for _ in range(2):
+        run("summary", *logs, "--json", "again.json")

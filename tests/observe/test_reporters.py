@@ -7,6 +7,7 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator, select_bodies
+from openmm_sier.observe import conservation
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.domains import domain_system, folded, topology_of
 from tests.support.restarts import simulation_of
@@ -145,6 +146,40 @@ def test_tables_are_continued(tmp_path, box, make):
         simulation.reporters.pop().close()
     lines = path.read_text().splitlines()
     assert [line.split(",")[0] for line in lines] == ["Step", "2", "4", "2", "4"]
+
+
+@pytest.mark.parametrize("make", [ConservationReporter, PressureReporter])
+@pytest.mark.parametrize("lost", [1, 5])
+def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
+    """As after a kill or on a full disk: without its end a row of step 1 and one of step 10 would be one of 110."""
+    path = tmp_path / "log.csv"
+    simulation = simulation_at(box, SIER2Integrator(0.001))
+    simulation.reporters.append(make(path, 2))
+    simulation.step(4)
+    simulation.reporters.pop().close()
+    whole = path.read_bytes()
+    kept = whole[: whole.rindex(b"\n", 0, -1) + 1]
+    path.write_bytes(whole[:-lost])
+    with pytest.warns(UserWarning, match=r"log.csv ended within a row, .*: removed the \d+ bytes"):
+        reporter = make(path, 2, append=True)
+    assert path.read_bytes() == kept
+    simulation.reporters.append(reporter)
+    simulation.step(2)
+    reporter.close()
+    assert path.read_bytes().startswith(kept)
+    assert [line.split(",")[0] for line in path.read_text().splitlines()] == ["Step", "2", "6"]
+
+
+def test_a_heading_that_was_cut_and_a_row_without_end_are_refused(tmp_path):
+    path, heading = tmp_path / "log.csv", ",".join(conservation.COLUMNS)
+    for text, reason in (
+        (heading, "its heading was cut off"),
+        (f"{heading}\n{2**17 * '1'}", "its last row has no end"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=f"log.csv cannot be continued: {reason}"):
+            ConservationReporter(path, 1, append=True)
+        assert path.read_text() == text
 
 
 def test_body_states(tmp_path, box):

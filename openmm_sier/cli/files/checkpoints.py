@@ -7,14 +7,61 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import openmm
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
+from openmm_sier.cli import platforms
+from openmm_sier.cli.fields import Name
 from openmm_sier.cli.files import records
+from openmm_sier.cli.settings import MOST_STEPS
 
 #: Version of what a checkpoint holds.
 FORMAT = 1
+
+
+class Notes(BaseModel):
+    """Hold what a checkpoint notes of its run.
+
+    Attributes:
+        format: `FORMAT`.
+        plan: settings of the run by name, which `openmm_sier.cli.planning.noted_settings` checks.
+        step: that the run has reached.
+        potential_energy: there, kJ/mol.
+        platform: as `openmm_sier.cli.platforms.platform_of` returns it.
+        inputs: SHA-256 of the files that the run read, by purpose.
+        unsettled: how a doubtful equilibration ended, in words.
+        trajectory, log, tensors: the files of the run.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: int
+    plan: dict[str, Any]
+    step: Annotated[int, Field(ge=0, le=MOST_STEPS)]
+    potential_energy: Annotated[float, Field(allow_inf_nan=False)]
+    platform: dict[Name, Name]
+    inputs: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
+    unsettled: Name | None
+    trajectory: records.Noted
+    log: records.Noted
+    tensors: Annotated[records.Noted | None, Field(validate_default=True)] = None
+
+    @field_validator("platform")
+    @classmethod
+    def _check_platform(cls, platform: dict[str, str]) -> dict[str, str]:
+        if platforms.NAME not in platform:
+            raise ValueError(f"expected a {platforms.NAME}")
+        return platform
+
+    @field_validator("tensors")
+    @classmethod
+    def _check_tensors(cls, tensors: records.Noted | None, info: ValidationInfo) -> records.Noted | None:
+        is_written = info.data.get("plan", {}).get("pressure_tensor") is not None
+        if is_written != (tensors is not None):
+            raise ValueError(f"expected {'a file' if is_written else 'nothing'}, as the settings say")
+        return tensors
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
@@ -39,22 +86,23 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     """State and notes of a checkpoint.
 
     Raises:
-        RecordError: the file is not a checkpoint of this command, or of another version of it.
+        RecordError: the file is damaged, is not a checkpoint of this command, or of another version of it.
         FileNotFoundError: there is no such file.
     """
     with _opened(path) as archive:
-        notes = _notes(archive)
+        noted = _notes(archive)
         state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
-    _refuse_other_version(path, notes)
+    notes = _checked(path, noted)
+    if (step := state.getStepCount()) != notes["step"]:
+        raise _damaged(path, f"its State is of step {step}, and its note step says {notes['step']}")
     return state, notes
 
 
 def read_notes(path: Path) -> dict[str, Any]:
     """Notes of a checkpoint, without its State; see `read_checkpoint`."""
     with _opened(path) as archive:
-        notes = _notes(archive)
-    _refuse_other_version(path, notes)
-    return notes
+        noted = _notes(archive)
+    return _checked(path, noted)
 
 
 @contextmanager
@@ -67,14 +115,29 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
 
 
-def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
-    notes: dict[str, Any] = json.loads(archive.read("notes.json"))
-    return notes
+def _notes(archive: zipfile.ZipFile) -> Any:
+    return json.loads(archive.read("notes.json"))
 
 
-def _refuse_other_version(path: Path, notes: dict[str, Any]) -> None:
-    if (version := notes.get("format")) != FORMAT:
+def _checked(path: Path, noted: Any) -> dict[str, Any]:
+    """Return what is noted, by the names of `Notes`.
+
+    Raises:
+        RecordError: a note is missing or wrong, or of another version; the message names it.
+    """
+    version = noted.get("format") if isinstance(noted, dict) else None
+    if type(version) is int and version != FORMAT:
         raise records.RecordError(
             f"{path} was written by another version of openmm-sier, in format {version}; this version reads format "
             f"{FORMAT}: finish the run with that version, or begin a new one"
         )
+    try:
+        return dict(Notes.model_validate_json(json.dumps(noted), strict=True))
+    except ValidationError as error:
+        first = error.errors(include_input=False)[0]
+        name = ".".join(map(str, first["loc"]))
+        raise _damaged(path, f"{f'its note {name}' if name else 'its notes'}: {first['msg']}") from None
+
+
+def _damaged(path: Path, reason: str) -> records.RecordError:
+    return records.RecordError(f"{path} is damaged, or is not a checkpoint of openmm-sier run: {reason}")

@@ -39,7 +39,7 @@ def find_cuts(plan: RunSettings, notes: Mapping[str, Any]) -> list[Cut]:
     for name, kind in KINDS.items():
         if (path := getattr(plan, kind.option)) is None:
             continue
-        if count := kind.format(path).records_after(path, notes[name]["size"]):
+        if count := kind.format(path).records_after(path, notes[name].size):
             interval = plan.interval(getattr(plan, kind.every))
             found.append(Cut(path, (notes["step"] // interval + count) * interval))
     return found
@@ -100,7 +100,7 @@ def _is_of(cuts: Sequence[Cut], plan: RunSettings, notes: Mapping[str, Any]) -> 
     for name, kind in KINDS.items():
         path = getattr(plan, kind.option)
         if path is not None and any(same_file(path, cut.path) for cut in cuts):
-            records.check(path, records.Noted(**notes[name]))
+            records.check(path, notes[name], kind.format(path))
             return True
     return False
 

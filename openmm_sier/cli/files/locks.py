@@ -1,6 +1,7 @@
 """Locks on the files that a command writes, so that no other writes them at the same time."""
 
 import os
+import re
 import shlex
 import socket
 import sys
@@ -19,6 +20,10 @@ PATIENCE = 0.2
 
 #: Characters of a command in a message.
 LONGEST = 200
+
+
+#: What a lock holds: nothing yet, or by whom it is held.
+CONTENT = re.compile(rb"(process \d+ on .* since \d{4}-\d\d-\d\d .*)?", re.DOTALL)
 
 
 class FileLocks(ExitStack):
@@ -41,7 +46,7 @@ class FileLocks(ExitStack):
 
         Raises:
             RunError: another process holds one of them, or a lock cannot be made, for example where nothing may be
-                written; the message says which.
+                written, or where its name is that of another file; the message says which.
         """
         for path in paths:
             # All names of a file, links to it too, have one lock.
@@ -49,6 +54,7 @@ class FileLocks(ExitStack):
             place = real.with_name(f".{real.name}.lock")
             if place in self._held:
                 continue
+            _refuse_other_file(path, place)
             lock = FileLock(place, timeout=PATIENCE, on_acquired=_mark)
             try:
                 self.enter_context(lock)
@@ -60,6 +66,27 @@ class FileLocks(ExitStack):
             self._held.add(place)
             # Before the lock is released: whoever then gets a lock on the removed file sees that it is gone.
             self.callback(place.unlink, missing_ok=True)
+
+
+def is_name_of_a_lock(path: Path) -> bool:
+    """Return whether a file has a name that locks have."""
+    name = os.path.basename(os.path.realpath(path))
+    return name.startswith(".") and name.endswith(".lock")
+
+
+def _refuse_other_file(path: Path, place: Path) -> None:
+    """Refuse to take a file of somebody for a lock, which is emptied and removed.
+
+    Raises:
+        RunError: naming the file.
+    """
+    try:
+        is_other = place.is_symlink() or (place.is_file() and not CONTENT.fullmatch(place.read_bytes()))
+    except OSError:
+        # What makes the lock says why it cannot.
+        return
+    if is_other:
+        raise RunError(f"{place} is not a lock of {PROGRAM}, and has the name of that of {path}: rename it")
 
 
 def _mark(descriptor: int) -> None:

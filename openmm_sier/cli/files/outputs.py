@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Collection, Iterable, Mapping
-from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,17 @@ import openmm
 
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
+from openmm_sier.cli.files.locks import is_name_of_a_lock
 from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.platforms import platform_of
-from openmm_sier.cli.settings import RunSettings
+from openmm_sier.cli.settings import FILES, RunSettings
+from openmm_sier.cli.streams import PROGRAM
+
+#: Bytes at the beginning of a file in which the mark of its kind is.
+BEGINNING = 2**12
 
 
 class Outputs:
@@ -22,7 +27,8 @@ class Outputs:
 
     Attributes:
         checkpoint: its path.
-        paths: of all files, the checkpoint first.
+        paths: of all files that the run goes on with, the checkpoint first.
+        extras: of the picture and the settings, which are written as a whole.
         saved_step: of the last checkpoint; None before the first.
     """
 
@@ -34,6 +40,7 @@ class Outputs:
         self.checkpoint, self.saved_step, self._settings = checkpoint, None, settings
         self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(settings, kind.option))}
         self.paths = [checkpoint, *self._grown.values()]
+        self.extras = [path for path in (settings.plot, settings.save_config) if path]
         self._intervals = {name: settings.interval(getattr(settings, KINDS[name].every)) for name in self._grown}
         self._intervals["checkpoint"] = settings.interval(settings.checkpoint_every)
         for name, path in self._grown.items():
@@ -54,20 +61,15 @@ class Outputs:
         Raises:
             RunError: naming the file.
         """
+        for path in map(self._settings.noted(self.checkpoint).get, FILES):
+            if path and not is_utf8(path):
+                raise RunError(f"the directory of {os.fsencode(path)!r} is not UTF-8: run in another directory")
         start = self._settings.start
         inputs = [*sources, *([start] if start else [])]
-        for path, other in product(self.paths, inputs):
-            if same_file(path, other):
-                raise RunError(f"{path} would overwrite the input {other}: give another name")
-        for path, other in combinations(self.paths, 2):
-            if same_file(path, other):
-                raise RunError(f"{path} and {other} are the same: outputs must be different files")
-        for path in (*self._grown.values(), self.checkpoint):
-            # For example a device: /dev/null would be replaced by a file.
-            if path.exists() and not path.is_file():
-                raise RunError(f"{path} is not a regular file")
-            if not path.parent.is_dir():
-                raise RunError(f"there is no directory {path.parent} for {path.name}")
+        # Whoever named the trajectory did not name the checkpoint.
+        paths = [*self._grown.values(), *self.extras, self.checkpoint]
+        for number, path in enumerate(paths):
+            check_place(path, inputs, paths[:number])
 
     def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.
@@ -105,7 +107,7 @@ class Outputs:
             OSError: one cannot be read.
         """
         for name, path in self._grown.items():
-            records.check(path, records.Noted(**notes[name]))
+            records.check(path, notes[name], KINDS[name].format(path))
 
     def remove(self) -> None:
         """Remove all files, the checkpoint first, so that it is never left with files that are not its own."""
@@ -133,7 +135,7 @@ class Outputs:
         self.saved_step = notes["step"] if notes else None
         self._files, self._writers = {}, {}
         for name, path in self._grown.items():
-            noted = records.Noted(**notes[name]) if notes else None
+            noted = notes[name] if notes else None
             self._files[name], self._writers[name] = KINDS[name].open(path, simulated, context, noted)
 
     def next_due(self, step: int) -> int:
@@ -179,26 +181,56 @@ class Outputs:
             file.close()
 
 
-def check_place(path: Path, others: Iterable[Path], option: str = "") -> None:
+# --- what every command asks before it writes a file ---
+
+
+def check_place(path: Path, inputs: Iterable[Path], outputs: Iterable[Path] = ()) -> None:
     """Refuse a file that would overwrite another or cannot be written.
 
     Args:
         path: of the file.
-        others: files that are read and written besides.
-        option: that names another file, for one that must not exist; none for one that may be replaced.
+        inputs, outputs: files that the command reads and writes besides.
 
     Raises:
         RunError: naming the file.
     """
-    for other in others:
+    for other in inputs:
         if same_file(path, other):
-            raise RunError(f"{path} would overwrite {other}: give another name")
+            raise RunError(f"{path} would overwrite the input {other}: give another name")
+    for other in outputs:
+        if same_file(path, other):
+            raise RunError(f"{path} and {other} are the same: outputs must be different files")
+    # For example a device: /dev/null would be replaced by a file.
     if path.exists() and not path.is_file():
         raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")
-    if option and path.exists():
+    if is_name_of_a_lock(path):
+        raise RunError(f"{path} has the name of a lock: give another name")
+
+
+def refuse_to_replace(path: Path, option: str, mark: bytes = b"") -> None:
+    """Refuse a file that exists, unless it is an earlier one of the same kind.
+
+    Args:
+        path: of the file.
+        option: that names the file.
+        mark: bytes in the first `BEGINNING` of every file of this kind, if such a file may be replaced.
+
+    Raises:
+        RunError: naming the file.
+    """
+    if not os.path.lexists(path):
+        return
+    if not mark:
         raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
+    if not path.is_file() or mark not in _beginning(path):
+        raise RunError(f"{path} exists, and is no earlier file of {PROGRAM}: give another name, or remove it")
+
+
+def _beginning(path: Path) -> bytes:
+    with records.naming(path), open(path, "rb") as file:
+        return file.read(BEGINNING)
 
 
 def same_file(one: Path, two: Path) -> bool:

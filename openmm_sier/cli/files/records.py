@@ -7,11 +7,15 @@ frame twice. So that no file of another run is cut, the checkpoint also notes a 
 
 import hashlib
 import os
+import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from openmm_sier.observe.conservation import csv_line
 
@@ -24,6 +28,9 @@ CHANGING = 48
 
 #: What the heading of every table of a run begins with, and more bytes than a heading and a row have.
 FIRST_COLUMNS, LONGEST_BEGINNING = b"Step,Time (ps),", 2**13
+
+#: A number of bytes or of records in a file.
+Count = Annotated[int, Field(ge=0, lt=2**62)]
 
 
 class RecordError(ValueError):
@@ -45,16 +52,18 @@ def replace(path: Path, content: memoryview) -> None:
     At any moment, after a power failure too, the file is the old or the new one. After an error it is the old one, and
     nothing of the new one is left. A link stays, and leads to the new file.
     """
-    made = Path(f"{os.path.realpath(path)}.tmp")
+    real = Path(os.path.realpath(path))
+    # As `tempfile` names files, but with the permissions that others have too.
+    made = real.with_name(f".openmm-sier-{secrets.token_hex(8)}.tmp")
     with naming(path):
+        # No file that exists is ever opened here.
+        file = open(made, "xb")  # noqa: SIM115
         try:
-            # What has this name may be another name of a file that is somebody's.
-            made.unlink(missing_ok=True)
-            with open(made, "wb") as file:
+            with file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(made, os.path.realpath(path))
+            os.replace(made, real)
         except BaseException:
             made.unlink(missing_ok=True)
             raise
@@ -70,9 +79,9 @@ class Noted:
         fingerprint: of these bytes.
     """
 
-    size: int
-    count: int
-    fingerprint: str
+    size: Count
+    count: Count
+    fingerprint: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
 
 
 class GrowingFile(ABC):
@@ -105,6 +114,17 @@ class GrowingFile(ABC):
     @abstractmethod
     def records_after(path: Path, size: int) -> int:
         """Count the records of a file after its first `size` bytes, and an incomplete one at its end.
+
+        Raises:
+            OSError: it cannot be read.
+        """
+
+    @staticmethod
+    @abstractmethod
+    def are_records(path: Path, size: int) -> bool:
+        """Return whether the first `size` bytes of a file are whole records of this format, with its header.
+
+        Where the format has no header, and `size` is 0, the bytes that follow decide.
 
         Raises:
             OSError: it cannot be read.
@@ -150,15 +170,16 @@ class GrowingFile(ABC):
         self._file.close()
 
 
-def check(path: Path, noted: Noted) -> None:
+def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
     """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
     Args:
         path: of the output.
         noted: of it by the checkpoint.
+        format: of the output.
 
     Raises:
-        RecordError: the output is missing, or does not begin with the noted bytes.
+        RecordError: the output is missing, is of another format, or does not begin with the noted bytes.
         OSError: it cannot be read.
     """
     if not os.path.exists(path):
@@ -166,7 +187,8 @@ def check(path: Path, noted: Noted) -> None:
             f"{path}, which the run of this checkpoint writes, is missing: put it back under this name, or begin a new "
             "run from the checkpoint with --start"
         )
-    if noted.size and _fingerprint(path, noted.size) != noted.fingerprint:
+    # A checkpoint may come from anybody, and name any file: the cut needs both.
+    if _fingerprint(path, noted.size) != noted.fingerprint or not format.are_records(path, noted.size):
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
             "Put the old file back, or begin a new run from the checkpoint with --start"
@@ -195,6 +217,15 @@ class Log(GrowingFile):
         with naming(path), open(path, "rb") as file:
             file.seek(size)
             return sum(1 for _ in file)
+
+    @staticmethod
+    def are_records(path: Path, size: int) -> bool:
+        if size < len(FIRST_COLUMNS):
+            return False
+        with naming(path), open(path, "rb") as file:
+            begins = file.read(len(FIRST_COLUMNS)) == FIRST_COLUMNS
+            file.seek(size - 1)
+            return begins and file.read(1) == b"\n"
 
     @staticmethod
     def is_beginning(path: Path) -> bool:

@@ -18,6 +18,9 @@ from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted, naming
 #: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 
+#: What that header begins with: the length of its first record, and the format.
+DCD_MAGIC = struct.pack("<i4s", 84, b"CORD")
+
 #: Where that header has whether frames have a box, and the number of atoms.
 DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
 
@@ -25,6 +28,9 @@ DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
 #: these. Positions of few atoms are not compressed, and have fewer bytes before them.
 XTC_MAGIC, XTC_HEADER = (1995).to_bytes(4, "big"), 92
 XTC_FEW_ATOMS, XTC_FEW_HEADER = 9, 56
+
+#: Where a frame has its number, and that of the first one.
+XTC_NUMBER, XTC_FIRST = slice(8, 12), (1).to_bytes(4, "big")
 
 
 class Trajectory(GrowingFile):
@@ -66,14 +72,24 @@ class DCDTrajectory(Trajectory):
         with naming(path), open(path, "rb") as file:
             header = file.read(DCD_HEADER)
             end = file.seek(0, os.SEEK_END)
-        (has_box,), (atoms,) = (struct.unpack("<i", header[place]) for place in (DCD_HAS_BOX, DCD_ATOMS))
-        # Each record of Fortran has its length before and after it: the box, then x, y and z.
-        frame = (48 + 8) * has_box + 3 * (4 * atoms + 8)
-        return math.ceil((end - max(size, DCD_HEADER)) / frame)
+        return math.ceil((end - max(size, DCD_HEADER)) / _dcd_frame(header))
+
+    @staticmethod
+    def are_records(path: Path, size: int) -> bool:
+        with naming(path), open(path, "rb") as file:
+            header = file.read(DCD_HEADER)
+            end = file.seek(0, os.SEEK_END)
+        if not DCD_HEADER <= size <= end or not header.startswith(DCD_MAGIC):
+            return False
+        frame = _dcd_frame(header)
+        return frame > 0 and (size - DCD_HEADER) % frame == 0
 
     @staticmethod
     def is_beginning(path: Path) -> bool:
-        return path.stat().st_size <= DCD_HEADER
+        with naming(path), open(path, "rb") as file:
+            header = file.read(DCD_HEADER + 1)
+        # The magic may have been cut off too.
+        return len(header) <= DCD_HEADER and (header.startswith(DCD_MAGIC) or DCD_MAGIC.startswith(header))
 
     def write(self, positions: Quantity, box: Quantity) -> None:
         self._dcd.writeModel(positions, periodicBoxVectors=box)
@@ -99,6 +115,17 @@ class XTCTrajectory(Trajectory):
         return count
 
     @staticmethod
+    def are_records(path: Path, size: int) -> bool:
+        with naming(path), open(path, "rb") as file:
+            header = file.read(XTC_HEADER)
+            end = file.seek(0, os.SEEK_END)
+        # Where no frame is noted, the first one may have been cut off.
+        if not (XTC_MAGIC.startswith(header[:4]) and XTC_FIRST.startswith(header[XTC_NUMBER])):
+            return False
+        least = _frame_length(header) if size else 0
+        return least is not None and least <= size <= end
+
+    @staticmethod
     def is_beginning(path: Path) -> bool:
         return path.stat().st_size == 0
 
@@ -116,13 +143,23 @@ class XTCTrajectory(Trajectory):
             self.append(frame.read_bytes())
 
 
+def _dcd_frame(header: bytes) -> int:
+    """Return the length of a frame of a DCD file with this header."""
+    (has_box,), (atoms,) = (struct.unpack("<i", header[place]) for place in (DCD_HAS_BOX, DCD_ATOMS))
+    # Each record of Fortran has its length before and after it: the box, then x, y and z.
+    length: int = (48 + 8) * has_box + 3 * (4 * atoms + 8)
+    return length
+
+
 def _frame_length(header: bytes) -> int | None:
     """Return the length of an XTC frame that begins with these bytes; None if they are no whole header."""
-    if len(header) < XTC_HEADER or header[:4] != XTC_MAGIC:
+    if len(header) < XTC_FEW_HEADER or header[:4] != XTC_MAGIC:
         return None
     atoms, compressed = (int.from_bytes(header[first : first + 4], "big") for first in (4, XTC_HEADER - 4))
     if atoms <= XTC_FEW_ATOMS:
         return XTC_FEW_HEADER + 12 * atoms
+    if len(header) < XTC_HEADER:
+        return None
     # Padded to whole words of four bytes.
     return XTC_HEADER + 4 * math.ceil(compressed / 4)
 

@@ -10,14 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import check_place
+from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
+from openmm_sier.cli.streams import PROGRAM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: Endings of names, and for each what matplotlib shall write into the file: no time, so that a log gives the same bytes
-#: again.
-FORMATS: dict[str, dict[str, Any]] = {".png": {}, ".svg": {"Date": None}, ".html": {"Date": None}}
+#: again, and the program, by which an earlier picture is known.
+FORMATS: dict[str, dict[str, Any]] = {
+    ".png": {"Software": PROGRAM},
+    ".svg": {"Creator": PROGRAM, "Date": None},
+    ".html": {"Date": None},
+}
+
+#: In the beginning of each picture, by the endings of names.
+MARKS = {
+    ".png": f"Software\0{PROGRAM}".encode(),
+    ".svg": f"<dc:title>{PROGRAM}</dc:title>".encode(),
+    ".html": f'<meta name="generator" content="{PROGRAM}">'.encode(),
+}
 
 #: Inches.
 WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_HEADINGS = 9.0, 2.6, 1.1
@@ -43,13 +55,13 @@ RC: Any = {
 }
 
 
-def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
+def check(path: Path, inputs: Collection[Path], may_replace: bool, outputs: Collection[Path] = ()) -> None:
     """Refuse a picture that cannot be drawn, or would overwrite another file.
 
     Args:
         path: of the picture.
-        others: files that are read and written besides.
-        may_replace: whether it may take the place of an earlier one.
+        inputs, outputs: files that are read and written besides.
+        may_replace: whether it may take the place of an earlier picture.
 
     Raises:
         RunError: naming the file, and what is expected.
@@ -57,7 +69,8 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
     """
     if path.suffix.lower() not in FORMATS:
         raise RunError(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
-    check_place(path, others, "" if may_replace else "--plot")
+    check_place(path, inputs, outputs)
+    refuse_to_replace(path, "--plot", MARKS[path.suffix.lower()] if may_replace else b"")
     try:
         import matplotlib.figure  # noqa: F401
     except ModuleNotFoundError as error:

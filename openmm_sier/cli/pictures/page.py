@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import openmm
 
 from openmm_sier.cli.logged_runs import Runs
+from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.version import __version__
 
 STYLE = """
@@ -41,7 +42,8 @@ def page_of(runs: Runs, title: str, remarks: Sequence[str], picture: str) -> str
         ("Python", platform.python_version()),
     ]
     body += ["<h2>Versions, where this page was made</h2>", _table(versions)]
-    head = f'<meta charset="utf-8"><title>{_text(runs.title)}</title><style>{STYLE}</style>'
+    generator = f'<meta name="generator" content="{PROGRAM}">'
+    head = f'<meta charset="utf-8">{generator}<title>{_text(runs.title)}</title><style>{STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
 
 
