@@ -7,14 +7,18 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import openmm
 
 from openmm_sier.cli.files import records
+from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_within
 
 #: Version of what a checkpoint holds.
 FORMAT = 1
+
+#: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
+MOST_NOTES = 2**24
 
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
@@ -35,8 +39,12 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
     records.replace(path, content.getbuffer())
 
 
-def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
+def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, dict[str, Any]]:
     """State and notes of a checkpoint.
+
+    Args:
+        path: of the file.
+        particles: of its System, by which the length of its State is bounded; None: unknown.
 
     Raises:
         RecordError: the file is not a checkpoint of this command, or of another version of it.
@@ -44,7 +52,8 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     """
     with _opened(path) as archive:
         notes = _notes(archive)
-        state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+        with _part(archive, "state.xml") as content:
+            state = read_state(content, particles)
     _refuse_other_version(path, notes)
     return state, notes
 
@@ -61,14 +70,29 @@ def read_notes(path: Path) -> dict[str, Any]:
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open a checkpoint; what fails while it is read becomes a `RecordError`."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield archive
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
+    except ContentError as error:
+        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run: {error}") from None
+    except _UNREADABLE as error:
         raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
 
 
+#: What zip, JSON and OpenMM raise where a file is none of theirs. A RuntimeError comes of passwords, and of lists that
+#: are nested too deeply.
+_UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
+
+
+def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """Open a part of a checkpoint that is packed as `write_checkpoint` packs it."""
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise zipfile.BadZipFile
+    return archive.open(name)
+
+
 def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:
-    notes: dict[str, Any] = json.loads(archive.read("notes.json"))
+    with _part(archive, "notes.json") as content:
+        notes: dict[str, Any] = json.loads(read_within(content, MOST_NOTES))
     return notes
 
 
