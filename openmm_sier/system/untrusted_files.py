@@ -35,8 +35,9 @@ CHUNK = 2**16
 #: Chunks without the begin or end of an element, and levels of elements, beyond which XML is not OpenMM's.
 MOST_IDLE, DEEPEST = 16, 32
 
-#: Characters of the values of an element. OpenMM takes long for those that have many `&`.
-LONGEST_VALUES = 2**16
+#: Characters of the values of an element, and those of them that XML escapes. For these OpenMM takes a time that grows
+#: with the square of the length: one of 28 MB takes hours.
+LONGEST_VALUES, MOST_ESCAPED = 2**16, 100
 
 #: What a State has at most: elements besides those of particles, and for each particle; bytes for each element. A
 #: checkpoint has nine elements for a particle.
@@ -155,7 +156,9 @@ class _Checked:
         together = "".join(values)
         if len(together) > LONGEST_VALUES:
             raise ContentError(f"{_shown(tag)} has values of more than {LONGEST_VALUES} characters")
-        if _SPECIAL.search(together):
+        if escaped := len(_SPECIAL.findall(together)):
+            if escaped > MOST_ESCAPED:
+                raise ContentError(f'{_shown(tag)} has values with more than {MOST_ESCAPED} of the characters & < > "')
             values = [escape(value, _QUOTES) for value in values]
         self._pieces.append(_template(tag, names) % tuple(values))
 

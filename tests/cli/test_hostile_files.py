@@ -54,11 +54,11 @@ def python_force():
 
 def hostile_xml(tag="System", force=None):
     """A System of one atom by the attribute `type`, with a tag of its own, and with a Force that executes code."""
-    code = f"<Force {python_force()}><GlobalParameters/><Particles/></Force>"
+    forces = (force or "{}").format(f"<Force {python_force()}><GlobalParameters/><Particles/></Force>")
     return (
         f'<?xml version="1.0" ?><{tag} type="System" version="1" openmmVersion="8.6">'
         '<PeriodicBoxVectors><A x="2" y="0" z="0"/><B x="0" y="2" z="0"/><C x="0" y="0" z="2"/></PeriodicBoxVectors>'
-        f'<Particles><Particle mass="1"/></Particles><Constraints/><Forces>{(force or "{}").format(code)}</Forces></{tag}>'
+        f'<Particles><Particle mass="1"/></Particles><Constraints/><Forces>{forces}</Forces></{tag}>'
     )
 
 
