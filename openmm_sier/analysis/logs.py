@@ -1,8 +1,11 @@
 """Reads the logs of runs: tables of numbers in CSV, with a heading."""
 
+import io
 import os
 
 import numpy as np
+
+from openmm_sier.system.untrusted_files import open_regular
 
 
 def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict[str, np.ndarray]:
@@ -22,7 +25,7 @@ def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict
         OSError: the file cannot be read.
         ValueError: a row has no numbers, or not as many as the heading has names.
     """
-    with open(path) as file:
+    with io.TextIOWrapper(open_regular(path)) as file:
         columns = file.readline().rstrip().split(",")
         lines = (line for line in file if line.endswith("\n")) if whole_lines else file
         try:

@@ -37,6 +37,9 @@ PATIENCE, LAST_STEP = 30.0, 60.0
 #: Exit code of a member that was asked to stop.
 STOPPED = 128 + signal.SIGTERM
 
+#: Where the HTTP servers of Dask listen, without which it does not start: any port of this machine alone.
+OWN_MACHINE = "127.0.0.1:0"
+
 #: Bytes at the end of a log in which its last row is.
 LAST_ROW = 2**13
 
@@ -184,8 +187,10 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         n_workers=workers or cores(),
         threads_per_worker=1,
         processes=False,
-        # Others may have the usual port; there is no memory to be watched.
-        dashboard_address="127.0.0.1:0",
+        # By default workers listen to all the world. Others may have the usual port.
+        dashboard_address=OWN_MACHINE,
+        worker_dashboard_address=OWN_MACHINE,
+        # There is no memory to be watched.
         memory_limit=0,
         silence_logs=50,
     )

@@ -14,6 +14,7 @@ from openmm_sier.cli.files import records
 from openmm_sier.cli.planning import useless_settings
 from openmm_sier.cli.settings import LENGTHS, NOTED, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.system.untrusted_files import open_regular
 from openmm_sier.version import __version__
 
 if sys.version_info >= (3, 11):
@@ -36,7 +37,8 @@ def read_config(path: Path) -> dict[str, Any]:
         OSError: it cannot be read.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        with open_regular(path) as file:
+            table = tomllib.load(file)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RunError(f"{path} is not a TOML file: {error}") from None
     named = {name.replace("-", "_"): value for name, value in table.items()}

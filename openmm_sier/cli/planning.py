@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Collection, Mapping
+import shlex
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from openmm_sier.cli.methods import METHODS
 from openmm_sier.cli.settings import (
     CONTINUED,
     FILES,
+    INPUTS,
     LATER,
     LENGTHS,
     NOTED,
@@ -23,8 +25,11 @@ from openmm_sier.cli.settings import (
     RunSettings,
     flag,
     steps_in,
+    words,
 )
+from openmm_sier.inputs.forcefields import foreign, pick
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
+from openmm_sier.inputs.pdb_files import ForceFieldError
 from openmm_sier.system.body_selection import file_words
 
 
@@ -36,7 +41,8 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
         origin: those of the run from whose checkpoint this one starts. They define the System.
 
     Raises:
-        RunError: settings contradict each other, or the topology, or would do nothing.
+        RunError: settings contradict each other, or the topology, or would do nothing; or files that make the System
+            must be named again.
         ForceFieldError, OSError: the topology is none, or cannot be read; a file of bodies cannot be read.
         ValueError: a file of bodies describes none.
     """
@@ -51,6 +57,8 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
         # OpenMM's own integrators are not all of constant energy.
         values.setdefault("ensemble", METHODS[values["scheme"]].ensembles[0])
     settings = RunSettings(**values)
+    if origin is not None:
+        _refuse_unnamed(settings, given, given["start"])
     _check(settings)
     for name in useless_settings(settings):
         if name in given:
@@ -153,7 +161,7 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
 def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mapping[str, object]) -> RunSettings:
     """Return the settings of a checkpoint, with another length if one is given.
 
-    Those given must not contradict the checkpoint, and outputs that do not lie beside it must be named again.
+    Those given must not contradict the checkpoint, and files that do not lie beside it must be named again.
 
     Raises:
         RunError: they do, or the checkpoint holds no settings.
@@ -180,7 +188,69 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
     if "time" in given:
         changed["steps"] = steps_in(given["time"], 1000 * noted.step_time)
-    return noted.model_copy(update={**changed, "restart": checkpoint})
+    settings = noted.model_copy(update={**changed, "restart": checkpoint})
+    _refuse_unnamed(settings, given, checkpoint)
+    return settings
+
+
+def _refuse_unnamed(settings: RunSettings, given: Collection[str], checkpoint: Path) -> None:
+    """Refuse inputs that a checkpoint names and nobody else, if they are not beside it or could execute code.
+
+    Args:
+        settings: with the inputs, some of which are from the checkpoint.
+        given: names of the settings that the user gave.
+        checkpoint: which may be from anybody.
+
+    Raises:
+        RunError: naming the file, and how it is named again.
+    """
+    for name in INPUTS:
+        path = getattr(settings, name)
+        if path is not None and name not in given and not _is_below(path, checkpoint):
+            raise RunError(
+                f"{checkpoint} names {path} for {_option(name)}, in a directory other than its own: to read it, give "
+                f"{_again(name, path)}"
+            )
+    if "forcefield" in given or (settings.forcefield is None and "box" in given):
+        return
+    for name, path in foreign(_force_field(settings), settings.box.parent).items():
+        # Parameters of a psf file are numbers, but force fields of OpenMM may have scripts.
+        if settings.topology is None:
+            reason = "which could execute code: if you trust it"
+        elif not _is_below(path, checkpoint):
+            reason = "in a directory other than its own: to read it"
+        else:
+            continue
+        if settings.forcefield is None:
+            raise RunError(
+                f"{settings.box}, which {checkpoint} names, names the force field {name}, {reason}, give "
+                f"{_again('box', settings.box)}"
+            )
+        raise RunError(
+            f"{checkpoint} names {name} for --forcefield, {reason}, give {_again('forcefield', settings.forcefield)}"
+        )
+
+
+def _force_field(settings: RunSettings) -> Sequence[str]:
+    """Return the names of the files of a force field, those too that a PDB file names."""
+    if settings.forcefield is not None:
+        return [str(file) for file in settings.forcefield]
+    if settings.topology is not None:
+        return []
+    try:
+        return pick(settings.box)[0]
+    except ForceFieldError:
+        # There is none, which the reading of the file tells.
+        return []
+
+
+def _option(name: str) -> str:
+    return "BOX" if name == "box" else flag(name)
+
+
+def _again(name: str, value: Any) -> str:
+    """Return the words of a command line that give a setting again."""
+    return f"{shlex.quote(str(value))} as BOX" if name == "box" else shlex.join(words(name, value))
 
 
 def _same(given: Any, noted: Any) -> bool:

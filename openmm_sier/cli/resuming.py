@@ -72,7 +72,7 @@ def resume(given: Mapping[str, Any], checkpoint: Path, locks: FileLocks, request
         RunError: settings contradict the checkpoint, or files are not those of its run or would lose too much.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
-    state, notes = checkpoints.read_checkpoint(checkpoint)
+    notes = checkpoints.read_notes(checkpoint)
     settings = continued_settings(given, checkpoint, notes["plan"])
     settings = keep_platform(settings, checkpoint, notes["platform"])
     outputs = Outputs(settings, checkpoint)
@@ -88,7 +88,7 @@ def resume(given: Mapping[str, Any], checkpoint: Path, locks: FileLocks, request
     found = cuts.find_cuts(settings, notes)
     if not settings.overwrite:
         cuts.refuse_to_lose(found, settings, checkpoint, notes["step"])
-    context = _restored(simulated, state, checkpoint, notes)
+    context = _restored(simulated, checkpoint, notes)
     # From here on, the step and all files are completed before a signal ends the run.
     requests.defer()
     run = Run(settings, simulated, context, outputs, notes["unsettled"])
@@ -115,8 +115,9 @@ def _check_unfinished(settings: RunSettings, outputs: Outputs, notes: Mapping[st
     raise Complete(message, settings, notes.get("unsettled"))
 
 
-def _restored(simulated: Simulated, state: openmm.State, checkpoint: Path, notes: Mapping[str, Any]) -> openmm.Context:
+def _restored(simulated: Simulated, checkpoint: Path, notes: Mapping[str, Any]) -> openmm.Context:
     """Return a Context in the state of a checkpoint, which must belong to this system."""
+    state, _ = checkpoints.read_checkpoint(checkpoint, simulated.box.system.getNumParticles())
     context = simulated.context(notes["step"])
     context.setState(state)
     energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)

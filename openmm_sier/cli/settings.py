@@ -373,8 +373,9 @@ LATER = ("thermostat",)
 #: Those that name one file each. A checkpoint notes them relative to itself.
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
 
-#: Those of them that a run writes.
+#: Those of them that a run writes, and those that it reads.
 OUTPUTS = tuple(name for name in FILES if SETTINGS[name].get("writes"))
+INPUTS = tuple(name for name in FILES if name not in OUTPUTS)
 
 #: Settings that make the System. A run with `--start` takes them from the other run unless they are given.
 OF_THE_SYSTEM = (

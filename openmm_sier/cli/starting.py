@@ -24,9 +24,9 @@ from openmm_sier.observe import stock
 
 
 class Origin(NamedTuple):
-    """The checkpoint of another run, from which one starts: its state, and the settings of that run."""
+    """The checkpoint of another run, from which one starts, and the settings of that run."""
 
-    state: openmm.State
+    checkpoint: Path
     settings: RunSettings
 
 
@@ -38,8 +38,8 @@ def read_origin(checkpoint: Path | None) -> Origin | None:
     """
     if checkpoint is None:
         return None
-    state, notes = checkpoints.read_checkpoint(checkpoint)
-    return Origin(state, noted_settings(checkpoint, notes["plan"]))
+    notes = checkpoints.read_notes(checkpoint)
+    return Origin(checkpoint, noted_settings(checkpoint, notes["plan"]))
 
 
 def start(given: Mapping[str, Any], locks: FileLocks, requests: StopRequests) -> Run:
@@ -89,8 +89,9 @@ def begin(simulated: Simulated, origin: Origin | None = None) -> tuple[openmm.Co
     begun.getIntegrator().binding.check_step()
     positions, minimize, unsettled = simulated.box.positions, settings.minimize, None
     if origin is not None:
-        _start_from(origin, settings, begun)
-        positions, minimize = origin.state.getPositions(), bool(minimize)
+        state, _ = checkpoints.read_checkpoint(origin.checkpoint, simulated.box.system.getNumParticles())
+        _start_from(origin, state, settings, begun)
+        positions, minimize = state.getPositions(), bool(minimize)
     if settings.equilibrates:
         unsettled = _equilibrate(begun, settings, positions, minimize)
     elif settings.ensemble == "nve":
@@ -104,9 +105,9 @@ def begin(simulated: Simulated, origin: Origin | None = None) -> tuple[openmm.Co
     return context, unsettled
 
 
-def _start_from(origin: Origin, settings: RunSettings, context: openmm.Context) -> None:
+def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, context: openmm.Context) -> None:
     """Take positions, velocities and box of a checkpoint."""
-    state, start = origin.state, settings.start
+    start = origin.checkpoint
     redraws = origin.settings.hydrogen_mass != settings.hydrogen_mass
     try:
         context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
+from openmm_sier.system.untrusted_files import open_regular, read_state
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
 _LETTERS = "HCNOPS"
@@ -76,7 +76,8 @@ def _crd(path: str) -> Coordinates:
 
 
 def _state(path: str) -> Coordinates:
-    state = openmm.XmlSerializer.deserialize(Path(path).read_text())
+    with open_regular(path) as file:
+        state = read_state(file)
     return Coordinates(state.getPositions(asNumpy=True), state.getPeriodicBoxVectors())
 
 

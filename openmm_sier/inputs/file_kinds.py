@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from openmm_sier.system.untrusted_files import open_regular
+
 #: Kinds of files, in words for messages.
 PDB = "a PDB file"
 MMCIF = "a PDBx/mmCIF file"
@@ -43,7 +45,7 @@ def kind_of(path: str | Path) -> str:
     Raises:
         OSError: it cannot be read.
     """
-    with Path(path).open("rb") as file:
+    with open_regular(path) as file:
         text = file.read(HEAD).decode(errors="replace")
     # Titles may begin with anything.
     if kind := _counted(text.splitlines()[:3]):

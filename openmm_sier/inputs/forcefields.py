@@ -1,7 +1,7 @@
 """Force fields: those that a PDB file names, and the System that is built with them."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -22,10 +22,14 @@ from openmm_sier.system import tables
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import Bonds, joined_by, make_whole
 from openmm_sier.system.notices import Remedy, notify
+from openmm_sier.system.untrusted_files import open_regular
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
 SHIPPED = (PACKAGE / "systems", PACKAGE.parent / "systems")
+
+#: Where OpenMM's are.
+OF_OPENMM = Path(app.__file__).parent / "data"
 
 #: A PDB file names its force field in records that begin like this; one file name follows.
 REMARK = "REMARK  99 FORCEFIELD"
@@ -97,9 +101,30 @@ def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
 
 
 def locate(name: str, beside: Path) -> str:
-    """Return the path of a force-field file, or its name where OpenMM is to look for it; see `load`."""
-    places = (directory / name for directory in (Path(), beside, *SHIPPED))
-    return next((str(place) for place in places if place.is_file()), name)
+    """Return the path of a force-field file, or its name where OpenMM is to look for it; see `load`.
+
+    Raises:
+        OSError: it is no regular file, or cannot be read.
+    """
+    for place in (directory / name for directory in (Path(), beside, *SHIPPED)):
+        if place.exists() and not place.is_dir():
+            open_regular(place).close()
+            return str(place)
+    return name
+
+
+def foreign(names: Iterable[str], beside: Path) -> dict[str, Path]:
+    """Return the force-field files that come neither with OpenMM nor with this project, by name; see `load`."""
+    located = {name: Path(locate(name, beside)) for name in names}
+    return {name: path for name, path in located.items() if not _is_installed(path)}
+
+
+def _is_installed(path: Path) -> bool:
+    """Return whether a file that `locate` gives comes with OpenMM or with this project."""
+    if path.exists():
+        return any(path.resolve().is_relative_to(folder.resolve()) for folder in (*SHIPPED, OF_OPENMM))
+    # OpenMM looks for it in its own directories, out of which a name may lead.
+    return not path.is_absolute() and ".." not in path.parts
 
 
 def add_virtual_sites(

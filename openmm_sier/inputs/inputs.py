@@ -22,6 +22,7 @@ from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.notices import Remedy
+from openmm_sier.system.untrusted_files import open_regular, read_system
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
 IGNORED = {
@@ -170,7 +171,8 @@ def _box_of_topology(
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     path, found, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
-        system = openmm.XmlSerializer.deserialize(topology.read_text())
+        with open_regular(topology) as file:
+            system = read_system(file)
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if isinstance(force, OF_ENSEMBLES):

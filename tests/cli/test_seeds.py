@@ -11,6 +11,7 @@ from pathlib import Path
 import openmm
 import pytest
 
+from openmm_sier.analysis import many_runs
 from openmm_sier.analysis.many_runs import Member, _line, run_many
 from openmm_sier.cli import main, many
 from openmm_sier.cli.command_line import parse
@@ -49,6 +50,14 @@ def single_runs(box, tmp_path_factory):
             line[line.index("a.dcd")] = f"a-seed{seed}.dcd"
             run(*line)
     return place
+
+
+def test_nothing_listens_beyond_this_machine():
+    """Dask's scheduler and each of its workers have an HTTP server, by default on all interfaces."""
+    psutil = pytest.importorskip("psutil")
+    with many_runs._client(None, 2):
+        listening = {each.laddr.ip for each in psutil.Process().net_connections() if each.status == "LISTEN"}
+    assert listening == {"127.0.0.1"}
 
 
 def started(box, *options):

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import IO, Annotated, Any
 
 import openmm
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
@@ -16,9 +16,13 @@ from openmm_sier.cli import platforms
 from openmm_sier.cli.fields import Name
 from openmm_sier.cli.files import records
 from openmm_sier.cli.settings import MOST_STEPS
+from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_within
 
 #: Version of what a checkpoint holds.
 FORMAT = 1
+
+#: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
+MOST_NOTES = 2**24
 
 
 class Notes(BaseModel):
@@ -82,8 +86,12 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
     records.replace(path, content.getbuffer())
 
 
-def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
+def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, dict[str, Any]]:
     """State and notes of a checkpoint.
+
+    Args:
+        path: of the file.
+        particles: of its System, by which the length of its State is bounded; None: unknown.
 
     Raises:
         RecordError: the file is damaged, is not a checkpoint of this command, or of another version of it.
@@ -91,7 +99,8 @@ def read_checkpoint(path: Path) -> tuple[openmm.State, dict[str, Any]]:
     """
     with _opened(path) as archive:
         noted = _notes(archive)
-        state = openmm.XmlSerializer.deserialize(archive.read("state.xml").decode())
+        with _part(archive, "state.xml") as content:
+            state = read_state(content, particles)
     notes = _checked(path, noted)
     if (step := state.getStepCount()) != notes["step"]:
         raise _damaged(path, f"its State is of step {step}, and its note step says {notes['step']}")
@@ -109,14 +118,29 @@ def read_notes(path: Path) -> dict[str, Any]:
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open a checkpoint; what fails while it is read becomes a `RecordError`."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield archive
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
+    except ContentError as error:
+        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run: {error}") from None
+    except _UNREADABLE as error:
         raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
 
 
+#: What zip, JSON and OpenMM raise where a file is none of theirs. A RuntimeError comes of passwords, and of lists that
+#: are nested too deeply.
+_UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
+
+
+def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """Open a part of a checkpoint that is packed as `write_checkpoint` packs it."""
+    if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise zipfile.BadZipFile
+    return archive.open(name)
+
+
 def _notes(archive: zipfile.ZipFile) -> Any:
-    return json.loads(archive.read("notes.json"))
+    with _part(archive, "notes.json") as content:
+        return json.loads(read_within(content, MOST_NOTES))
 
 
 def _checked(path: Path, noted: Any) -> dict[str, Any]:

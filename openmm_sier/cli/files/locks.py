@@ -14,12 +14,13 @@ from filelock import FileLock, Timeout
 
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.system.untrusted_files import open_regular
 
 #: Seconds to wait for a lock: for one whose holder is just ending, not for a run.
 PATIENCE = 0.2
 
-#: Characters of a command in a message.
-LONGEST = 200
+#: Characters of a command in a message, and bytes of a lock file that are read.
+LONGEST, LONGEST_HOLDER = 200, 2**12
 
 
 #: What a lock holds: nothing yet, or by whom it is held.
@@ -122,6 +123,6 @@ def _unlockable(path: Path, place: Path, error: OSError) -> RunError:
 
 def _holder(place: Path) -> str:
     """Who holds a lock, in words."""
-    with suppress(OSError):
-        return place.read_text("utf-8", "surrogateescape") or "another process"
+    with suppress(OSError), open_regular(place) as file:
+        return file.read(LONGEST_HOLDER).decode("utf-8", "surrogateescape") or "another process"
     return "another process"

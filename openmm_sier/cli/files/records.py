@@ -18,6 +18,7 @@ from typing import Annotated
 from pydantic import Field
 
 from openmm_sier.observe.conservation import csv_line
+from openmm_sier.system.untrusted_files import open_regular
 
 #: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
 #: there, in the last row of the log and in the last frame.
@@ -198,7 +199,7 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
 def _fingerprint(path: Path, size: int) -> str:
     """Return a digest of the last of so many bytes of a file, which takes no longer for a long one."""
     begin = max(CHANGING, size - WINDOW)
-    with naming(path), open(path, "rb") as file:
+    with naming(path), open_regular(path) as file:
         file.seek(begin)
         return hashlib.blake2b(file.read(max(0, size - begin)), digest_size=16).hexdigest()
 

@@ -1,0 +1,336 @@
+"""Files from anybody: none of them executes code, is read without end or is waited for, and nothing is changed."""
+
+import os
+import pickle
+import shutil
+import zipfile
+from pathlib import Path
+
+import openmm
+import pytest
+from openmm import app
+
+from openmm_sier.cli.files import checkpoints
+from tests.support.commands import SMALL, complaint, contents, rewrite_notes, run, write_lattice
+
+#: What code that is executed writes.
+MARKER = "executed"
+
+RESTART = ["run", "box.pdb", "--platform", "Reference", "--restart", "box.chk", "--steps", "4"]
+START = ["run", "box.pdb", "--platform", "Reference", "--start", "box.chk", "--steps", "1", "--out", "new.dcd"]
+TUNE = ["tune", "box.pdb", "--platform", "Reference", "--start", "box.chk"]
+USES = pytest.mark.parametrize("command", [RESTART, START, TUNE], ids=["restart", "start", "tune"])
+
+
+@pytest.fixture(scope="module")
+def a_run(tmp_path_factory):
+    """A directory with a run of eight molecules of water."""
+    place = tmp_path_factory.mktemp("run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        write_lattice(Path("box.pdb"), 8)
+        run("run", "box.pdb", *SMALL, "--report-every", "0.004", "--steps", "2")
+    return place
+
+
+@pytest.fixture
+def here(a_run, tmp_path):
+    """Its files, in the current directory."""
+    shutil.copytree(a_run, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+class Executed:
+    """A function of a PythonForce that leaves the marker when it is unpickled."""
+
+    def __reduce__(self):
+        return (open, (MARKER, "w"))
+
+
+def python_force():
+    """XML of a PythonForce, the tag open."""
+    return f'type="PythonForce" version="2" function="{pickle.dumps(Executed()).hex()}" usesPeriodic="0"'
+
+
+def hostile_xml(tag="System", force=None):
+    """A System of one atom by the attribute `type`, with a tag of its own, and with a Force that executes code."""
+    forces = (force or "{}").format(f"<Force {python_force()}><GlobalParameters/><Particles/></Force>")
+    return (
+        f'<?xml version="1.0" ?><{tag} type="System" version="1" openmmVersion="8.6">'
+        '<PeriodicBoxVectors><A x="2" y="0" z="0"/><B x="0" y="2" z="0"/><C x="0" y="0" z="2"/></PeriodicBoxVectors>'
+        f'<Particles><Particle mass="1"/></Particles><Constraints/><Forces>{forces}</Forces></{tag}>'
+    )
+
+
+#: Force within which another is, up to the Force.
+VARIABLE = (
+    '<Force type="CustomCVForce" version="0" energy="a" name="a" forceGroup="0"><GlobalParameters/>'
+    "<EnergyParameterDerivatives/><CollectiveVariables><CollectiveVariable name='a'>{}</CollectiveVariable>"
+    "</CollectiveVariables><Functions/></Force>"
+)
+ALCHEMICAL = (
+    '<Force type="ATMForce" version="0" energy="1" name="a" forceGroup="0"><GlobalParameters/>'
+    "<EnergyParameterDerivatives/><Forces><Force>{}</Force></Forces><Particles/></Force>"
+)
+
+#: XML that OpenMM executes. Its parser ends a comment at the first ">".
+HOSTILE = {
+    "system": hostile_xml(),
+    "type alone": hostile_xml("State"),
+    "collective variable": hostile_xml(force=VARIABLE),
+    "alchemical": hostile_xml(force=ALCHEMICAL),
+    "comment": hostile_xml(force="<!-- > {} -->"),
+}
+
+
+def rewrite_state(checkpoint, xml):
+    """Replace the State in a checkpoint."""
+    with zipfile.ZipFile(checkpoint) as archive:
+        notes = archive.read("notes.json")
+    with zipfile.ZipFile(checkpoint, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("state.xml", xml)
+        archive.writestr("notes.json", notes)
+
+
+def refused(capsys, *command, code=1):
+    """Return the complaint of a command that leaves all files as they are."""
+    before = contents(Path())
+    message = complaint(capsys, *command, code=code)
+    assert contents(Path()) == before
+    assert MARKER not in before
+    return message
+
+
+# --- code in XML ---
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_openmm_executes_hostile_xml(here, name):
+    """Otherwise the tests below would show nothing."""
+    openmm.XmlSerializer.deserializeSystem(HOSTILE[name])
+    assert Path(MARKER).exists()
+
+
+@USES
+def test_a_checkpoint_holds_a_state(here, capsys, command):
+    rewrite_state("box.chk", HOSTILE["system"])
+    assert "expected a State, got 'System' of the type 'System'" in refused(capsys, *command)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_nothing_in_a_checkpoint_is_executed(here, capsys, name):
+    rewrite_state("box.chk", HOSTILE[name])
+    assert "box.chk is not a checkpoint" in refused(capsys, *RESTART)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_nothing_in_coordinates_is_executed(here, capsys, name):
+    Path("evil.xml").write_text(HOSTILE[name])
+    system = openmm.System()
+    system.addParticle(1.0)
+    Path("system.xml").write_text(openmm.XmlSerializer.serialize(system))
+    message = refused(capsys, "info", "evil.xml", "--topology", "system.xml")
+    assert "evil.xml" in message
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_nothing_in_a_topology_is_executed(here, capsys, name):
+    Path("evil.xml").write_text(HOSTILE[name])
+    message = refused(capsys, "info", "box.pdb", "--topology", "evil.xml")
+    assert "evil.xml" in message
+    if name in ("system", "collective variable", "alchemical"):
+        assert "it has a 'PythonForce'" in message
+        assert "make the System in a script" in message
+
+
+def test_document_types_are_refused(here, capsys):
+    """They define entities, which grow without bound."""
+    entities = '<!DOCTYPE System [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+    Path("evil.xml").write_text(entities + "<System type='System' version='1'>&b;</System>")
+    assert "it has a document type" in refused(capsys, "info", "box.pdb", "--topology", "evil.xml")
+
+
+# --- code in force fields ---
+
+
+def force_field(path):
+    """Write the force field of the box with a script."""
+    text = (Path(app.__file__).parent / "data" / "tip3p.xml").read_text()
+    code = f"open({os.path.abspath(MARKER)!r}, 'w').close()"
+    Path(path).write_text(text.replace("</ForceField>", f"<Script>{code}</Script></ForceField>"))
+
+
+@pytest.mark.parametrize("place", ["beside", "below", "absolute", "above", "of OpenMM"])
+@USES
+def test_a_checkpoint_names_no_force_field(here, capsys, tmp_path_factory, place, command):
+    """One beside the checkpoint may hold code as well."""
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    Path("below").mkdir()
+    data = Path(app.__file__).parent / "data"
+    # OpenMM seeks files that are not found elsewhere in directories of its own.
+    of_openmm = Path(*[".."] * (len(data.parts) - 1), *elsewhere.parts[1:], "evil.xml")
+    name = {
+        "beside": "evil.xml",
+        "below": "below/evil.xml",
+        "absolute": str(elsewhere / "evil.xml"),
+        "above": os.path.relpath(elsewhere / "evil.xml"),
+        "of OpenMM": str(of_openmm),
+    }[place]
+    force_field(elsewhere / "evil.xml" if place not in ("beside", "below") else name)
+    rewrite_notes("box.chk", lambda notes: notes["plan"].update(forcefield=[name]))
+    message = refused(capsys, *command)
+    assert f"box.chk names {name} for --forcefield, which could execute code" in message
+    assert f"give --forcefield {name}" in message
+
+
+def test_a_force_field_that_is_named_again_is_executed(here, capsys):
+    force_field("mine.xml")
+    run(*("run", "box.pdb", *SMALL, "--forcefield", "mine.xml", "--steps", "2", "--overwrite"))
+    Path(MARKER).unlink()
+    assert "give --forcefield mine.xml" in refused(capsys, *RESTART)
+    run(*RESTART, "--forcefield", "mine.xml")
+    Path(MARKER).unlink()
+    assert "give --forcefield mine.xml" in refused(capsys, *START)
+    run(*START, "--forcefield", "mine.xml")
+    assert Path(MARKER).exists()
+
+
+def test_a_force_field_that_was_edited_is_refused_also_if_it_is_named_again(here, capsys):
+    shutil.copy(Path(app.__file__).parent / "data" / "tip3p.xml", "mine.xml")
+    run(*("run", "box.pdb", *SMALL, "--forcefield", "mine.xml", "--steps", "2", "--overwrite"))
+    with Path("mine.xml").open("a") as file:
+        file.write("<!-- edited -->")
+    message = refused(capsys, *RESTART, "--forcefield", "mine.xml")
+    assert "mine.xml is not the file that the run of box.chk read" in message
+
+
+def test_the_force_field_of_coordinates_that_a_checkpoint_names(here, capsys):
+    """Who names a PDB file trusts the force field that it names."""
+    force_field("mine.xml")
+    text = Path("box.pdb").read_text()
+    assert "tip3p.xml" in text
+    Path("box.pdb").write_text(text.replace("tip3p.xml", "mine.xml"))
+    run("run", "box.pdb", *SMALL, "--steps", "2", "--overwrite")
+    Path(MARKER).unlink()
+    again = ["run", *RESTART[2:]]
+    assert "box.pdb, which box.chk names, names the force field mine.xml" in (message := refused(capsys, *again))
+    assert "give box.pdb as BOX" in message
+    run(*RESTART)
+
+
+# --- files that a checkpoint names ---
+
+
+def test_coordinates_elsewhere_are_named_again(here, capsys):
+    Path("there").mkdir()
+    shutil.move("box.chk", "there")
+    rewrite_notes("there/box.chk", lambda notes: notes["plan"].update(box="../box.pdb", out="../box.dcd"))
+    again = ["run", *RESTART[2:], "--out", "box.dcd", "--report", "box.csv", "--restart", "there/box.chk"]
+    rewrite_notes("there/box.chk", lambda notes: notes["plan"].update(report="../box.csv"))
+    message = refused(capsys, *again)
+    assert "names box.pdb for BOX, in a directory other than its own: to read it, give box.pdb as BOX" in message
+    run("run", "box.pdb", *again[1:])
+
+
+@pytest.mark.parametrize("use", ["--restart", "--start"])
+def test_a_topology_elsewhere_is_named_again(here, capsys, use):
+    forcefield = app.ForceField("tip3p.xml")
+    pdb = app.PDBFile("box.pdb")
+    Path("system.xml").write_text(openmm.XmlSerializer.serialize(forcefield.createSystem(pdb.topology)))
+    run("run", "box.pdb", *SMALL, "--topology", "system.xml", "--steps", "2", "--overwrite")
+    Path("there").mkdir()
+    shutil.move("system.xml", "there/my system.xml")
+    Path("here").mkdir()
+    for name in ("box.chk", "box.dcd", "box.csv", "box.pdb"):
+        shutil.copy(name, "here")
+    rewrite_notes("here/box.chk", lambda notes: notes["plan"].update(topology="../there/my system.xml"))
+    again = ["run", "here/box.pdb", "--platform", "Reference", use, "here/box.chk", "--steps", "4"]
+    again += ["--out", "new.dcd"] if use == "--start" else []
+    message = refused(capsys, *again)
+    assert "names there/my system.xml for --topology, in a directory other than its own" in message
+    assert "give --topology 'there/my system.xml'" in message
+    run(*again, "--topology", "there/my system.xml")
+
+
+# --- files without end ---
+
+
+def test_notes_are_read_up_to_their_bound(here, capsys):
+    """Blanks are nothing to JSON, and hardly anything in a zip file."""
+    with zipfile.ZipFile("box.chk") as archive:
+        state, notes = archive.read("state.xml"), archive.read("notes.json")
+    with zipfile.ZipFile("box.chk", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("state.xml", state)
+        archive.writestr("notes.json", b" " * checkpoints.MOST_NOTES + notes)
+    assert Path("box.chk").stat().st_size < 10**5
+    for command in (RESTART, START):
+        assert f"it holds more than {checkpoints.MOST_NOTES} bytes" in refused(capsys, *command)
+    # A log needs no checkpoint beside it.
+    run("summary", "box.csv")
+
+
+@pytest.mark.parametrize("use", [RESTART, START], ids=["restart", "start"])
+def test_a_state_is_read_up_to_the_size_of_its_system(here, capsys, use):
+    """Both more elements than a State of 24 atoms has, and longer ones."""
+    with zipfile.ZipFile("box.chk") as archive:
+        state = archive.read("state.xml").decode()
+    for more in ('<Forces><Force x="0" y="0" z="0"/></Forces>' * 10**4, "\n" * 10**6):
+        rewrite_state("box.chk", state.replace("</State>", f"{more}</State>"))
+        assert "it is longer than a State of the particles of this System can be" in refused(capsys, *use)
+
+
+@pytest.mark.parametrize("way", ["compressed otherwise", "locked", "deep", "no JSON"])
+def test_zip_files_that_are_no_checkpoints(here, capsys, way):
+    method = zipfile.ZIP_LZMA if way == "compressed otherwise" else zipfile.ZIP_DEFLATED
+    with zipfile.ZipFile("box.chk") as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    parts["notes.json"] = {"deep": b"[" * 10**6, "no JSON": b"\xff"}.get(way, parts["notes.json"])
+    with zipfile.ZipFile("box.chk", "w", method) as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    if way == "locked":
+        # The flag of encrypted parts, in both of their headers.
+        packed = bytearray(Path("box.chk").read_bytes())
+        for magic, place in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+            at = -1
+            while (at := packed.find(magic, at + 1)) >= 0:
+                packed[at + place] |= 1
+        Path("box.chk").write_bytes(packed)
+    assert "box.chk is not a checkpoint" in refused(capsys, *RESTART)
+
+
+# --- files that are waited for ---
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no such pipes here")
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    "line",
+    [
+        "run box.pdb --restart pipe",
+        "run box.pdb --start pipe",
+        "run box.pdb --config pipe",
+        "run pipe",
+        "run box.pdb --topology pipe",
+        "run box.pdb --forcefield pipe",
+        "summary pipe",
+        "plot pipe",
+        "setup pipe",
+    ],
+)
+def test_pipes_are_not_waited_for(here, capsys, line):
+    os.mkfifo("pipe")
+    assert "pipe: not a regular file" in refused(capsys, *line.split())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no such pipes here")
+@pytest.mark.timeout(60)
+def test_pipes_beside_other_files_are_not_waited_for(here, capsys):
+    shutil.copy("box.csv", "other.csv")
+    os.mkfifo("other.chk")
+    run("summary", "other.csv")
+    Path("box.dcd").unlink()
+    os.mkfifo("box.dcd")
+    # The trajectory of a checkpoint that has nothing left to do, and of one that has.
+    for steps in ("2", "4"):
+        assert "box.dcd" in complaint(capsys, *RESTART[:-1], steps)
