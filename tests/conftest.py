@@ -1,3 +1,4 @@
+import math
 import os
 import signal
 from importlib import util
@@ -9,6 +10,9 @@ import pytest
 os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
 from openmm_sier.dynamics import backend
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.dynamics.noise import generator
+from openmm_sier.ensembles import metropolis
 from tests.support import starts
 from tests.support.waters import cluster_system, periodic_system, settled
 
@@ -61,6 +65,21 @@ def seeded_libraries():
 def rng():
     """Random numbers that are the same in every run."""
     return np.random.default_rng(20070518)
+
+
+@pytest.fixture
+def coin(monkeypatch):
+    """Trials and volume moves are decided by a coin, so that both outcomes come.
+
+    Their energies do not matter, which are others on each processor. Like the noise of the package, the coin is a
+    function of seed and draw. Where no trajectory can be followed the trial is rejected all the same.
+    """
+
+    def decide(error, seed, draw):
+        return math.isfinite(error) and generator(seed, draw, stream=2).random() < 0.5
+
+    monkeypatch.setattr(metropolis, "is_accepted", decide)
+    monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda move, probability: move.chance < 0.5)
 
 
 @pytest.fixture(scope="session")

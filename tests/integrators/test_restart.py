@@ -99,6 +99,7 @@ def cluster():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize(("way", "where", "name", "make"), MATRIX)
 def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
     """A Context that has a past goes on as the one that is restarted, also when it goes back to a checkpoint.
@@ -155,7 +156,8 @@ def test_positions_from_outside_end_the_past(box):
 
 
 def with_barostat(system, frequency):
-    return with_forces(system, seeded(openmm.MonteCarloBarostat(1.0, 297.0, frequency), 5))
+    """A System that is pressed so hard, 10^5 bar, that each move to a smaller box is accepted."""
+    return with_forces(system, seeded(openmm.MonteCarloBarostat(1e5, 297.0, frequency), 5))
 
 
 @pytest.mark.slow
