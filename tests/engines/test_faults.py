@@ -164,7 +164,7 @@ def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, act
     # At 10^5 bar each move to a smaller box is accepted.
     made = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
     system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
-    integrator = SIER2Integrator(0.001)
+    integrator = seeded(SIER2Integrator(0.001))
     context = context_at(system, integrator, box[2], "CPU", steps=1)
     engine = integrator.binding.engine
     seen = []

@@ -49,9 +49,9 @@ def test_barostat_and_motion_remover_count_whole_steps():
     for force in system.getForces():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
-    # At 10^5 bar each move to a smaller box is accepted.
-    system.addForce(seeded(openmm.MonteCarloBarostat(1e5, 297.0, 3), 1))
-    context = context_at(system, integrator := SIERIntegrator(0.001, SIER2, engine="native"), point)
+    # At 10^5 bar each move to a smaller box is accepted. The integrator's seed starts all random numbers of Reference.
+    system.addForce(openmm.MonteCarloBarostat(1e5, 297.0, 3))
+    context = context_at(system, integrator := seeded(SIERIntegrator(0.001, SIER2, engine="native")), point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
     def drift():
@@ -113,8 +113,8 @@ def test_langevin_brings_the_temperature():
         integrator.step(5)
         warmest.append(integrator.computeSystemTemperature()._value)
     # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
-    # 400 sqrt(2/48/100) = 8 K, of which 60 K are more than seven. Noise that is not projected, or the friction of half a
-    # step, is off by a third.
+    # 400 sqrt(2/48/100) = 8 K, and 60 K are more than seven of them. Noise that is not projected, or the friction of half
+    # a step, is off by a third.
     assert np.mean(warmest) == pytest.approx(400, abs=60)
 
 

@@ -170,9 +170,10 @@ def test_restart_beside_a_barostat_of_openmm(box, make):
     """
     _, system, point = box
     system = with_barostat(system, 2)
-    context = context_at(system, make(), point, steps=4)
+    # On Reference all random numbers come from one generator, which the integrator's seed starts.
+    context = context_at(system, seeded(make()), point, steps=4)
     volume = context.getState().getPeriodicBoxVolume()
-    assert_restart_is_the_same(system, context, make(), 9)
+    assert_restart_is_the_same(system, context, seeded(make()), 9)
     assert context.getState().getPeriodicBoxVolume() != volume
 
 

@@ -52,19 +52,20 @@ def stored(name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np
 def displaced(positions: np.ndarray, system: openmm.System) -> np.ndarray:
     """Positions (N, 3) in nm, displaced by `DISTANCE` if the option `--displaced` is given.
 
-    Atoms that constraints or virtual sites join move as one, so that constraints hold as well as before. So do frozen
-    atoms among themselves.
+    Atoms that constraints or virtual sites join move as one, so that constraints hold as well as before. Where one of
+    them is frozen, none of them moves.
     """
     if Options.seed is None:
         return positions
-    unit = _units(system)
-    directions = np.random.default_rng(Options.seed).normal(size=(unit.max(initial=0) + 1, 3))
+    count, unit, frozen = _units(system)
+    directions = np.random.default_rng(Options.seed).normal(size=(count, 3))
     directions *= DISTANCE / np.linalg.norm(directions, axis=1, keepdims=True)
+    directions[unit[frozen]] = 0.0
     return positions + directions[unit]
 
 
 def _units(system):
-    """For each particle (N,) the number of the unit that it moves with."""
+    """The number of units, for each particle (N,) that of its own, and the frozen particles."""
     n = system.getNumParticles()
     joined = [system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints())]
     frozen = []
@@ -74,6 +75,6 @@ def _units(system):
             joined += [(i, site.getParticle(k)) for k in range(site.getNumParticles())]
         elif system.getParticleMass(i)._value == 0:
             frozen.append(i)
-    joined += [(frozen[0], i) for i in frozen[1:]]
     rows, columns = np.array(joined, dtype=int).reshape(-1, 2).T
-    return connected_components(coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), directed=False)[1]
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    return *connected_components(graph, directed=False), frozen
