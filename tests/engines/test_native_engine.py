@@ -113,8 +113,8 @@ def test_langevin_brings_the_temperature():
         integrator.step(5)
         warmest.append(integrator.computeSystemTemperature()._value)
     # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
-    # 400 sqrt(2/48/100) = 8 K, and 60 K are more than seven of them. Noise that is not projected, or the friction of half
-    # a step, is off by a third.
+    # 400 sqrt(2/48/100) = 8 K, and 60 K are more than seven of them. Noise that is not projected, or the friction of
+    # half a step, is off by a third.
     assert np.mean(warmest) == pytest.approx(400, abs=60)
 
 
