@@ -244,10 +244,11 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
         bonds.addBond(*atoms[:2], 0.1, 0.0)
         bonds.addBond(*atoms[1:], 0.1, 0.0)
     gas.system.addForce(bonds)
-    integrator = SIER2Integrator(0.001, bodies=gas.clusters)
+    integrator = seeded(SIER2Integrator(0.001, bodies=gas.clusters))
     context = context_at(gas.system, integrator, gas.point)
     before = context.getState().getPeriodicBoxVolume()
     integrator.step(20)
+    # A gas of three molecules at 1 bar hardly minds a change of 1 %: nine in ten moves are accepted, of twenty.
     assert context.getState().getPeriodicBoxVolume() != before
 
     gas.system.getForce(1).setScaleMoleculesAsRigid(False)

@@ -21,6 +21,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from tests.support.faults import Fault, lines_run
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
@@ -30,7 +31,7 @@ from tests.support.waters import cluster_system, context_at, force_of, periodic_
 
 @pytest.fixture(scope="module")
 def cluster():
-    return settled(*cluster_system(3, "tip4pew"))
+    return settled("cluster-3-tip4pew", *cluster_system(3, "tip4pew"))
 
 
 def langevin(scheme=SIER2, **options):
@@ -95,19 +96,23 @@ def box():
     topology, positions, system = periodic_system(molecules=27)
     force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     force_of(system).setCutoffDistance(0.4)
-    return settled(topology, positions, system)
+    return settled("box-27-cut-off", topology, positions, system)
 
 
 @pytest.mark.slow
-def test_a_fault_at_any_line_at_constant_pressure(box):
-    """The box is that of the completed step too, though each step changes it, or tries to."""
+def test_a_fault_at_any_line_at_constant_pressure(box, monkeypatch):
+    """The box is that of the completed step too, though each step changes it, or tries to.
+
+    Some small moves are accepted and no large ones, so that hundreds lead nowhere.
+    """
+    monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda move, _: abs(move.growth) < 0.02 < move.chance)
 
     def make():
         return seeded(langevin(pressure=1e3, barostatInterval=1), 1)
 
     trajectory = Trajectory(box[1], make, box[2])
-    # Of the first three moves some are accepted and some are not.
-    assert len({trajectory[step][2].tobytes() for step in range(4)}) in (2, 3)
+    # Of the first moves some are accepted and some are not.
+    assert len({trajectory[step][2].tobytes() for step in range(11)}) in range(2, 11)
     test_a_fault_at_any_line_leaves_a_completed_step(box, make, Fault)
 
 
@@ -132,7 +137,9 @@ def test_a_fault_at_any_line_with_a_barostat(box):
     system.addParticle(0.0)
     point = [np.vstack([values, [0.3, 0.2, 0.1]]) for values in box[2]]
     integrator = langevin()
-    context = context_at(system, integrator, point, "CPU", steps=1)
+    context = context_at(system, integrator, point, "CPU")
+    volume = context.getState().getPeriodicBoxVolume()
+    integrator.step(1)
     total = lines_run(lambda: integrator.step(1))
     moved = 0
     for line in range(1, total + 1):
@@ -148,17 +155,16 @@ def test_a_fault_at_any_line_with_a_barostat(box):
         # What a fault leaves is whole: the run would stop at molecules that are not, or at atoms on one another.
         assert context.getState(energy=True).getPotentialEnergy()._value < 0
     assert 0 < moved < total
-    volume = context.getState().getPeriodicBoxVolume()
-    # A third of the moves is rejected.
-    integrator.step(25)
+    # Of some hundred moves.
     assert context.getState().getPeriodicBoxVolume() != volume
 
 
 @pytest.mark.parametrize("acts", [[openmm.MonteCarloBarostat], [openmm.MonteCarloBarostat, openmm.AndersenThermostat]])
 def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts):
-    made = {openmm.MonteCarloBarostat: (1.0, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
+    # At 10^5 bar each move to a smaller box is accepted.
+    made = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
     system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
-    integrator = SIER2Integrator(0.001)
+    integrator = seeded(SIER2Integrator(0.001))
     context = context_at(system, integrator, box[2], "CPU", steps=1)
     engine = integrator.binding.engine
     seen = []

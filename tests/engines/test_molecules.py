@@ -241,9 +241,13 @@ def test_minimization_keeps_constraints(named):
     assert context.getStepCount() == 1
 
 
+@pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize("own", [True, False], ids=["pressure", "MonteCarloBarostat"])
 def test_constant_pressure(own):
-    """Molecules keep their constraints to rounding while the box changes; our own moves restart to the bit."""
+    """Molecules keep their constraints to rounding while the box changes; our own moves restart to the bit.
+
+    Of six molecules at 50 bar OpenMM's moves, of 1 %, are nearly all accepted, ours by a coin.
+    """
     system, positions = system_of(chains(field=False), waters=3, ions=1, box=2.2)
     if not own:
         system.addForce(openmm.MonteCarloBarostat(50, 300, 2))

