@@ -9,7 +9,31 @@ import pytest
 os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
 from openmm_sier.dynamics import backend
+from tests.support import starts
 from tests.support.waters import cluster_system, periodic_system, settled
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--displaced",
+        type=int,
+        metavar="SEED",
+        help=f"displace the starts of test systems by {starts.DISTANCE:g} nm: no test may depend on where chaos leads",
+    )
+    parser.addoption("--make-starts", action="store_true", help=f"make the starts that {starts.DIRECTORY} lacks")
+
+
+def pytest_configure(config):
+    starts.Options.seed = config.getoption("displaced")
+    starts.Options.makes = config.getoption("make_starts")
+    if starts.Options.makes and starts.Options.seed is not None:
+        raise pytest.UsageError("--make-starts stores starts that are not displaced; leave out --displaced")
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    terminalreporter.write_line(f"OpenMM's CPU platform had {os.environ['OPENMM_CPU_THREADS']} thread(s)")
+    if (seed := config.getoption("displaced")) is not None:
+        terminalreporter.write_line(f"starts were displaced by {starts.DISTANCE:g} nm, seed {seed}")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -42,13 +66,13 @@ def rng():
 @pytest.fixture(scope="session")
 def cluster():
     """Eight molecules of water without a cut-off."""
-    return settled(*cluster_system(8))
+    return settled("cluster-8", *cluster_system(8))
 
 
 @pytest.fixture(scope="session")
 def box():
     """59 molecules of water in a periodic box."""
-    return settled(*periodic_system())
+    return settled("box-59", *periodic_system())
 
 
 @pytest.fixture(params=["NumPy", "Numba"] if util.find_spec("numba") else ["NumPy"])

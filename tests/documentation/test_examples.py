@@ -64,7 +64,7 @@ def water():
     topology, positions, system = periodic_system()
     topology = copy.deepcopy(topology)
     next(topology.chains()).id = "A"
-    return topology, relaxed(topology, positions, copy.deepcopy(system))[0], system
+    return topology, relaxed("box-59", topology, positions, copy.deepcopy(system))[0], system
 
 
 @pytest.fixture

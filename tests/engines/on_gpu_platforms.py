@@ -35,7 +35,7 @@ def gpu(request):
 @pytest.fixture(scope="module")
 def cluster():
     """Three molecules with virtual sites."""
-    return settled(*cluster_system(3, "tip4pew"))[1:]
+    return settled("cluster-3-tip4pew", *cluster_system(3, "tip4pew"))[1:]
 
 
 def gpu_context(gpu, precision, system, integrator, point):
@@ -93,7 +93,7 @@ def test_fourth_order_in_double_precision(in_precision, cluster):
 
 
 def test_constant_pressure_and_both_ways_between_the_engines(gpu):
-    _, system, point = settled(*periodic_system("tip4pew"))
+    _, system, point = settled("box-tip4pew", *periodic_system("tip4pew"))
     system.addForce(seeded(openmm.MonteCarloBarostat(500 * unit.bar, 300 * unit.kelvin, 2), 1))
     made = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G, countsHeat=True) for _ in range(3)]
     on_cpu, on_gpu, again = (seeded(each, 1) for each in made)
@@ -123,7 +123,7 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
 
 def test_heat_is_not_counted_unless_asked_for(gpu):
     """What counts it, and what the exact engine stores, makes kernels slower."""
-    _, system, point = settled(*periodic_system())
+    _, system, point = settled("box-59", *periodic_system())
     integrator = seeded(SIERLangevinIntegrator(300, 5, 0.004), 1)
     context = gpu_context(gpu, "mixed", system, integrator, point)
     integrator.step(5)

@@ -73,7 +73,7 @@ def test_a_change_acts_from_the_next_step_on(box, engine, scheme, change):
 @both_engines
 def test_virtual_sites_need_not_be_placed(engine):
     """Positions for atoms alone are enough, as files without virtual sites give them."""
-    _, system, (positions, velocities) = settled(*cluster_system(4, "tip4pew"))
+    _, system, (positions, velocities) = settled("cluster-4-tip4pew", *cluster_system(4, "tip4pew"))
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
     elsewhere = positions.copy()
     elsewhere[sites] = 0.0

@@ -30,7 +30,7 @@ from tests.support.waters import cluster_system, context_at, force_of, periodic_
 
 @pytest.fixture(scope="module")
 def cluster():
-    return settled(*cluster_system(3, "tip4pew"))
+    return settled("cluster-3-tip4pew", *cluster_system(3, "tip4pew"))
 
 
 def langevin(scheme=SIER2, **options):
@@ -95,7 +95,7 @@ def box():
     topology, positions, system = periodic_system(molecules=27)
     force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     force_of(system).setCutoffDistance(0.4)
-    return settled(topology, positions, system)
+    return settled("box-27-cut-off", topology, positions, system)
 
 
 @pytest.mark.slow

@@ -56,17 +56,17 @@ def frozen_peptide(*residues):
 
 
 CASES = {
-    "TIP3P": lambda: frozen_water("tip3p"),
-    "TIP4P-Ew": lambda: frozen_water("tip4pew"),
+    "tip3p": lambda: frozen_water("tip3p"),
+    "tip4pew": lambda: frozen_water("tip4pew"),
     "peptide": lambda: frozen_peptide("ACE", "ALA", "NME"),
-    "one residue": lambda: frozen_peptide("ALA"),
+    "residue": lambda: frozen_peptide("ALA"),
 }
 
 
 @pytest.fixture(scope="module", params=CASES)
 def frozen(request):
     *made, atoms = CASES[request.param]()
-    _, system, point = settled(*made, steps=100)
+    _, system, point = settled(f"frozen-{request.param}", *made, steps=100)
     return system, point, atoms
 
 
@@ -108,7 +108,7 @@ def test_frozen_atoms_hold_no_heat(frozen, engine):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_baths_trials_and_minimizer_leave_them(engine):
     *water, atoms = frozen_water("tip3p")
-    _, system, point = settled(*water, steps=100)
+    _, system, point = settled("frozen-tip3p", *water, steps=100)
     for integrator in (
         SIERLangevinIntegrator(300, 5, 0.004, engine=engine),
         SIERHMCIntegrator(300, 0.004, stepsPerTrial=5, engine=engine),
@@ -128,7 +128,7 @@ def test_fast_forces_ignore_terms_between_frozen_atoms():
     single, _ = capped_alanine(0)
     system = forcefield().createSystem(both.topology, constraints=app.HBonds, removeCMMotion=False)
     atoms = freeze(system, range(single.getNumParticles()))
-    _, _, point = settled(both.topology, array(both.positions), system, steps=100)
+    _, _, point = settled("two-peptides", both.topology, array(both.positions), system, steps=100)
     prepared = prepare_system(system)
     assert prepared.fastForceGroups
     ends = []
@@ -214,7 +214,7 @@ def test_named_bodies_may_be_frozen_as_wholes():
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
-    _, system, (positions, velocities) = settled(*periodic_system(), steps=50)
+    _, system, (positions, velocities) = settled("box-59", *periodic_system())
     atoms = freeze(system, range(3))
     with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):
         context_at(system, SIERLangevinIntegrator(300, 1, 0.002, pressure=1), (positions, 0 * positions))

@@ -18,7 +18,7 @@ MODELS = ["tip3p", "tip4pew"]
 
 @pytest.fixture(scope="module", params=MODELS)
 def cluster(request):
-    return settled(*cluster_system(3, request.param))[1:]
+    return settled(f"cluster-3-{request.param}", *cluster_system(3, request.param))[1:]
 
 
 def trajectory(system, point, steps=6, h=0.004, **settings):
@@ -45,7 +45,7 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
 
 @pytest.mark.slow
 def test_barostat_and_motion_remover_count_whole_steps():
-    _, system, point = settled(*periodic_system())
+    _, system, point = settled("box-59", *periodic_system())
     for force in system.getForces():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
@@ -104,7 +104,7 @@ def test_step_of_a_bath_is_that_of_langevin_middle(cluster, counts_heat):
 
 
 def test_langevin_brings_the_temperature():
-    _, system, point = settled(*cluster_system(8))
+    _, system, point = settled("cluster-8", *cluster_system(8))
     integrator = seeded(SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native"), 11)
     _context = context_at(system, integrator, point, steps=300)
     warmest = []

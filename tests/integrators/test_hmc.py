@@ -29,7 +29,7 @@ CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
 
 @pytest.fixture(scope="module")
 def cluster():
-    return settled(*cluster_system(4))[1:]
+    return settled("cluster-4", *cluster_system(4))[1:]
 
 
 def conserved(context):
@@ -117,7 +117,7 @@ def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
 @pytest.mark.slow
 @ENGINES
 def test_constant_pressure_moves_the_volume_between_trials(engine):
-    _, system, point = settled(*periodic_system(), steps=100)
+    _, system, point = settled("box-59", *periodic_system())
     options = {"pressure": 1000 * unit.bar, "barostatInterval": 2, "frictionCoeff": 30, "extraChances": 0}
     integrator = sampler(0.003, 2, **options, **engine)
     context = context_at(system, integrator, point, "CPU")

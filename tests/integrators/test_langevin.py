@@ -95,7 +95,7 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     """A CMMotionRemover takes 3 friction kT per ps from a bath, and the energy of a centre of mass that moves."""
     topology, positions, system = periodic_system(removeCMMotion=remover)
     prepare_system(system)
-    x, v = relaxed(topology, positions, system, steps=100)
+    x, v = relaxed("box-59", topology, positions, system)
     point = x, v + np.array([0.5, 0.0, -0.2])
     friction = 20.0
     integrator = seeded(SIERLangevinIntegrator(300, friction, 0.002, engine=engine), 4)
@@ -123,7 +123,7 @@ def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
     """
     topology, positions, system = periodic_system()
     prepare_system(system, hydrogenMass=4)
-    point = relaxed(topology, positions, system, steps=100)
+    point = relaxed("box-59-heavy", topology, positions, system, steps=100)
     integrator = seeded(SIERLangevinIntegrator(300, 30, 0.009, engine="native", countsHeat=False), 6)
     context = context_at(system, integrator, point, "CPU", steps=50)
     found = []

@@ -95,7 +95,7 @@ MATRIX = [
 
 @pytest.fixture(scope="module")
 def cluster():
-    return settled(*cluster_system(6, "tip4pew"))
+    return settled("cluster-6-tip4pew", *cluster_system(6, "tip4pew"))
 
 
 @pytest.mark.slow
@@ -318,7 +318,7 @@ def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()
     prepare_system(system)
-    topology, system, point = settled(topology, positions, system, steps=100)
+    topology, system, point = settled("box-59", topology, positions, system)
 
     def run(look, write):
         simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)

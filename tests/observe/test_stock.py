@@ -14,7 +14,7 @@ NVE, NVT = (), (297.0,)
 
 @pytest.fixture(scope="module")
 def box():
-    return settled(*periodic_system(removeCMMotion=False))[1:]
+    return settled("box-59", *periodic_system(removeCMMotion=False))[1:]
 
 
 def simulated(box, name, around=NVE):

@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 
 from tests.support.molecules import TETRAHEDRON
+from tests.support.starts import displaced
 from tests.support.systems import assembled
 
 FORMATE = np.array([[0, 0, 0], [0.11, 0, 0], [-0.06, 0.11, 0], [-0.06, -0.11, 0]])
@@ -75,4 +76,5 @@ def gas(molecule, edge=2, spacing=0.6):
         cosine, sine = np.cos(number), np.sin(number)
         turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
         positions.append(molecule.places @ turn + spacing * np.array(np.unravel_index(number, 3 * (edge,))))
-    return assembled(n * molecule.masses, force, constraints=constraints), np.concatenate(positions)
+    system = assembled(n * molecule.masses, force, constraints=constraints)
+    return system, displaced(np.concatenate(positions), system)

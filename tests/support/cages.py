@@ -7,7 +7,8 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier import RigidBodies
-from tests.support.waters import water_box
+from tests.support.starts import displaced
+from tests.support.waters import array, water_box
 
 GOLDEN = (1 + np.sqrt(5)) / 2
 
@@ -49,7 +50,7 @@ def cage_in_water(nonbonded=app.PME, molecules=None, **options):
         force.addParticle(charge, 0.34, 0.36)
     for i, j in itertools.combinations(atoms, 2):
         force.addException(i, j, 0, 1, 0)
-    found = np.concatenate([modeller.positions.value_in_unit(unit.nanometer), shape + edge / 2])
+    found = displaced(np.concatenate([array(modeller.positions), shape + edge / 2]), system)
     bodies = RigidBodies.from_system(system, rigid=[atoms], positions=found)
     return system, found, bodies
 

@@ -3,6 +3,7 @@
 import numpy as np
 import openmm
 
+from tests.support.starts import displaced
 from tests.support.systems import assembled
 
 
@@ -22,4 +23,4 @@ def ethane():
     ring = np.stack([np.full(3, -0.037), 0.1025 * np.cos(turns), 0.1025 * np.sin(turns)], axis=1)
     half = np.concatenate([np.zeros((1, 3)), ring])
     positions = np.concatenate([half, half * [-1, 1, -1] + [0.153, 0, 0]])
-    return system, positions
+    return system, displaced(positions, system)

@@ -4,6 +4,7 @@ import numpy as np
 import openmm
 
 from tests.support.flexible import Points
+from tests.support.starts import displaced
 from tests.support.systems import assembled
 from tests.support.waters import platform
 
@@ -38,7 +39,7 @@ def system_of(points: Points, waters=0, ions=0, box=None):
     system.addForce(_charges(points, system.getNumParticles() - n, waters, box))
     if box:
         system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
-    return system, np.array(positions)
+    return system, displaced(np.array(positions), system)
 
 
 def _springs(points):

@@ -6,6 +6,7 @@ from openmm import app
 
 from tests.support.cages import cage
 from tests.support.molecules import GEOMETRIES
+from tests.support.starts import displaced
 from tests.support.waters import array, platform
 
 
@@ -53,7 +54,7 @@ def system_of(*names, apart=2.5):
         masses, shape = SHAPES[name]
         bodies.append([system.addParticle(mass) for mass in masses.tolist()])
         places.append(shape @ turn([number, 1, 2], number + 0.3) + [apart * number, 0.1, 0.2])
-    return system, np.concatenate(places), bodies
+    return system, displaced(np.concatenate(places), system), bodies
 
 
 def polar(system, bodies, charge=0.15, sigma=0.3, epsilon=0.3):

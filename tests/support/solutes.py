@@ -8,6 +8,8 @@ from itertools import combinations
 import numpy as np
 import openmm
 
+from tests.support.starts import displaced
+
 #: Masses, charges, Lennard-Jones radius in nm and depth in kJ/mol.
 ATOMS = {
     "C": (12.011, -0.1, 0.34, 0.4),
@@ -134,7 +136,7 @@ def system_of(molecules, dumbbells=0, box=None):
         system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
     for force in (bonds, angles, torsions, nonbonded):
         system.addForce(force)
-    return system, np.vstack(positions)
+    return system, displaced(np.vstack(positions), system)
 
 
 def _bond(molecule, first, bonds, angles, torsions):

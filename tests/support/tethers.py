@@ -3,6 +3,8 @@
 import numpy as np
 import openmm
 
+from tests.support.starts import displaced
+
 OH, HH = 0.09572, 0.15139
 
 #: kJ/mol/nm^2, of the springs of O and H.
@@ -20,7 +22,7 @@ def free_water(n):
     half = np.arcsin(HH / 2 / OH)
     sites = OH * np.array([[0, 0, 0], [np.cos(half), np.sin(half), 0], [np.cos(half), -np.sin(half), 0]])
     places = np.random.default_rng(1).uniform(0, 10, (n, 1, 3))
-    return system, (places + sites).reshape(-1, 3)
+    return system, displaced((places + sites).reshape(-1, 3), system)
 
 
 def tethered_water(n):

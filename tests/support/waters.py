@@ -1,12 +1,14 @@
 """Small water systems for the tests that need a Context."""
 
 import functools
+import random
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from tests.support.seeded import seeded
+from tests.support.starts import displaced, stored
 from tests.support.systems import field
 
 
@@ -21,6 +23,8 @@ def water_box(model="tip3p", molecules=64, ions=False):
     field = app.ForceField("amber14/tip3p.xml" if ions else f"{names[model]}.xml")
     modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
     edge = (molecules / 33.4) ** (1 / 3)
+    # OpenMM sets the molecules from a file, and picks those that ions replace at random.
+    random.seed(20070518)
     shape = {"tip5p": "tip5p", "tip4pew": "tip4pew", "spce": "spce"}.get(model, "tip3p")
     if ions:
         modeller.addSolvent(field, model=shape, boxSize=openmm.Vec3(edge, edge, edge), ionicStrength=1 * unit.molar)
@@ -40,7 +44,7 @@ def periodic_system(model="tip3p", molecules=64, ions=False, **options):
         ewaldErrorTolerance=1e-4,
         **options,
     )
-    return topology, positions, system
+    return topology, displaced(positions, system), system
 
 
 def cluster_system(molecules=8, model="tip3p", **options):
@@ -56,26 +60,32 @@ def cluster_system(molecules=8, model="tip3p", **options):
     topology.setPeriodicBoxVectors(None)
     if len(positions) != size:
         raise ValueError(f"expected {size} atoms, got {len(positions)}")
-    return topology, positions, field.createSystem(topology, removeCMMotion=False, **options)
+    system = field.createSystem(topology, removeCMMotion=False, **options)
+    return topology, displaced(positions, system), system
 
 
-def relaxed(topology, positions, system, temperature=297.0, seed=7, steps=300):
-    """Positions and velocities (N, 3) after minimization and a short Langevin run."""
-    integrator = seeded(openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001), seed)
-    # The same start in every run: two that differ by rounding are far apart after the minimization.
-    properties = {"Threads": "1", "DeterministicForces": "true"}
-    simulation = app.Simulation(topology, system, integrator, platform("CPU"), properties)
-    simulation.context.setPositions(positions)
-    simulation.minimizeEnergy(maxIterations=100)
-    simulation.context.setVelocitiesToTemperature(temperature, seed)
-    simulation.step(steps)
-    state = simulation.context.getState(positions=True, velocities=True)
-    return array(state.getPositions()), array(state.getVelocities())
+def relaxed(name, topology, positions, system, temperature=297.0, seed=7, steps=300):
+    """Positions and velocities (N, 3) after minimization and a short Langevin run, as they are stored by a name."""
+
+    def made():
+        integrator = seeded(openmm.LangevinMiddleIntegrator(temperature, 10.0, 0.001), seed)
+        simulation = app.Simulation(topology, system, integrator, platform("CPU"))
+        simulation.context.setPositions(positions)
+        simulation.minimizeEnergy(maxIterations=100)
+        simulation.context.setVelocitiesToTemperature(temperature, seed)
+        simulation.step(steps)
+        return dict(zip(("positions", "velocities"), phase_point(simulation.context), strict=True))
+
+    start = stored(name, made)
+    return displaced(start["positions"], system), start["velocities"]
 
 
-def settled(topology, positions, system, **options):
-    """Topology, System, and positions and velocities (N, 3) near 297 K; tests change no System but copies of it."""
-    return topology, system, relaxed(topology, positions, system, **options)
+def settled(name, topology, positions, system, **options):
+    """Topology, System, and the positions and velocities (N, 3) near 297 K that are stored by a name.
+
+    Tests change no System but copies of it.
+    """
+    return topology, system, relaxed(name, topology, positions, system, **options)
 
 
 def array(quantity):

@@ -27,7 +27,7 @@ def drop():
     openmmtools keeps an Andersen thermostat that it finds in a System, and otherwise adds one without a seed. Each
     molecule collides every 50 fs.
     """
-    _, system, point = settled(*droplet(8))
+    _, system, point = settled("droplet-8", *droplet(8))
     system.addForce(seeded(openmm.AndersenThermostat(300 * KELVIN, FRICTION), 5))
     return system, point
 
@@ -64,7 +64,7 @@ INTEGRATORS = {
 
 @pytest.fixture(scope="module")
 def box():
-    return settled(*periodic_system(removeCMMotion=False))[1:]
+    return settled("box-59", *periodic_system(removeCMMotion=False))[1:]
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ STEPS = {SIER2: 0.006, SIER4: 0.004, SIER4V: 0.010, SIER4G: 0.006, SIER4P: 0.006
 @pytest.fixture(scope="module")
 def drop():
     topology, positions, system = droplet(MOLECULES)
-    return system, relaxed(topology, positions, system, TEMPERATURE)
+    return system, relaxed("droplet-27", topology, positions, system, TEMPERATURE)
 
 
 def system_data(system):
