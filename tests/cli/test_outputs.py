@@ -143,7 +143,7 @@ def run_process(command, **options):
     """Exit code, standard output and standard error of a shell command, in which $RUN is our command."""
     environment = {**os.environ, "RUN": f"{sys.executable} -m openmm_sier.cli"}
     done = subprocess.run(
-        ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=120, check=False, **options
+        ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=300, check=False, **options
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -174,7 +174,7 @@ def test_reader_of_standard_output_that_has_gone(box):
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-m", "openmm_sier.cli", "info", "box.pdb"]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=120, check=False)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=300, check=False)
     os.close(writer)
     assert (done.returncode, done.stderr) == (1, b"")
 

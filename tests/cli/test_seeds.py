@@ -234,7 +234,7 @@ def scheduler():
     first = start(
         "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"
     )
-    wait_for(lambda: Path("s.json").exists() and Path("s.json").read_text().rstrip().endswith("}"), first)
+    wait_for(lambda: Path("s.json").exists() and Path("s.json").read_text().rstrip().endswith("}"), first, LIMIT)
     address = re.search(r"tcp://[\d.]+:\d+", Path("s.json").read_text())[0]
     options = ["--nthreads", "1", "--no-dashboard", "--memory-limit", "0", "--death-timeout", "60", "--no-nanny"]
     workers = [start("dask_worker", address, *options) for _ in range(2)]
