@@ -21,7 +21,7 @@ def miniature():
 def test_energies_are_those_of_table_1(step):
     """Within the factor 2 that the paper's unknown ensemble leaves; the order of the methods is the paper's.
 
-    Signs of axes, which rounding decides, turn the molecules' dipoles. Between seeds these factors scatter by 3 to 12 %:
+    Signs of axes, which rounding decides, turn the dipoles. Between seeds these factors scatter by 3 to 12 %:
     a factor 3 is eight standard deviations or more from each of them.
     """
     found = {name: miniature()["energy"][name, step] for name in NAMES}
