@@ -4,17 +4,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from openmm import app, unit
 
-from openmm_sier.cli import console, main
+from openmm_sier.cli import console
 from openmm_sier.cli.files import checkpoints
+from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.inputs import starts
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run, write_lattice
 
 
 @pytest.fixture(scope="module")
 def npt_run(box):
-    """Directory of a run at constant pressure, in which the volume changes."""
+    """Directory of a run at constant pressure, in which the volume changes with each move."""
     options = [*SMALL, *("--ensemble", "npt", "--pressure", "-500", "--dt", "2", "--temperature", "310")]
-    assert main.main(["run", str(box), *options, "--time", "0.2", "--out", str(box.with_name("npt.dcd"))]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)
+        run("run", box, *options, "--time", "0.2", "--out", box.with_name("npt.dcd"))
     return box.parent
 
 
@@ -41,6 +46,7 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
     assert after["Box Volume (nm^3)"][0] == before["Box Volume (nm^3)"][-1] != before["Box Volume (nm^3)"][0]
     # Attitudes are fitted anew, which rounds them.
     assert after["Potential Energy (kJ/mole)"][0] == pytest.approx(before["Potential Energy (kJ/mole)"][-1], rel=1e-9)
+    # The noise of the bath alone moves the centre of mass: it is that of the seed, whatever the molecules do.
     centre = momentum(before)[-1] ** 2 / (2 * 27 * 18.01528)
     assert centre > 0.01
     # At constant energy the centre of mass is at rest, which is all that is taken; a heat bath keeps its velocity.
@@ -49,8 +55,8 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
     assert after["Kinetic Energy (kJ/mole)"][0] == pytest.approx(expected, rel=1e-6)
     if ensemble == "nve":
         assert momentum(after)[0] < 1e-9
-        H, V = after["Conserved Energy (kJ/mole)"], after["Potential Energy (kJ/mole)"]
-        assert np.std(H) < 0.01 * np.std(V)
+        # Of 162 degrees of freedom kT/2 each, the bath would exchange some tens of kJ/mol; SIER4G holds them to 0.01.
+        assert np.ptp(after["Conserved Energy (kJ/mole)"]) < 1.0
     # The heat of the other run is not this one's.
     assert after["Conserved Energy (kJ/mole)"][0] == after["Total Energy (kJ/mole)"][0]
 
@@ -98,31 +104,40 @@ def test_starts_that_are_refused(box, npt_run, capsys):
 # --- wrapped and unwrapped frames ---
 
 
-@pytest.mark.slow
-def test_unwrapped_frames_do_not_jump(box):
-    """In frames 4 fs apart no atom moves by 0.1 nm, where wrapping moves molecules by the edge of the box."""
-    options = ["run", box, *("--platform", "Reference", "--equilibrate", "0.1", "--every", "0.004")]
-    options += ["--dt", "4", "--temperature", "2000"]
-    run(*options, "--steps", "40", "--out", "wrapped.dcd")
-    run(*options, "--steps", "40", "--out", "unwrapped.dcd", "--unwrapped")
-    wrapped, unwrapped = (frames(Path(name), box) for name in ("wrapped.dcd", "unwrapped.dcd"))
-    edge = wrapped.unitcell_lengths[0, 0]
-    assert np.abs(np.diff(unwrapped.xyz, axis=0)).max() < 0.1
-    assert np.abs(np.diff(wrapped.xyz, axis=0)).max() > edge / 2
-    periods = (unwrapped.xyz - wrapped.xyz) / edge
+def test_unwrapped_frames_have_molecules_where_they_went():
+    """The first molecule begins three boxes away from the others."""
+    box = write_lattice(Path("box.pdb"))
+    pdb = app.PDBFile(str(box))
+    positions = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    edge = pdb.topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer)
+    positions[:3, 0] += 3 * edge
+    with open("far.pdb", "w") as file:
+        app.PDBFile.writeFile(pdb.topology, positions * unit.nanometer, file)
+    options = ["run", "far.pdb", "--forcefield", "tip3p.xml", "--platform", "Reference", "--equilibrate", "0"]
+    options += ["--dt", "4", "--every", "0.004", "--steps", "5"]
+    run(*options, "--out", "wrapped.dcd")
+    run(*options, "--out", "unwrapped.dcd", "--unwrapped")
+    wrapped, unwrapped = (frames(Path(name), box).xyz for name in ("wrapped.dcd", "unwrapped.dcd"))
+    # In 4 fs a hydrogen of 300 K moves by 0.006 nm.
+    assert np.abs(np.diff(unwrapped, axis=0)).max() < 0.1
+    # Molecules as a whole are in the box: atoms stick out by a bond at most.
+    assert -0.1 < wrapped.min() < wrapped.max() < edge + 0.1
+    periods = (unwrapped - wrapped) / edge
     np.testing.assert_allclose(periods, np.round(periods), atol=1e-5)
+    # Its own face is never three boxes away.
+    assert np.abs(periods[:, :3, 0] - 3).max() < 1.5
 
 
 # --- what is shown ---
 
 
-def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys):
+def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys, monkeypatch):
     """Also after a restart; an equilibration that nobody made is not missed."""
+    monkeypatch.setattr(starts, "_are_within_bounds", lambda *_: False)
     write_lattice(Path("box.pdb"), 8)
     short = ["--platform", "Reference", "--dt", "2", "--temperature", "297", "--no-minimize"]
     run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0.1")
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    # From a lattice, whose energy becomes heat.
     assert "warning: not equilibrated after 0.1" in said
     row = "WARNING: not equilibrated after 0.102 ps at 297 K: T_trans = "
     assert row in said

@@ -8,14 +8,14 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.cli import main, results, run_checks
+from openmm_sier.cli import results, run_checks
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.planning import new_settings
 from openmm_sier.inputs import starts
 from openmm_sier.observe import conservation
 from openmm_sier.stability.runaway import HOTTEST, RunawayError
 from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
-from tests.support.commands import SMALL, complaint, frames, log
+from tests.support.commands import SMALL, complaint, frames, log, run
 
 
 def plan(ensemble="nve", **options):
@@ -63,9 +63,6 @@ def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     # Nothing that is out of bounds has got to a file.
     assert rows["Temperature (K)"].max() < HOTTEST
     assert notes["step"] in (rows["Step"][-1], rows["Step"][-1] + 1)
-    # The way on that the message names.
-    again = ["run", str(box), "--start", "box.chk", "--out", "again.dcd", "--scheme", "sier2", "--dt", "2"]
-    assert main.main([*again, "--steps", "20", "--platform", "Reference"]) == 0
 
 
 @pytest.mark.slow
@@ -76,14 +73,18 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
         if context.getStepCount() >= 50:
             raise RunawayError("too hot")
 
-    monkeypatch.setattr(run_checks, "check", run_away)
-    message = complaint(capsys, "run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4", code=run_checks.EXIT_CODE)
-    assert "of step 25" in message
+    command = ["run", box, *SMALL, "--scheme", "sier4g", "--time", "0.4"]
+    with monkeypatch.context() as patch:
+        patch.setattr(run_checks, "check", run_away)
+        message = complaint(capsys, *command, code=run_checks.EXIT_CODE)
+    assert "The last checkpoint is box.chk, of step 25; --start begins a new run" in message
     assert "the step of 4 fs should be short enough for SIER4G" in message
     _, notes = checkpoints.read_checkpoint(Path("box.chk"))
     assert notes["step"] == 25
     assert log("box.csv")["Step"][-1] == 40
     assert frames(Path("box.dcd"), box).n_frames == 9
+    # The way on that the message names.
+    run("run", box, "--start", "box.chk", "--out", "again.dcd", "--steps", "2", "--platform", "Reference")
 
 
 @pytest.mark.slow
@@ -137,10 +138,15 @@ def test_fluctuations_that_are_warned_about(scheme, log, warns):
     assert run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="nvt"), log) is None
 
 
+def with_all_columns(log):
+    """A log with all that the table of a run shows."""
+    log = log | {f"Momentum {axis} (dalton nm/ps)": np.zeros(251) for axis in "xyz"}
+    return log | {name: np.full(251, 297.0) for name in conservation.TEMPERATURES}
+
+
 def test_table_of_a_bath():
     """The mean of V, and the drift of H as heat; with OpenMM's baths H is not known, and trials have errors instead."""
-    log = fluctuating(0.0, drift=2.0) | {f"Momentum {axis} (dalton nm/ps)": np.zeros(251) for axis in "xyz"}
-    log |= {name: np.full(251, 297.0) for name in conservation.TEMPERATURES}
+    log = with_all_columns(fluctuating(0.0, drift=2.0))
     rows = dict(results.rows(log, "nvt", moves_volume=False))
     # V has an rms of 60 kJ/mol, and 251 samples.
     assert float(rows["potential energy V"].split()[0]) == pytest.approx(-20000, abs=5 * 60 / np.sqrt(251))
@@ -151,11 +157,12 @@ def test_table_of_a_bath():
         assert not any(name.startswith("heat") for name, _ in table)
 
 
-@pytest.mark.slow
-def test_table_warns_of_a_step_that_is_too_long(box, capsys):
-    options = ["run", str(box), *SMALL, "--scheme", "sier2", "--time", "0.4", "--overwrite"]
-    for dt, warns in (("2", False), ("8", True)):
-        assert main.main([*options, "--dt", dt]) == 0
+def test_table_warns_of_a_step_that_is_too_long(box, capsys, monkeypatch):
+    """By a log that was made up, as above."""
+    options = ["run", box, *SMALL[-4:], "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--overwrite"]
+    for dt, rms, warns in (("2", 0.013 * 60, False), ("8", 0.04 * 60, True)):
+        monkeypatch.setattr("openmm_sier.cli.run.read_log", lambda _, rms=rms: with_all_columns(fluctuating(rms)))
+        run(*options, "--scheme", "sier2", "--dt", dt)
         out = " ".join(capsys.readouterr().out.replace("│", " ").split())
         assert ("WARNING: rms" in out) == warns
     assert "the step of 8 fs is too long for SIER2, for which 2 fs is usual" in out

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,7 +26,15 @@ pytest.importorskip("distributed")
 #: Seconds after which a test fails rather than wait. Each member takes some seconds to begin.
 LIMIT = 300
 
-MANY = [*SMALL, "--out", "a.dcd", "--time", "0.4", "--report-every", "0.02"]
+MANY = [*SMALL, "--out", "a.dcd", "--report-every", "0.02"]
+
+#: ps between rows and frames, and the length of a run that no machine completes while a test waits.
+ROW, FOR_EVER = 0.02, 1e6
+
+
+def until(rows):
+    """Options of runs with so many rows after the first."""
+    return ["--time", f"{ROW * rows:g}"]
 
 
 def files(place, seeds):
@@ -40,16 +49,20 @@ ENDS = (".dcd", ".csv")
 
 @pytest.fixture(scope="module")
 def single_runs(box, tmp_path_factory):
-    """Directory of runs one after the other."""
+    """A function that makes runs one after the other, as long as they are wanted; their directory."""
     place = tmp_path_factory.mktemp("single")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(place)
-        patch.setenv("OPENMM_CPU_THREADS", "1")
-        for seed in (1, 2, 3):
-            line = ["run", box, *MANY, "--seed", seed]
-            line[line.index("a.dcd")] = f"a-seed{seed}.dcd"
-            run(*line)
-    return place
+
+    def make(rows):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(place)
+            patch.setenv("OPENMM_CPU_THREADS", "1")
+            for seed in (1, 2, 3):
+                line = ["run", box, *MANY, *until(rows), "--seed", seed, "--overwrite"]
+                line[line.index("a.dcd")] = f"a-seed{seed}.dcd"
+                run(*line)
+        return place
+
+    return make
 
 
 def test_nothing_listens_beyond_this_machine():
@@ -82,8 +95,28 @@ def rows(seed):
 
 
 def process_of(seed):
-    """The process that writes a run, as its lock tells."""
-    return int(re.match(r"process (\d+) ", Path(f".a-seed{seed}.csv.lock").read_text())[1])
+    """The process that writes a run, as its lock tells; None where nobody does, or is about to."""
+    lock = Path(f".a-seed{seed}.csv.lock")
+    found = re.match(r"process (\d+) ", lock.read_text()) if lock.exists() else None
+    return int(found[1]) if found else None
+
+
+def wait_for_members():
+    """Wait until all members have ended, which complete a step and their files by themselves."""
+    latest = time.monotonic() + LIMIT
+    while any((number := process_of(seed)) and Path(f"/proc/{number}").exists() for seed in (1, 2, 3)):
+        assert time.monotonic() < latest
+        time.sleep(0.1)
+
+
+def assert_a_call_completes_what_is_there(box, single_runs):
+    """The same command, now with an end: all files are those of single runs, byte by byte."""
+    wait_for_members()
+    end = max(map(rows, (1, 2, 3))) + 5
+    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3", *until(end)))
+    assert (code, err) == (0, "")
+    assert files(".", (1, 2, 3)) == files(single_runs(end), (1, 2, 3))
+    assert len(log("a-seed3.csv")["Step"]) == end + 1
 
 
 @pytest.mark.parametrize(
@@ -160,51 +193,46 @@ def test_without_dask(box, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_killed_member_goes_on_and_all_are_as_single_runs(box, single_runs):
-    process = started(box, "--seeds", "1-3", "--workers", "2")
+def test_a_killed_member_is_begun_again(box, single_runs):
+    process = started(box, "--seeds", "1-3", "--workers", "2", "--time", str(FOR_EVER))
     wait_for(lambda: rows(2) > 6, process, LIMIT)
-    os.kill(process_of(2), signal.SIGKILL)
-    code, out, err = ended(process)
-    assert (code, err) == (0, "")
-    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
-    assert "3 runs of SIER2, NVE, 4 fs, to step 100 (0.4 ps), 2 at a time" in out
-    assert "mean over 3 runs" in out
-    # The same command once more finds all complete, and draws them.
+    killed = process_of(2)
+    os.kill(killed, signal.SIGKILL)
+    wait_for(lambda: process_of(2) not in (None, killed) and rows(2) > 12, process, LIMIT)
+    process.send_signal(signal.SIGINT)
+    code, _, err = ended(process)
+    assert code == 130
+    assert err == "openmm-sier: stopped: 0 of 3 runs are complete. Give the same command again to continue\n"
+    assert_a_call_completes_what_is_there(box, single_runs)
+
+
+@pytest.mark.slow
+def test_runs_that_are_complete_are_drawn(box, single_runs):
+    for path in single_runs(4).iterdir():
+        shutil.copy(path, ".")
     before = contents(Path())
-    code, out, err = ended(started(box, "--seeds", "1-3", "--workers", "2", "--plot", "a.png"))
+    code, out, err = ended(started(box, "--seeds", "1-3", "--workers", "2", *until(4), "--plot", "a.png"))
     assert (code, err) == (0, "")
+    assert "3 runs of SIER2, NVE, 4 fs, to step 20 (0.08 ps), 2 at a time" in out
+    assert "mean over 3 runs" in out
     after = contents(Path())
     assert after.pop("a.png").startswith(b"\x89PNG")
     assert after == before
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGINT"])
-def test_a_second_call_goes_on_after_the_first_was_ended(box, single_runs, name):
-    process = started(box, "--seeds", "1-3", "--workers", "3")
+def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
+    process = started(box, "--seeds", "1-3", "--workers", "3", "--time", str(FOR_EVER))
     wait_for(lambda: max(map(rows, (1, 2, 3))) > 3, process, LIMIT)
-    running = [process_of(seed) for seed in (1, 2, 3) if Path(f".a-seed{seed}.csv.lock").exists()]
-    process.send_signal(getattr(signal, name))
-    code, _, err = ended(process)
-    if name == "SIGINT":
-        assert code == 130
-        assert re.fullmatch(
-            r"openmm-sier: stopped: \d of 3 runs are complete. Give the same command again to continue\n", err
-        )
-    # Members complete a step and their files by themselves.
-    until = time.monotonic() + LIMIT
-    while any(Path(f"/proc/{number}").exists() for number in running):
-        assert time.monotonic() < until
-        time.sleep(0.1)
-    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
-    assert (code, err) == (0, "")
-    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
+    process.kill()
+    ended(process)
+    assert_a_call_completes_what_is_there(box, single_runs)
 
 
 @pytest.mark.slow
 def test_a_stop_before_the_first_step_begins_nothing_again(box):
     """One member equilibrates for ever, which a signal ends at once, and the other waits."""
-    options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": 1000, "time": 0.4}
+    options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": FOR_EVER, "time": 0.4}
     begun = Path(".a-seed1.csv.lock").exists
     members = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
     assert [(member.state, member.error) for member in members] == 2 * [("stopped", "")]
@@ -214,12 +242,12 @@ def test_a_stop_before_the_first_step_begins_nothing_again(box):
 @pytest.mark.slow
 def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
     Path("a-seed2.csv").write_text("mine\n")
-    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
+    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3", *until(4)))
     assert code == 1
     assert err.count("\n") == 1
     assert "seed 2: a-seed2.csv exists, but its checkpoint a-seed2.chk does not" in err
     assert "2 of 3 runs are complete. Give the same command again to continue the others" in err
-    assert files(".", (1, 3)) == files(single_runs, (1, 3))
+    assert files(".", (1, 3)) == files(single_runs(4), (1, 3))
     assert Path("a-seed2.csv").read_text() == "mine\n"
 
 
@@ -236,7 +264,7 @@ def scheduler():
     first = start(
         "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"
     )
-    wait_for(lambda: Path("s.json").exists() and Path("s.json").read_text().rstrip().endswith("}"), first)
+    wait_for(lambda: Path("s.json").exists() and Path("s.json").read_text().rstrip().endswith("}"), first, LIMIT)
     address = re.search(r"tcp://[\d.]+:\d+", Path("s.json").read_text())[0]
     options = ["--nthreads", "1", "--no-dashboard", "--memory-limit", "0", "--death-timeout", "60", "--no-nanny"]
     workers = [start("dask_worker", address, *options) for _ in range(2)]
@@ -249,9 +277,11 @@ def scheduler():
 @pytest.mark.slow
 def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
     address, first, workers = scheduler
-    process = started(box, "--seeds", "1-3", "--scheduler", address)
-    wait_for(lambda: max(map(rows, (1, 2, 3))) > 3, process, LIMIT)
+    process = started(box, "--seeds", "1-3", "--scheduler", address, "--time", str(FOR_EVER))
+    # Two of three runs have a worker each.
+    wait_for(lambda: sum(rows(seed) > 3 for seed in (1, 2, 3)) == 2, process, LIMIT)
     workers[0].kill()
+    # The other worker goes on with its run.
     done = sum(map(rows, (1, 2, 3)))
     wait_for(lambda: sum(map(rows, (1, 2, 3))) > done + 6, process, LIMIT)
     first.kill()
@@ -261,8 +291,5 @@ def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
         f"openmm-sier: the scheduler {address} went away. Give the same command again to continue the runs that are "
         "not complete\n"
     )
-    # On this machine now.
-    code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3"))
-    assert (code, err) == (0, "")
-    assert files(".", (1, 2, 3)) == files(single_runs, (1, 2, 3))
-    assert len(log("a-seed3.csv")["Step"]) == 21
+    workers[1].kill()
+    assert_a_call_completes_what_is_there(box, single_runs)

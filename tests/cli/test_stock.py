@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+import openmm
 import pytest
 
+from openmm_sier.observe import stock
+from openmm_sier.stability.runaway import RunawayError
 from tests.support.commands import complaint, log, run
 
 FAST = ["--dt", "2", "--platform", "Reference", "--equilibrate", "0.01", "--seed", "7"]
@@ -35,8 +38,15 @@ def test_what_they_cannot_do_is_refused(box, capsys):
     assert not list(Path().glob("*.csv"))
 
 
-def test_a_step_that_is_too_long_is_told_of(box, capsys):
-    """On the CPU platform: OpenMM's Reference PME writes past its mesh where positions are not finite."""
-    chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0.01", "--platform", "CPU"]
+@pytest.mark.parametrize("error", [RunawayError("too hot"), openmm.OpenMMException("Particle coordinate is NaN")])
+def test_a_step_that_is_too_long_is_told_of(box, capsys, monkeypatch, error):
+    """When the first step ends it is too hot, or OpenMM has found that positions are no numbers."""
+
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr(stock.StockIntegrator, "step", fails)
+    chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0", *FAST[2:4]]
     said = complaint(capsys, "run", box, *chosen, code=3)
-    assert "for OpenMM LangevinMiddle, for which 2 fs is usual" in said
+    assert f"became unstable at step 0 (0 ps): {error}; the step of 60 fs is too long for OpenMM LangevinMiddle" in said
+    assert "for which 2 fs is usual: --dt 2" in said

@@ -15,7 +15,7 @@ from openmm_sier.cli.files import checkpoints, records
 from tests.support.commands import SMALL, frames, log, wait_for
 
 #: Seconds after which a test fails rather than wait. A run of the command takes a few.
-LIMIT = 120
+LIMIT = 300
 
 #: The command with the handling of signals that a terminal gives it, whatever that of the tests is.
 COMMAND = """
@@ -115,7 +115,7 @@ def test_ignored_signals_stay_ignored(box, monkeypatch):
 def test_signal_before_the_first_step_ends_at_once(box):
     """Also in a minimization that takes long, from which OpenMM returns to Python only when it is done."""
     process = started(box, patch=f"{BUSY}\nstarting.prepare = busy")
-    wait_for(Path("busy").exists, process)
+    wait_for(Path("busy").exists, process, LIMIT)
     process.send_signal(signal.SIGINT)
     code, _ = ended(process)
     assert code == -signal.SIGINT

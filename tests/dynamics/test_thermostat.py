@@ -27,8 +27,9 @@ def test_canonical_distribution_is_reached_from_any_start(kind):
     samples = [(state.p[i], bodies.species[0].mass) for i in range(3)]
     samples += [(body_frame(state.A, state.L)[i], moments[i]) for i in range(3) if moments[i] > 0]
     for values, inertia in samples:
-        # One in 10^4 true normal samples fails. A moment of a wrong axis is off by 30 % or more, 45 standard errors.
-        assert stats.kstest(values / np.sqrt(THERMAL * inertia), "norm").pvalue > 1e-4
+        # A moment of a wrong axis is off by 30 % or more, 45 standard errors, and has a far smaller value. Rounding may
+        # decide signs of axes, and so what noise the bodies get.
+        assert stats.kstest(values / np.sqrt(THERMAL * inertia), "norm").pvalue > 1e-11
     if kind == molecules.CARBON_DIOXIDE:
         assert np.abs(body_frame(state.A, state.L)[0]).max() < 1e-12
     if kind == molecules.ION:
@@ -39,11 +40,12 @@ def test_it_forgets_at_the_friction():
     n = 20000
     bodies, state = molecules.ensemble(molecules.WATER, n)
     after = OrnsteinUhlenbeck(TEMPERATURE, 2.0, 7.0).operator(bodies, Ledger(2))(state, 0.1)
+    # Seven standard errors are passed by one sound number of 4e11.
     error = np.sqrt(THERMAL * bodies.species[0].mass / n)
-    assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 4.5 * error
+    assert np.abs(after.p.mean(axis=1) - 20.0 * np.exp(-0.2)).max() < 7 * error
     tilde = body_frame(after.A, after.L)
     errors = np.sqrt(THERMAL * bodies.species[0].moments / n)
-    assert (np.abs(tilde.mean(axis=1) - np.exp(-0.7)) < 4.5 * errors).all()
+    assert (np.abs(tilde.mean(axis=1) - np.exp(-0.7)) < 7 * errors).all()
 
 
 def test_noise_depends_on_seed_and_draw_alone():

@@ -40,7 +40,7 @@ def test_conservation_report(tmp_path, box):
     kinetic = sum(integrator.bodies.kinetic_energies(integrator.getWholeStepState()))
     conserved = last["Potential Energy (kJ/mole)"] + kinetic - heat
     assert last["Conserved Energy (kJ/mole)"] == pytest.approx(conserved, rel=1e-12)
-    assert abs(kinetic - last["Kinetic Energy (kJ/mole)"]) > 1e-3
+    assert kinetic != pytest.approx(last["Kinetic Energy (kJ/mole)"], rel=1e-12)
     motion = integrator.getBodyState()
     names = ("Temperature (K)", "Translational Temperature (K)", "Rotational Temperature (K)")
     assert [last[name] for name in names] == list(integrator.computeTemperatures().in_kelvin()[:3])
@@ -227,13 +227,14 @@ def test_body_states_have_the_names_of_domains(tmp_path):
 def test_body_states_tell_where_the_atoms_are(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)
-    system.addForce(seeded(openmm.MonteCarloBarostat(1000, 297, 1), 1))
     simulation = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
     path = tmp_path / "bodies.h5"
     simulation.minimizeEnergy(maxIterations=20)
     simulation.reporters.append(BodyStateReporter(path, 20))
-    # Of twenty moves of the volume between two frames some are accepted.
-    simulation.step(40)
+    simulation.step(20)
+    box = simulation.context.getState().getPeriodicBoxVectors(asNumpy=True)
+    simulation.context.setPeriodicBoxVectors(*(1.01 * box))
+    simulation.step(20)
     state = simulation.context.getState(positions=True)
     with h5py.File(path, "r") as file:
         assert [file.attrs[name][:3] for name in ("frame", "quaternion")] == ["lab", "(w,"]

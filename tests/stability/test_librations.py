@@ -89,15 +89,16 @@ def test_picoseconds_in_place_of_femtoseconds(engine):
 
 @pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=lambda scheme: scheme.name)
 def test_refused_steps_are_hopeless(box, scheme):
-    """Just below the refusal a liquid gains a third of its kinetic energy within 1.2 ps."""
+    """Just below the refusal the energy of a liquid grows without end, here by a third of its kinetic energy."""
     _, system, point = box
     h = 0.999 * HOPELESS * longest(system, scheme) * scheme.stability_limit / scheme.accuracy_limit
     integrator = SIERIntegrator(h, scheme)
     with pytest.warns(UserWarning, match="is long"):
         context = context_at(system, integrator, point, "CPU", steps=0)
     (potential, kinetic), gain, time = energies(context), 0.0, 0.0
-    # SIER4V, the slowest to do so, was seen to gain 0.7; at 6 fs SIER4G changes by less than 0.01.
-    while gain < kinetic / 3 and time < 1.2:
+    # SIER4V, the slowest to do so, gains twice as much within 1.2 ps, and ten times as long is left to each of them. It
+    # changes by less than 0.01 with SIER4G at 6 fs.
+    while gain < kinetic / 3 and time < 12:
         integrator.step(2)
         gain, time = sum(energies(context)) - potential - kinetic, time + 2 * h
     assert gain >= kinetic / 3

@@ -37,8 +37,9 @@ def test_noise_of_the_energy(tmp_path, name, noisy):
     context = openmm.Context(box.system, SIERIntegrator(0.001), platform(name))
     context.setPositions(box.positions)
     before = context.getState(positions=True).getPositions(asNumpy=True)
-    # In double precision the second order in displacements of 1e-6 nm is left: of overlapping molecules 1e-5 kJ/mol.
-    assert (acceptance.energy_noise(context) > 2e-5) is noisy
+    # In double precision the second order in displacements of 1e-6 nm is left, 1e-7 kJ/mol. Single precision has 3e-4
+    # kJ/mol, by some tenths more or less on another processor.
+    assert (acceptance.energy_noise(context) > 3e-6) is noisy
     assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True), before)
 
 

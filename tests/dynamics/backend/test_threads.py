@@ -74,7 +74,7 @@ def test_loops_in_a_forked_process(three_threads):
 
     process = context.Process(target=child, daemon=True)
     process.start()
-    assert receiver.poll(60)
+    assert receiver.poll(300)
     assert np.array_equal(receiver.recv(), expected)
     process.join()
 
