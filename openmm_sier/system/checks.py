@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
@@ -113,12 +112,12 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
             f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Did "
             "hydrogens get more mass than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
-    for i, j, distance in map(system.getConstraintParameters, range(system.getNumConstraints())):
-        length = distance.value_in_unit(unit.nanometer)
-        if not 0 < length < math.inf:
-            raise openmm.OpenMMException(
-                f"The constraint of particles {i} and {j} has the length {length:g} nm: it must be positive"
-            )
+    rows = tables.constraint_rows(system)
+    if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
+        i, j, length = rows[wrong.argmax()].tolist()
+        raise openmm.OpenMMException(
+            f"The constraint of particles {i:.0f} and {j:.0f} has the length {length:g} nm: it must be positive"
+        )
 
 
 def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
