@@ -88,4 +88,5 @@ def _charges(force: openmm.Force) -> np.ndarray:
         found = [force.getParticleParameters(i)[0] for i in range(force.getNumParticles())]
     else:
         found = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
-    return np.array([charge._value if unit.is_quantity(charge) else charge for charge in found], dtype=float)
+    in_e = [each.value_in_unit(unit.elementary_charge) if unit.is_quantity(each) else each for each in found]
+    return np.array(in_e, dtype=float)
