@@ -73,7 +73,11 @@ def install() -> None:
 
 
 def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
-    """Replace a method by a function that takes it as its first argument; one that replaced it earlier is removed."""
+    """Replace a method by a function; one that replaced it earlier is removed.
+
+    The function takes OpenMM's method, and then the arguments of a call, those that it reads under OpenMM's names and
+    with OpenMM's defaults.
+    """
     if name not in vars(cls):
         return
     static = isinstance(vars(cls)[name], staticmethod)
@@ -126,12 +130,12 @@ def _bind_again(method: Callable, context: openmm.Context, preserveState: bool =
         binding.bind(context, keeps_ledger=preserveState)
 
 
-def _write_integrator(method: Callable, integrator: openmm.Integrator) -> str:
-    return method(written(integrator) if isinstance(integrator, SIERIntegrator) else integrator)
+def _write_integrator(method: Callable, object: openmm.Integrator) -> str:
+    return method(written(object) if isinstance(object, SIERIntegrator) else object)
 
 
-def _revive(method: Callable, source: Any) -> openmm.Integrator:
-    return revived(method(source), SIERIntegrator)
+def _revive(method: Callable, *args: Any, **kwargs: Any) -> openmm.Integrator:
+    return revived(method(*args, **kwargs), SIERIntegrator)
 
 
 # --- saved and loaded states ---
@@ -147,13 +151,13 @@ def _mark_state(method: Callable, context: openmm.Context, *args: Any, **kwargs:
     return state
 
 
-def _write_restart_point(method: Callable, thing: Any) -> str:
+def _write_restart_point(method: Callable, object: Any) -> str:
     """Serialize a State with the integrator's parameters, such as `Simulation.saveState` writes, or anything else."""
-    context = getattr(thing, "_sier_origin", lambda: None)()
-    is_current = context is not None and context.getStepCount() == thing.getStepCount()
+    context = getattr(object, "_sier_origin", lambda: None)()
+    is_current = context is not None and context.getStepCount() == object.getStepCount()
     if is_current and (binding := _binding_of(context)):
         binding.start_anew()
-    return method(thing)
+    return method(object)
 
 
 def _set_state(method: Callable, context: openmm.Context, state: openmm.State) -> None:

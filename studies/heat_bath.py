@@ -260,8 +260,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
         context.setVelocitiesToTemperature(settings.temperature, seed)
         if isinstance(integrator, SIERHMCIntegrator):
             # Trials of large boxes are rejected while these warm up.
-            warmed = equilibrate(context, settings.temperature, seed, settings.equilibrate)
-            context.setState(warmed.state)
+            equilibrate(context, settings.temperature, seed, settings.equilibrate)
         else:
             integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         before = _evaluations(integrator)

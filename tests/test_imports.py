@@ -32,8 +32,8 @@ def test_imports_are_lean(code, absent):
 def test_quantities_are_read_in_named_units():
     """The number within a quantity is private to OpenMM, and its unit is nowhere to be seen.
 
-    `engines/snapshot.py` says why it reads two of them at each call of `step`, and `system/tables.py` why it reads all
-    masses and constraints so.
+    `engines/snapshot.py` says why it reads two of them at each call of `step`, and `system/tables.py` why it reads
+    masses, constraints and parameters of all atoms so.
     """
     folder = Path(openmm_sier.__file__).parent
     faster = {folder / "engines" / "snapshot.py", folder / "system" / "tables.py"}

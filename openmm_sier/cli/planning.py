@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from openmm_sier.analysis.many_runs import words
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import refusal
 from openmm_sier.cli.methods import METHODS
@@ -25,7 +26,6 @@ from openmm_sier.cli.settings import (
     RunSettings,
     flag,
     steps_in,
-    words,
 )
 from openmm_sier.inputs.forcefields import foreign, pick
 from openmm_sier.inputs.inputs import IGNORED, topology_kind

@@ -15,6 +15,7 @@ from openmm_sier.engines.choice import usual_platform
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.inputs.report import SILENT, Advance, Report
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.stability.spins import Spins
 from openmm_sier.stability.vibrations import Vibrations
@@ -70,7 +71,6 @@ class Equilibration(NamedTuple):
     """The end of an equilibration.
 
     Attributes:
-        state: positions, velocities and box.
         time: that it took, ps.
         means: over the last two windows.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
@@ -78,7 +78,6 @@ class Equilibration(NamedTuple):
         described: its time and temperatures, with their bounds, in words; empty if it took no time.
     """
 
-    state: openmm.State
     time: float
     means: Means
     settled: bool
@@ -142,7 +141,6 @@ def prepare(
             f"{_strongest_force(context):.3g}"
         )
     found = equilibrate(context, temperature, seed, time, report)
-    context.setState(found.state)
     stop_centre_of_mass(context)
     if found.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
         _set_energy(context, temperature, found.means.potential)
@@ -167,9 +165,12 @@ def _strongest_force(context: openmm.Context) -> float:
 def equilibrate(
     context: openmm.Context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
 ) -> Equilibration:
-    """Run at constant temperature, and pressure if one is kept, until the liquid has settled.
+    """Bring a Context to equilibrium at a temperature, and at a pressure if one is kept.
 
-    It has settled when, over the last two windows of 1 ps,
+    Velocities are drawn anew, and a heat bath acts until the liquid has settled. Then the Context has the positions,
+    velocities and box of the end; its time and step count stay as they were. After an error it is as before.
+
+    The liquid has settled when, over the last two windows of 1 ps,
 
     - the means of T_trans, T_rot and the temperature of flexible molecules differ from the given temperature by at most
       T sqrt(2/dof), the canonical standard deviation of a snapshot, or 1 K if that is more. With a friction of 5/ps the
@@ -181,14 +182,20 @@ def equilibrate(
     The first window is ignored. The same seed gives the same result where the platform's forces are deterministic.
 
     Args:
-        context: of a SIERIntegrator. It holds the positions to start from, and the pressure in its integrator or
-            System; it is left as it was.
+        context: of a SIERIntegrator, whatever its ensemble. It holds the positions to start from, and the pressure in
+            its integrator or System.
         temperature: in K.
         seed: of velocities and noise.
         time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
             number it runs for that time, whether the liquid has settled or not, and warns where a temperature is out of
             its bounds.
         report: gets notes and progress.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        TypeError: the Context has another integrator.
     """
     bath = _bath_context(context, temperature, seed)
     integrator = bath.getIntegrator()
@@ -213,8 +220,8 @@ def equilibrate(
     # Who gives a time may know that it is too short to tell.
     doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
     described = _describe(last, done * step, temperature, dof) if done else ""
-    state = bath.getState(positions=True, velocities=True)
-    found = Equilibration(state, done * step, last, settled, doubtful, described)
+    _take_atoms(context, bath)
+    found = Equilibration(done * step, last, settled, doubtful, described)
     if done:
         _tell(found, report)
     return found
@@ -223,6 +230,8 @@ def equilibrate(
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
     """Return a copy of a Context at constant temperature, with new velocities."""
     integrator = context.getIntegrator()
+    if not isinstance(integrator, SIERIntegrator):
+        raise TypeError(f"equilibrate needs a Context with a SIER integrator, got a {type(integrator).__name__}")
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
     fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(
@@ -233,6 +242,14 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     bath.setState(context.getState(positions=True))
     bath.setVelocitiesToTemperature(temperature, seed)
     return bath
+
+
+def _take_atoms(context: openmm.Context, other: openmm.Context) -> None:
+    """Give a Context the positions, velocities and box of another one."""
+    time, steps = context.getTime(), context.getStepCount()
+    context.setState(other.getState(positions=True, velocities=True))
+    context.setTime(time)
+    context.setStepCount(steps)
 
 
 def _step_of(context: openmm.Context, temperature: float) -> float:

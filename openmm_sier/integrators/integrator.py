@@ -72,8 +72,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         given = Settings(
             kind=place_of(type(self)),
+            step=arguments.step_size(stepSize),
             scheme=arguments.checked_scheme(scheme),
-            step=stepSize,
             engine=engine,
             substeps=substeps,
             fast_groups=None if fastForceGroups is None else arguments.group_mask("fastForceGroups", fastForceGroups),

@@ -73,16 +73,16 @@ class Settings:
 
     def __post_init__(self) -> None:
         self._check_types()
+        self._set("step", step_size(self.step))
+        self._set("bodies", checked_bodies(self.bodies))
         engines = "auto", *ENGINES
         if self.engine not in engines:
             raise ValueError(f"engine must be one of {', '.join(engines)}, got {self.engine!r}")
         if self.substeps is not None:
             self._set("substeps", whole_number("substeps", self.substeps, least=1))
         self._set("scheme", self.ensemble.scheme_for(self.scheme))
-        self._set("step", step_size(self.step))
         if self.fast_groups is not None:
             self._set("fast_groups", group_mask("fast_groups", self.fast_groups))
-        self._set("bodies", checked_bodies(self.bodies))
 
     def _check_types(self) -> None:
         """Refuse what nothing else would notice."""

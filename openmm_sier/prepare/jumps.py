@@ -76,14 +76,15 @@ def _jump(part: Part) -> Jump | None:
 
 
 def _of_lennard_jones(force: openmm.NonbondedForce) -> Iterator[Jump]:
-    """Give the jump of each atom with its like. Coulomb's law has none: it is shifted, or goes on in the mesh."""
-    if force.getNonbondedMethod() == force.LJPME:
+    """Give the largest jump of an atom with its like. Coulomb's law has none: it is shifted, or goes on in the mesh."""
+    if force.getNonbondedMethod() == force.LJPME or not force.getNumParticles():
         return
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
-    for i in range(force.getNumParticles()):
-        _, sigma, epsilon = tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS)
-        sixth = (sigma / cutoff) ** 6
-        yield Jump(abs(4 * epsilon * (sixth - 1) * sixth), (i, i))
+    _, sigma, epsilon = tables.atom_parameters(force).T
+    sixth = (sigma / cutoff) ** 6
+    energies = np.abs(4 * epsilon * (sixth - 1) * sixth)
+    atom = int(np.where(np.isfinite(energies), energies, 0.0).argmax())
+    yield Jump(float(energies[atom]), (atom, atom))
 
 
 def _of_expression(force: openmm.CustomNonbondedForce) -> Iterator[Jump]:

@@ -12,6 +12,7 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
+from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.notices import notify
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
@@ -52,7 +53,8 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     Returns:
         What was done, in a sentence.
     """
-    masses, partners, given = tables.masses(system), partners_of(system), Counter[float]()
+    masses, given = tables.masses(system), Counter[float]()
+    partners = partners_of(masses, Links(system))
     for centre, found in hydrogens_among(masses, partners).items():
         total = masses[centre] + masses[found].sum()
         spared = (total - LIGHTEST_CENTRE) / len(found)

@@ -1,6 +1,7 @@
 """Find what to do about a step that is too long for a motion: the remedies that help that motion."""
 
 import math
+from functools import cached_property
 
 import numpy as np
 import openmm
@@ -8,8 +9,8 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import DIVISIBLE, working_terms
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS
-from openmm_sier.system.hydrogens import hydrogens
+from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.notices import Advised, Remedy
 
 _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
@@ -79,16 +80,21 @@ LIGHT = 2.0
 class Remedies:
     """Find remedies for a System's fast motions, by their atoms."""
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies):
-        """Take a System and its bodies."""
+    def __init__(self, system: openmm.System, bodies: RigidBodies, links: Links):
+        """Take a System, its bodies, and what joins its atoms."""
         self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
         # Terms between frozen atoms do no work, like those inside one body.
         self._owner[tables.frozen_atoms(system)] = bodies.n
-        self._masses = tables.masses(system)
-        self._hydrogens = {atom for found in hydrogens(system).values() for atom in found}
+        self._masses, self._links = tables.masses(system), links
+
+    @cached_property
+    def _hydrogens(self) -> set[int]:
+        """Return all hydrogens. They are looked for once a remedy is asked for, which few Systems need."""
+        found = hydrogens_among(self._masses, partners_of(self._masses, self._links))
+        return {atom for atoms in found.values() for atom in atoms}
 
     def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
         """Tell whether `prepare_system` would let a term of a Force act within drifts.

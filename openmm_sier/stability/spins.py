@@ -102,7 +102,5 @@ def _is_empty(force: openmm.Force) -> bool:
     """Tell whether a Force is a NonbondedForce between particles without charges and van der Waals interactions."""
     if not isinstance(force, openmm.NonbondedForce):
         return False
-    parameters = (
-        tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) for i in range(force.getNumParticles())
-    )
-    return not any(charge or epsilon for charge, _, epsilon in parameters)
+    charge, _, epsilon = tables.atom_parameters(force).T
+    return not (charge.any() or epsilon.any())

@@ -3,7 +3,7 @@
 It is estimated before any position is known.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import openmm
@@ -44,60 +44,49 @@ WITH_CHARGES = (
     *(openmm.AmoebaMultipoleForce, openmm.HippoNonbondedForce),
 )
 
-#: The stiffness in kJ/mol/nm^2 with which a Force is taken to hold an atom, by the number of that.
-Stiffness = Callable[[int], float]
 
-
-def holding(system: openmm.System) -> Iterator[tuple[Part, Stiffness]]:
-    """Give each Force with charges, also within others, and how stiffly it is taken to hold an atom.
+def holding(system: openmm.System) -> Iterator[tuple[Part, np.ndarray]]:
+    """Give each Force with charges, also within others, and how stiffly it is taken to hold each atom.
 
     A Force within another counts by the constant factor that its energy has there, and not where it has none.
+    Stiffnesses are in kJ/mol/nm^2, (N,).
     """
     for part in parts(system):
         if isinstance(part.force, WITH_CHARGES) and (weight := part.weight) is not None:
-            yield part, _stiffness(part.force, abs(weight))
+            yield part, abs(weight) * _stiffness(part.force)
 
 
-def slow_share(system: openmm.System, atoms: tuple[int, ...], strength: float, mobility: np.ndarray) -> float:
+def slow_share(held: np.ndarray, atoms: tuple[int, ...], strength: float, mobility: np.ndarray) -> float:
     """Return the stiffness with which the surroundings may hold a bond, by its ends, over that of the bond itself.
 
     Args:
-        system: openmm.System.
+        held: stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         atoms: particle indices of the ends.
         strength: of the bond, kJ/mol/nm^2.
         mobility: inverse effective masses, (N,), 1/dalton.
     """
     moved = mobility[list(atoms)]
-    forces = [stiffness for _, stiffness in holding(system)]
-    held = np.array([max((stiffness(i) for stiffness in forces), default=0.0) for i in atoms])
-    return float(held @ moved**2 / (strength * moved.sum() ** 2))
+    return float(held[list(atoms)] @ moved**2 / (strength * moved.sum() ** 2))
 
 
-def _stiffness(force: openmm.Force, weight: float) -> Stiffness:
-    least = CHARGED if isinstance(force, openmm.NonbondedForce | openmm.ConstantPotentialForce) else CHARGED_MULTIPOLE
-
-    def stiffness(atom: int) -> float:
-        bonding = HYDROGEN_BOND if abs(_charge(force, atom)) >= least else 0.0
-        return weight * max(bonding, _dispersion(force, atom))
-
-    return stiffness
-
-
-def _charge(force: openmm.Force, atom: int) -> float:
-    """Return the charge of an atom in e."""
-    is_multipole = isinstance(force, openmm.AmoebaMultipoleForce)
-    charge, *_ = force.getMultipoleParameters(atom) if is_multipole else _listed(force.getParticleParameters(atom))
-    return charge.value_in_unit(unit.elementary_charge) if unit.is_quantity(charge) else charge
-
-
-def _dispersion(force: openmm.Force, atom: int) -> float:
-    """Return the stiffness by the Lennard-Jones terms of a NonbondedForce, kJ/mol/nm^2."""
+def _stiffness(force: openmm.Force) -> np.ndarray:
+    """Return the stiffness with which a Force with charges is taken to hold each atom, (N,), kJ/mol/nm^2."""
     if not isinstance(force, openmm.NonbondedForce):
-        return 0.0
-    _, sigma, epsilon = tables.numbers(force.getParticleParameters(atom), tables.ATOM_UNITS)
-    return LENNARD_JONES * epsilon / sigma**2 if sigma > 0 else 0.0
+        least = CHARGED if isinstance(force, openmm.ConstantPotentialForce) else CHARGED_MULTIPOLE
+        return np.where(np.abs(_charges(force)) >= least, HYDROGEN_BOND, 0.0)
+    charge, sigma, epsilon = tables.atom_parameters(force).T
+    bonding = np.where(np.abs(charge) >= CHARGED, HYDROGEN_BOND, 0.0)
+    dispersion = np.divide(LENNARD_JONES * epsilon, sigma**2, out=np.zeros_like(sigma), where=sigma > 0)
+    return np.maximum(bonding, dispersion)
 
 
-def _listed(parameters: object) -> list:
-    """Return parameters as a list; those of a ConstantPotentialForce are its charge alone."""
-    return list(parameters) if isinstance(parameters, list | tuple) else [parameters]
+def _charges(force: openmm.Force) -> np.ndarray:
+    """Return the charges of the particles of a Force without Lennard-Jones terms, (N,), e."""
+    if isinstance(force, openmm.AmoebaMultipoleForce):
+        found = [force.getMultipoleParameters(i)[0] for i in range(force.getNumMultipoles())]
+    elif isinstance(force, openmm.HippoNonbondedForce):
+        found = [force.getParticleParameters(i)[0] for i in range(force.getNumParticles())]
+    else:
+        found = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
+    in_e = [each.value_in_unit(unit.elementary_charge) if unit.is_quantity(each) else each for each in found]
+    return np.array(in_e, dtype=float)

@@ -56,9 +56,6 @@ HEATING = 0.8
 #: since the slowest have half the frequency of the fastest.
 HOPELESS = 2.0
 
-#: So many bodies of one kind are looked at, since charges of one kind of body are most often the same.
-SAMPLED = 100
-
 #: ps. The period that the estimate above gives for the fastest librations of water, for which usual steps are known.
 WATER = 0.03154
 
@@ -129,10 +126,14 @@ class Vibrations:
         self._bodies, self._mobility = bodies, mobilities(bodies)
         self._links = links = Links(system)
         self._constraints = links.constraints
-        self._remedies = advice.Remedies(system, bodies)
-        self._harmonic = tuple(_fastest_bonds(system, bodies, self._constraints, self._mobility, self._remedies))
+        self._remedies = advice.Remedies(system, bodies, links)
+        stiffnesses = list(holding(system))
+        #: Of the surroundings of each atom, kJ/mol/nm^2.
+        self._stiffness = np.max([np.zeros(bodies.n_particles), *(each for _, each in stiffnesses)], axis=0)
+        self._harmonic = tuple(self._fastest_bonds(system))
         self._bonds = list(self._harmonic)
-        self._librations = list(_fastest_swings(system, bodies, links, self._mobility))
+        swings = _fastest_swings(stiffnesses, self._mobility)
+        self._librations = list(swings) if _has_surroundings(system, bodies, links) else []
         self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in parts(system))
         self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
         self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
@@ -153,7 +154,7 @@ class Vibrations:
         for part in parts(system):
             if found := self._measured(part, context):
                 strength = found.square / self._mobility[list(found.atoms)].sum()
-                share = slow_share(system, found.atoms, strength, self._mobility)
+                share = slow_share(self._stiffness, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
                 is_bond = isinstance(part.force, BONDS) and len(found.atoms) == 2
                 can_be_fast = (
@@ -172,6 +173,24 @@ class Vibrations:
         found = fastest_motion(part.force, context, self._links.link(self._bodies))
         return found and found._replace(square=abs(part.weight or 0.0) * found.square)
 
+    def _fastest_bonds(self, system: openmm.System) -> Iterator[Motion]:
+        """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
+        for part in parts(system):
+            if not isinstance(part.force, openmm.HarmonicBondForce) or not part.force.getNumBonds():
+                continue
+            ends, _, strength = harmonic_bonds(part.force)
+            strength = (part.weight or 0.0) * strength
+            owner = self._bodies.owners[ends]
+            apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
+            squares = (apart & ~self._constraints.hold(ends)) * strength * self._mobility[ends].sum(axis=1)
+            fastest = int(squares.argmax())
+            if squares[fastest] > 0:
+                period = 2 * math.pi / math.sqrt(squares[fastest])
+                atoms = tuple(ends[fastest].tolist())
+                share = slow_share(self._stiffness, atoms, strength[fastest], self._mobility)
+                can_be_fast = period < COARSE and not part.within and self._remedies.can_be_fast(part.force, atoms)
+                yield Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
+
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
         """Refuse a step at which the fastest bond is unstable; warn, once, if its energy is wrong by a tenth.
 
@@ -186,6 +205,8 @@ class Vibrations:
         if libration is None:
             return
         stable, accurate = _limits(scheme, libration.period)
+        if h <= accurate:
+            return
         number = int(self._bodies.owners[libration.atoms[0]])
         body = self._bodies.describe(number)
         described = (
@@ -198,7 +219,7 @@ class Vibrations:
             remedies.append(advice.HEAVIER)
         if h >= SLIP:
             remedies.append(advice.in_femtoseconds(h))
-        self._judge(f"A step of {_fs(h)}", h, HOPELESS * stable, accurate, described, remedies)
+        self._refuse_or_tell(f"A step of {_fs(h)}", h >= HOPELESS * stable, described, remedies)
 
     def check_nested(self, scheme: Scheme, inner: Scheme, inner_step: float, h: float, groups: int) -> None:
         """Check the step for fast forces within drifts, which must also not resonate with the kicks.
@@ -291,14 +312,15 @@ class Vibrations:
 
     def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: Remedy | None = None) -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
-        if bond := _fastest(self._bonds, groups):
+        bond = _fastest(self._bonds, groups)
+        if bond and h > accurate_step(scheme, bond.period):
             remedy = remedy or (advice.PREPARE if bond.can_be_fast else advice.SHORTER_STEP)
             stable, accurate = _limits(scheme, bond.period)
             described = (
                 f"{self._name(bond)} is not constrained and has a period of {_fs(bond.period)}. {scheme.name} is "
                 f"accurate up to {_fs(accurate)}, and unstable from {_fs(stable)} on"
             )
-            self._judge(f"{what} of {_fs(h)}", h, stable, accurate, described, [remedy, self._hold(bond)])
+            self._refuse_or_tell(f"{what} of {_fs(h)}", h >= stable, described, [remedy, self._hold(bond)])
         names = [name for group, name in self._unknown if groups >> group & 1]
         if names and h > accurate_step(scheme, FASTEST_BOND):
             unknown = (
@@ -308,13 +330,10 @@ class Vibrations:
             )
             self._tell_once(advice.StepWarning(unknown, advice.CHECK_FORCES))
 
-    def _judge(
-        self, what: str, h: float, refused: float, accurate: float, described: str, remedies: Sequence[Remedy]
-    ) -> None:
-        if h >= refused:
+    def _refuse_or_tell(self, what: str, is_refused: bool, described: str, remedies: Sequence[Remedy]) -> None:
+        if is_refused:
             raise advice.StepError(f"{what} is too long: {described}", *remedies)
-        if h > accurate:
-            self._tell_once(advice.StepWarning(f"{what} is long: {described}", *remedies))
+        self._tell_once(advice.StepWarning(f"{what} is long: {described}", *remedies))
 
     def _moves_like_hydrogen(self, bond: Motion) -> bool:
         """Tell whether an end of a bond moves like a hydrogen, which may have been made heavy."""
@@ -388,42 +407,19 @@ def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
 
 
-def _fastest_bonds(
-    system: openmm.System,
-    bodies: RigidBodies,
-    constraints: tables.Constraints,
-    mobility: np.ndarray,
-    remedies: advice.Remedies,
-) -> Iterator[Motion]:
-    """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
-    for part in parts(system):
-        if not isinstance(part.force, openmm.HarmonicBondForce) or not part.force.getNumBonds():
-            continue
-        ends, _, strength = harmonic_bonds(part.force)
-        strength = (part.weight or 0.0) * strength
-        owner = bodies.owners[ends]
-        apart = (owner[:, 0] != owner[:, 1]) | (owner[:, 0] < 0)
-        squares = (apart & ~constraints.hold(ends)) * strength * mobility[ends].sum(axis=1)
-        fastest = int(squares.argmax())
-        if squares[fastest] > 0:
-            period = 2 * math.pi / math.sqrt(squares[fastest])
-            atoms = tuple(ends[fastest].tolist())
-            share = slow_share(system, atoms, strength[fastest], mobility)
-            can_be_fast = period < COARSE and not part.within and remedies.can_be_fast(part.force, atoms)
-            yield Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
-
-
-def _fastest_swings(system: openmm.System, bodies: RigidBodies, links: Links, mobility: np.ndarray) -> Iterator[Motion]:
-    """Give for each Force with charges the fastest swing that it causes; none where a molecule is alone."""
+def _has_surroundings(system: openmm.System, bodies: RigidBodies, links: Links) -> bool:
+    """Tell whether there are several molecules, or frozen atoms, so that a molecule can swing among others."""
     joins = np.concatenate([links.constraints.pairs, links.bonds, links.terms, links.custom])
     molecules = joined(bodies.n_particles, joins)[bodies.owners >= 0]
-    if len(np.unique(molecules)) <= 1 and not tables.frozen_atoms(system).size:
+    return len(np.unique(molecules)) > 1 or bool(tables.frozen_atoms(system).size)
+
+
+def _fastest_swings(stiffnesses: Sequence[tuple[Part, np.ndarray]], mobility: np.ndarray) -> Iterator[Motion]:
+    """Give for each Force with charges the fastest swing that it causes, by how stiffly it holds each atom."""
+    if not mobility.any():
         return
-    sample = [atom for species in bodies.species for atom in species.atoms[:SAMPLED].T.ravel().tolist()]
-    if not sample:
-        return
-    for part, stiffness in holding(system):
-        squares = {atom: stiffness(atom) * mobility[atom] for atom in sample}
-        atom = max(squares, key=squares.__getitem__)
+    for part, stiffness in stiffnesses:
+        squares = stiffness * mobility
+        atom = int(squares.argmax())
         if squares[atom] > 0:
             yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)

@@ -94,6 +94,11 @@ def checked_scheme(scheme: Any) -> Scheme:
 
 def step_size(size: Any) -> float:
     """Return a step in ps, from a quantity or a number; see `quantity_to_float`."""
+    if unit.is_quantity(size) and size.unit.is_compatible(unit.kelvin):
+        raise TypeError(
+            f"stepSize must be a time, got the temperature {size}. For a heat bath take "
+            "SIERLangevinIntegrator(300*kelvin, 1/picosecond, 4*femtoseconds)"
+        )
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
     if size < 0:
         raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")

@@ -5,31 +5,68 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES, TERMS
+from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
 from openmm_sier.system.solver_trial import LINE_REMEDY, is_line
 
-#: These do nothing in `updateContextState`. With any other kind of Force the Context is updated and read at each step.
-PASSIVE_FORCES = (
-    *(*TERMS, openmm.CustomExternalForce, openmm.CustomCompoundBondForce, openmm.CustomCentroidBondForce),
-    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.RMSDForce),
-    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
+#: Whether a Force only gives forces, by positions, box and parameters: it does nothing in `updateContextState`, and
+#: does not know the time. With any other one the exact engine updates and reads the Context at each step.
+IS_PASSIVE = {
+    openmm.ATMForce: True,
+    openmm.AmoebaGeneralizedKirkwoodForce: True,
+    openmm.AmoebaMultipoleForce: True,
+    openmm.AmoebaTorsionTorsionForce: True,
+    openmm.AmoebaVdwForce: True,
+    openmm.AmoebaWcaDispersionForce: True,
+    openmm.CMAPTorsionForce: True,
+    openmm.ConstantPotentialForce: True,
+    openmm.CustomAngleForce: True,
+    openmm.CustomBondForce: True,
+    openmm.CustomCVForce: True,
+    openmm.CustomCentroidBondForce: True,
+    openmm.CustomCompoundBondForce: True,
+    openmm.CustomExternalForce: True,
+    openmm.CustomGBForce: True,
+    openmm.CustomHbondForce: True,
+    openmm.CustomManyParticleForce: True,
+    openmm.CustomNonbondedForce: True,
+    openmm.CustomTorsionForce: True,
+    openmm.CustomVolumeForce: True,
+    openmm.DrudeForce: True,
+    openmm.GBSAOBCForce: True,
+    openmm.GayBerneForce: True,
+    openmm.HarmonicAngleForce: True,
+    openmm.HarmonicBondForce: True,
+    openmm.HippoNonbondedForce: True,
+    openmm.LCPOForce: True,
+    openmm.NonbondedForce: True,
+    openmm.OrientationRestraintForce: True,
+    openmm.PeriodicTorsionForce: True,
+    openmm.RBTorsionForce: True,
+    openmm.RGForce: True,
+    openmm.RMSDForce: True,
     # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
-    openmm.CMMotionRemover,
-)
+    openmm.CMMotionRemover: True,
+    # It may read the time.
+    openmm.PythonForce: False,
+    openmm.AndersenThermostat: False,
+    openmm.MonteCarloAnisotropicBarostat: False,
+    openmm.MonteCarloBarostat: False,
+    openmm.MonteCarloFlexibleBarostat: False,
+    openmm.MonteCarloMembraneBarostat: False,
+    openmm.RPMDMonteCarloBarostat: False,
+}
 
 
-def is_passive(force: openmm.Force) -> bool:
-    """Tell whether a Force only gives forces and does not depend on the time."""
-    if isinstance(force, openmm.CustomCVForce):
-        return all(is_passive(force.getCollectiveVariable(i)) for i in range(force.getNumCollectiveVariables()))
-    return isinstance(force, PASSIVE_FORCES)
+def acting_forces(system: openmm.System) -> list[openmm.Force]:
+    """Return the Forces of a System that are not passive, or contain one that is not; unknown ones are not passive."""
+    acting = {part.number for part in parts(system) if not IS_PASSIVE.get(type(part.force), False)}
+    return [system.getForce(number) for number in sorted(acting)]
 
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
@@ -75,12 +112,12 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
             f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Did "
             "hydrogens get more mass than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
-    for i, j, distance in map(system.getConstraintParameters, range(system.getNumConstraints())):
-        length = distance.value_in_unit(unit.nanometer)
-        if not 0 < length < math.inf:
-            raise openmm.OpenMMException(
-                f"The constraint of particles {i} and {j} has the length {length:g} nm: it must be positive"
-            )
+    rows = tables.constraint_rows(system)
+    if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
+        i, j, length = rows[wrong.argmax()].tolist()
+        raise openmm.OpenMMException(
+            f"The constraint of particles {i:.0f} and {j:.0f} has the length {length:g} nm: it must be positive"
+        )
 
 
 def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:

@@ -22,7 +22,8 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
     atom without such a bond is judged by its custom bonds. Frozen atoms, virtual sites, Drude particles and H2 are left
     out.
     """
-    return hydrogens_among(tables.masses(system), partners_of(system))
+    masses = tables.masses(system)
+    return hydrogens_among(masses, partners_of(masses, Links(system)))
 
 
 def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, float]]) -> dict[int, list[int]]:
@@ -41,9 +42,8 @@ def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, floa
     return found
 
 
-def partners_of(system: openmm.System) -> dict[int, dict[int, float]]:
+def partners_of(masses: np.ndarray, links: Links) -> dict[int, dict[int, float]]:
     """Find the partners of each moving particle by bonds and constraints, with distances in nm; 0 for custom bonds."""
-    masses, links = tables.masses(system), Links(system)
     lengths = dict(zip(map(tuple, np.sort(links.bonds).tolist()), links.lengths.tolist(), strict=True))
     lengths |= links.constraints.by_pair()
     found: dict[int, dict[int, float]] = {}

@@ -92,6 +92,15 @@ def _once(read: Callable[[openmm.System], Table]) -> Callable[[openmm.System], T
     return found
 
 
+def atom_parameters(force: openmm.NonbondedForce) -> np.ndarray:
+    """Return charge in e, sigma in nm and epsilon in kJ/mol of each particle of a NonbondedForce, (N, 3)."""
+    # OpenMM gives these units. To convert those of each quantity would take ten times as long.
+    rows = map(force.getParticleParameters, range(force.getNumParticles()))
+    return np.fromiter(
+        ((charge._value, sigma._value, epsilon._value) for charge, sigma, epsilon in rows), np.dtype((float, 3))
+    )
+
+
 @_once
 def masses(system: openmm.System) -> np.ndarray:
     """Return masses of all particles, (N,), dalton; 0 for virtual sites and for atoms that are frozen."""

@@ -137,7 +137,8 @@ def phase_point(
     made.computeVirtualSites()
     made.applyConstraints(1e-6)
     openmm.LocalEnergyMinimizer.minimize(made, 100.0)
-    return equilibrate(made, temperature, seed, time).state
+    equilibrate(made, temperature, seed, time)
+    return made.getState(positions=True, velocities=True)
 
 
 def energies(context_: openmm.Context) -> tuple[float, float]:

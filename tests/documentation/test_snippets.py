@@ -1,5 +1,6 @@
 """The code that README, guides and how-tos show runs as it stands, with fewer steps."""
 
+import ast
 import json
 import re
 import sys
@@ -9,10 +10,13 @@ from pathlib import Path
 
 import mdtraj
 import numpy as np
+import openmm
 import pytest
 
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.series import stresses
+from tests.support.systems import assembled
+from tests.support.waters import platform
 
 ROOT = Path(__file__).parent.parent.parent
 GUIDES = ["README.md", *(f"docs/guide/{name}.md" for name in ("getting-started", "restarts", "engines"))]
@@ -25,6 +29,65 @@ FEWER = 5
 def code(page):
     """The Python blocks of a page."""
     return re.findall(r"^```python\n(.*?)^```$", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+
+
+class Calls(ast.NodeTransformer):
+    """Let `called` make the calls whose result a statement throws away."""
+
+    def visit_Expr(self, node):
+        call = node.value
+        if isinstance(call, ast.Call):
+            arguments = [ast.Constant(ast.unparse(call)), call.func, *call.args]
+            node.value = ast.Call(ast.Name("called", ast.Load()), arguments, call.keywords)
+        return ast.fix_missing_locations(node)
+
+
+def called(text, function, *arguments, **named):
+    """Call a function; one of this package that returns something must also have changed what it was given."""
+    things = [*arguments, *named.values()]
+    of_package = str(getattr(function, "__module__", "")).startswith("openmm_sier")
+    before = list(map(contents, things)) if of_package else []
+    result = function(*arguments, **named)
+    if of_package and result is not None:
+        assert list(map(contents, things)) != before, f"the result of {text} is thrown away"
+    return result
+
+
+def contents(thing):
+    """What a call can change in a System or a Context."""
+    if isinstance(thing, openmm.System):
+        return openmm.XmlSerializer.serialize(thing)
+    if not isinstance(thing, openmm.Context):
+        return None
+    state = thing.getState(positions=True, velocities=True)
+    vectors = [state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True), state.getPeriodicBoxVectors(True)]
+    return [vector._value.tolist() for vector in vectors]
+
+
+def run(block, page, names):
+    """Execute a block of code."""
+    names["called"] = called
+    exec(compile(Calls().visit(ast.parse(block, page)), page, "exec"), names)
+
+
+def test_a_call_in_vain_is_found():
+    """One of a function of this package that leaves its Context as it was, in place of one that changes it."""
+
+    def copied(context):
+        return context.getState()
+
+    def displaced(context):
+        context.setPositions([[1, 0, 0]])
+        return context.getState()
+
+    copied.__module__ = displaced.__module__ = "openmm_sier.inputs.starts"
+    context = openmm.Context(assembled([1.0]), openmm.VerletIntegrator(0.001), platform())
+    context.setPositions([[0, 0, 0]])
+    names = {"context": context, "copied": copied, "displaced": displaced}
+    for block in ("state = copied(context)", "print(copied(context))", "displaced(context)"):
+        run(block, "page", names)
+    with pytest.raises(AssertionError, match=r"the result of copied\(context\) is thrown away"):
+        run("for _ in range(2):\n    copied(context)", "page", names)
 
 
 @pytest.mark.slow
@@ -40,7 +103,7 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
         for module in ("physical_validation", "openmmtools"):
             if f"from {module} import" in fewer or f"import {module}" in fewer:  # the last block of its page
                 pytest.importorskip(module, reason="install the extra validation")
-        exec(compile(fewer, page, "exec"), names)
+        run(fewer, page, names)
 
 
 @pytest.mark.slow
@@ -54,7 +117,7 @@ def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
     names = {"__name__": "__main__"}
     for block in blocks:
         fewer = block.replace("range(350)", "range(60)").replace("inside.sum() >= 10", "inside.sum() >= 2")
-        exec(compile(fewer, "exact-averages.ipynb", "exec"), names)
+        run(fewer, "exact-averages.ipynb", names)
     assert names["integrator"].trials == 60
     assert np.isfinite(names["free"]).any()
 
@@ -76,7 +139,7 @@ def test_code_of_the_gallery_runs(of, monkeypatch):
         pytest.importorskip("openmmtools", reason="install the extra validation")
     names = {"__name__": "__main__"}
     for section in (first, *(needs if of == "openmmtools" else [one for one in sections if one not in needs])):
-        exec(compile(re.sub(r"\.step\(\d+\)", f".step({FEWER})", section), "gallery.ipynb", "exec"), names)
+        run(re.sub(r"\.step\(\d+\)", f".step({FEWER})", section), "gallery.ipynb", names)
     assert len(shown) == (1 if of == "openmmtools" else 6)
 
 
@@ -101,7 +164,7 @@ def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypat
     blocks = re.findall(r"(?:^(?:    .*)?\n)+", text, re.MULTILINE)
     names = {}
     for block in [block for block in blocks if block.lstrip().startswith("import")]:
-        exec(textwrap.dedent(block), names)
+        run(textwrap.dedent(block), "viscosity.md", names)
     # V/kT <P²> times the sum of the correlation: 297 K, 0.02 ps (0.5 + 0.9/0.1), in mPa s.
     expected = 15.36e-27 / (1.380649e-23 * 297) * 5e7**2 * 0.02e-12 * 9.5 * 1e3
     # Means of six have wide tails: within 6 errors with a probability of 0.998.

@@ -1,6 +1,8 @@
 """Engines call OpenMM's own methods, and users those that `hooks` has put in their place."""
 
 import ast
+import inspect
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -58,3 +60,44 @@ def test_the_order_of_imports_does_not_matter(first):
         "assert openmm.Context.setPositions.__wrapped__ is own.set_positions\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def replaced_methods():
+    """All methods of OpenMM that `hooks` has replaced, with their classes."""
+    classes = [member for member in vars(openmm).values() if isinstance(member, type)]
+    return [(cls, name) for cls in classes for name in vars(cls) if own_methods.is_replaced(getattr(cls, name))]
+
+
+def test_signatures_are_those_of_openmm():
+    program = (
+        "import inspect, json, sys, openmm\n"
+        "names = json.load(sys.stdin)\n"
+        "print(json.dumps([str(inspect.signature(getattr(getattr(openmm, c), n))) for c, n in names]))"
+    )
+    names = [(cls.__name__, name) for cls, name in replaced_methods()]
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, input=json.dumps(names), capture_output=True, text=True, check=True, timeout=120)
+    found = [str(inspect.signature(getattr(cls, name))) for cls, name in replaced_methods()]
+    assert found == json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(("cls", "name"), replaced_methods(), ids=lambda value: getattr(value, "__name__", value))
+def test_arguments_have_the_names_and_defaults_of_openmm(cls, name):
+    """As far as the function that replaces a method reads them: others are passed on as they are."""
+    method = getattr(cls, name)
+    function = inspect.getclosurevars(method).nonlocals["instead"]
+    arguments = list(inspect.signature(own_methods.own_method(cls, name)).parameters.values())
+    if not isinstance(vars(cls)[name], staticmethod):
+        arguments = arguments[1:]
+    of_function = inspect.signature(function).parameters
+    own = ["method"] if isinstance(vars(cls)[name], staticmethod) else ["method", "self"]
+    by_keyword = {one.name: one.default for one in arguments if one.kind is not one.VAR_POSITIONAL}
+    inspect.signature(function).bind(*own, **by_keyword)
+    for one in arguments:
+        if one.name in of_function:
+            assert of_function[one.name].default == one.default
+
+
+def test_objects_are_serialized_by_the_keyword_of_openmm():
+    for thing in (openmm.System(), openmm.VerletIntegrator(0.001), openmm.HarmonicBondForce()):
+        assert openmm.XmlSerializer.serialize(object=thing) == openmm.XmlSerializer.serialize(thing)

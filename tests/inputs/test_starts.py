@@ -7,7 +7,14 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER4G, SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import (
+    SIER4G,
+    SIER2Integrator,
+    SIER4GIntegrator,
+    SIERHMCIntegrator,
+    SIERLangevinIntegrator,
+    prepare_system,
+)
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs import forcefields, starts
 from openmm_sier.inputs.starts import EquilibrationWarning, equilibrate, prepare
@@ -92,6 +99,46 @@ def test_a_time_that_is_given_is_kept(tethered, time):
     assert all(note.endswith("not settled") for note in told.notes)
 
 
+def test_the_context_is_equilibrated(tethered, monkeypatch):
+    """It gets the atoms of the heat bath, and keeps its own time."""
+    system, positions = tethered
+    context = context_of(system, positions, SIERHMCIntegrator(TEMPERATURE, 0.001))
+    context.setTime(2.0)
+    context.setStepCount(7)
+    make, baths = starts._bath_context, []
+
+    def kept(*arguments):
+        baths.append(make(*arguments))
+        return baths[0]
+
+    monkeypatch.setattr(starts, "_bath_context", kept)
+    equilibrate(context, TEMPERATURE, time=0.06)
+    np.testing.assert_array_equal(phase_point(context), phase_point(baths[0]))
+    # At 300 K a molecule of water moves by 0.02 nm in 0.06 ps.
+    assert np.abs(phase_point(context)[0] - positions).max() > 1e-3
+    assert context.getTime() == 2.0 * unit.picosecond
+    assert context.getStepCount() == 7
+
+
+def test_a_context_whose_equilibration_fails_stays_as_it_was(tethered, monkeypatch):
+    context = context_of(*tethered)
+
+    def fail(*_):
+        raise openmm.OpenMMException("Particle coordinate is NaN")
+
+    monkeypatch.setattr(starts, "_window", fail)
+    before = np.array(phase_point(context))
+    with pytest.raises(openmm.OpenMMException, match="is NaN"):
+        equilibrate(context, TEMPERATURE)
+    assert np.array_equal(before, np.array(phase_point(context)))
+
+
+def test_only_contexts_of_this_package_are_equilibrated(tethered):
+    context = context_of(*tethered, openmm.VerletIntegrator(0.001))
+    with pytest.raises(TypeError, match="equilibrate needs a Context with a SIER integrator, got a VerletIntegrator"):
+        equilibrate(context, TEMPERATURE)
+
+
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_step_follows_the_bonds(fast):
     """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
@@ -129,23 +176,22 @@ def test_it_is_decided_by_the_seed(tethered):
 @pytest.mark.slow
 def test_energy_of_a_run_at_constant_energy_is_the_mean_of_the_equilibration(tethered):
     """Mean potential energy, and kT/2 for each of the 360 degrees of freedom, which springs leave all of them."""
-    context = context_of(*tethered)
-    found = equilibrate(context, TEMPERATURE)
+    context, snapshot = context_of(*tethered), context_of(*tethered)
+    found = equilibrate(snapshot, TEMPERATURE)
     prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
     expected = found.means.potential + 180 * GAS_CONSTANT * TEMPERATURE
     assert sum(energies(context)) == pytest.approx(expected, rel=1e-9)
     # A snapshot of the bath has another energy, which is what this is for.
-    context.setState(found.state)
-    assert sum(energies(context)) != pytest.approx(expected, rel=1e-12)
+    assert sum(energies(snapshot)) != pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.slow
 def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
-    context = context_of(*tethered, SIERLangevinIntegrator(TEMPERATURE, 1.0, 0.001))
-    found = equilibrate(context, TEMPERATURE)
+    context, snapshot = (context_of(*tethered, SIERLangevinIntegrator(TEMPERATURE, 1.0, 0.001)) for _ in range(2))
+    equilibrate(snapshot, TEMPERATURE)
     prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
     _, velocities = phase_point(context)
-    expected = found.state.getVelocities(asNumpy=True)._value
+    _, expected = phase_point(snapshot)
     masses = np.array([tethered[0].getParticleMass(i)._value for i in range(len(expected))])
     # But for the motion of the centre of mass, and the rounding of a fit to rigid bodies.
     np.testing.assert_allclose(velocities, expected - masses @ expected / masses.sum(), atol=1e-12)
@@ -165,14 +211,14 @@ def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path, m
         return means
 
     monkeypatch.setattr(starts, "_window", growing)
-    context = starts.make_context(box.system, SIER2Integrator(0.001), "Reference")
+    context, other = (starts.make_context(box.system, SIER2Integrator(0.001), "Reference") for _ in range(2))
     initial = context.getState().getPeriodicBoxVolume()
-    context.setPositions(box.positions)
-    context.computeVirtualSites()
-    context.applyConstraints(1e-6)
-    end = equilibrate(context, 297.0, time=0.1).state
+    other.setPositions(box.positions)
+    other.computeVirtualSites()
+    other.applyConstraints(1e-6)
+    equilibrate(other, 297.0, time=0.1)
     prepare(context, box.positions, 297.0, time=0.1, minimize=False)
-    state = context.getState(positions=True)
+    end, state = (each.getState(positions=True) for each in (other, context))
     assert state.getPeriodicBoxVolume() == end.getPeriodicBoxVolume()
     assert state.getPeriodicBoxVolume() / initial == pytest.approx(1.01**3, rel=1e-12)
     # Positions are fitted to rigid bodies, which rounds them.

@@ -9,6 +9,9 @@ from openmm_sier import (
     SIER2,
     Scheme,
     SIER2Integrator,
+    SIER4GIntegrator,
+    SIER4Integrator,
+    SIER4PIntegrator,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -49,6 +52,7 @@ REFUSED = [
     (partial(SIERThermostatIntegrator, 300, 0.002), "thermostat must be like VelocityRescaling.*, got 300"),
     (partial(langevin().setRandomNumberSeed, 2**40), "seed must be at most 2147483647, got 1099511627776"),
     (partial(SIERIntegrator, 0.002, engine=0), "engine"),
+    (partial(SIER2Integrator, 300, 1, 0.004), "bodies must be .* got 1"),
     (partial(SIERIntegrator, 0.002, substeps=0), "substeps"),
     (partial(SIERIntegrator, 0.002, substeps=True), "substeps must be a whole number .* got True"),
     (partial(SIERIntegrator, 10**400), "stepSize must be finite"),
@@ -59,6 +63,37 @@ REFUSED = [
     *((partial(SIERIntegrator, 0.004, fastForceGroups=groups), "fastForceGroups") for groups in ({32}, {-1}, "a", 2.5)),
     *((partial(SIER2Integrator, 0.001, bodies), LISTS) for bodies in (3, "0 1 2", [[0, 1.5]], [0, 1, 2])),
 ]
+
+
+BATH = (300 * unit.kelvin, 1 / unit.picosecond, 4 * unit.femtoseconds)
+OTHERS = (4 * unit.nanometer, 1 / unit.picosecond, 300 * unit.kelvin)
+THERMOSTAT = VelocityRescaling(300, 1)
+
+#: Every constructor and method that takes a step, as a function of the step.
+STEPS = [
+    *(SIER2Integrator, SIER4Integrator, SIER4GIntegrator, SIER4PIntegrator, SIERIntegrator),
+    partial(SIERLangevinIntegrator, 300, 1),
+    partial(SIERHMCIntegrator, 300),
+    partial(SIERHMCIntegrator, 300, stepsPerTrial=8),
+    partial(SIERThermostatIntegrator, THERMOSTAT),
+    SIER2Integrator(0.001).setStepSize,
+    trials().setSchemeStepSize,
+]
+
+
+@pytest.mark.parametrize("make", STEPS)
+@pytest.mark.parametrize("size", OTHERS, ids=str)
+def test_a_step_that_is_no_time_is_refused(make, size):
+    expected = "a time, got the temperature 300 K" if size.unit == unit.kelvin else "in units like ps, got"
+    with pytest.raises(TypeError, match=f"stepSize must be {expected}"):
+        make(size)
+
+
+@pytest.mark.parametrize("integrator", STEPS[:5])
+def test_arguments_of_a_heat_bath_name_the_temperature(integrator):
+    """Those of LangevinMiddleIntegrator, given to an integrator of constant energy."""
+    with pytest.raises(TypeError, match=r"stepSize must be a time, got the temperature 300 K\..*SIERLangevin"):
+        integrator(*BATH)
 
 
 @pytest.mark.parametrize(("make", "message"), REFUSED)

@@ -118,6 +118,17 @@ def test_a_force_within_another_counts_by_its_factor():
         assert len(prepare_system(system).limits) == told
 
 
+@pytest.mark.parametrize("epsilon", [np.nan, np.inf])
+def test_the_largest_jump_of_all_atoms_counts(epsilon):
+    """Wherever it is, and beside one that is no number."""
+    force = openmm.NonbondedForce()
+    for well in (0.0, epsilon, 0.64, 0.0):
+        force.addParticle(0, 0.315, well)
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(0.9)
+    assert len(limits(force)) == 1
+
+
 @pytest.mark.parametrize(("cutoff", "told"), [(0.9, 1), (2.5, 0)])
 def test_lennard_jones_by_its_size_at_the_cutoff(cutoff, told):
     """Of water's oxygen it is 4*0.64*(0.315/0.9)^6 = 5e-3 kJ/mol, and 1e-5 at 2.5 nm."""

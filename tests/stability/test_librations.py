@@ -116,6 +116,25 @@ def test_heavier_hydrogens_are_slower():
     assert longest(heavy) == pytest.approx(2 * longest(light), rel=1e-12)
 
 
+def behind_hydrogens(count):
+    """Two TIP3P waters after hydrogens without charges, whose mass is that of the hydrogens of water."""
+    force = openmm.NonbondedForce()
+    for _ in range(count):
+        force.addParticle(0.0, 0.2, 0.01)
+    for charge, sigma, epsilon in 2 * [(-0.834, 0.315, 0.636), (0.417, 0.1, 0.0), (0.417, 0.1, 0.0)]:
+        force.addParticle(charge, sigma, epsilon)
+    held = ((0, 1, 0.09572), (0, 2, 0.09572), (1, 2, 0.15139))
+    constraints = [(start + i, start + j, length) for start in (count, count + 3) for i, j, length in held]
+    return assembled([1.008] * count + 2 * [15.9994, 1.008, 1.008], force, constraints=constraints)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_every_atom_counts(engine):
+    """Charges of one atom of a mass say nothing of the others: those of water may come after a large solute."""
+    with pytest.warns(UserWarning, match=r"is long: .* swing among other molecules with a period of 31\.5 fs"):
+        judged(behind_hydrogens(200), SIER4GIntegrator(0.012, engine=engine))
+
+
 def gas(charge=0.0, epsilon=0.0):
     """Two rigid dumbbells of hydrogens in a NonbondedForce."""
     force = openmm.NonbondedForce()

@@ -21,8 +21,10 @@ from openmm_sier import (
     prepare_system,
 )
 from openmm_sier.dynamics.step_limits import nested_is_stable
+from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.system.find_bodies import Links
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, judged, phase_point, platform
@@ -132,8 +134,21 @@ def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
     bonds.addBond(0, 1, 0.12, 4e5)
     system = assembled([16.0, 13.0 - of_hydrogen, of_hydrogen], bonds)
     system.addConstraint(1, 2, 0.11)
-    remedy = Remedies(system, RigidBodies.from_system(system)).hold((0, 1))
+    remedy = Remedies(system, RigidBodies.from_system(system), Links(system)).hold((0, 1))
     assert ("if createSystem made hydrogens heavy, call prepare_system" in remedy.words) == is_told
+
+
+def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
+    """They only decide the words of remedies, and large Systems have many."""
+
+    def looked_for(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(advice, "hydrogens_among", looked_for)
+    _, _, system = cluster_system(2)
+    judged(system, SIER2Integrator(0.001))
+    with pytest.raises(AssertionError):
+        judged(system, SIER2Integrator(0.006))
 
 
 @pytest.mark.parametrize("masses", [(1.0, 16.0), (1.0, 0.0), (12.0, 12.0)])

@@ -19,11 +19,12 @@ class SystemUpdates:
     def __init__(self, context: openmm.Context):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
-        forces = context.getSystem().getForces()
-        acting = [force for force in forces if not checks.is_passive(force)]
+        system = context.getSystem()
+        acting = checks.acting_forces(system)
         self.act = bool(acting)
         self.are_of_barostats = all(isinstance(force, checks.BAROSTATS) for force in acting)
-        self._frequencies = [force.getFrequency() for force in forces if isinstance(force, openmm.CMMotionRemover)]
+        removers = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
+        self._frequencies = [remover.getFrequency() for remover in removers]
 
     def stops_centre(self, steps: int) -> bool:
         """Return whether a CMMotionRemover acts after so many steps."""

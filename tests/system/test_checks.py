@@ -1,0 +1,73 @@
+"""Forces that do something between steps, which the exact engine lets act, are told from those that do not."""
+
+import openmm
+import pytest
+
+from openmm_sier import SIER2Integrator
+from openmm_sier.system.checks import IS_PASSIVE, acting_forces
+from tests.support.systems import assembled, field, with_forces
+from tests.support.waters import platform
+
+
+def no_force(state):
+    raise NotImplementedError
+
+
+def alone(force):
+    """A CustomCVForce of one variable."""
+    outer = openmm.CustomCVForce("x")
+    outer.addCollectiveVariable("x", force)
+    return outer
+
+
+def mixed(force):
+    """An ATMForce of one Force."""
+    outer = openmm.ATMForce("u0 + u1")
+    outer.addForce(force)
+    return outer
+
+
+def test_every_force_of_openmm_has_its_row():
+    classes = {member for member in vars(openmm).values() if isinstance(member, type)}
+    assert set(IS_PASSIVE) == {member for member in classes if issubclass(member, openmm.Force)} - {openmm.Force}
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        openmm.AmoebaTorsionTorsionForce(),
+        openmm.AmoebaVdwForce(),
+        openmm.ConstantPotentialForce(),
+        openmm.CustomVolumeForce("v"),
+        openmm.HippoNonbondedForce(),
+        openmm.LCPOForce(),
+        openmm.OrientationRestraintForce(1.0, [openmm.Vec3(0, 0, 0)]),
+        openmm.RGForce(),
+    ],
+    ids=lambda force: type(force).__name__,
+)
+def test_forces_that_only_give_forces_do_not_act(force):
+    """Beside a barostat neither, whose moves are then read back only where they changed something."""
+    system = with_forces(assembled([1.0]), force)
+    assert acting_forces(system) == []
+    (acting,) = acting_forces(with_forces(system, openmm.MonteCarloBarostat(1.0, 300.0)))
+    assert isinstance(acting, openmm.MonteCarloBarostat)
+
+
+@pytest.mark.parametrize("outer", [alone, mixed])
+def test_what_a_force_contains_acts(outer):
+    assert acting_forces(assembled([1.0], outer(field("x", [0])))) == []
+    for force in (openmm.PythonForce(no_force), outer(openmm.PythonForce(no_force))):
+        assert [type(acting) for acting in acting_forces(assembled([1.0], force))] == [type(force)]
+
+
+def test_an_unknown_force_acts(monkeypatch):
+    """One of a plugin, or of a later OpenMM: the exact engine updates and reads the Context at each step."""
+    monkeypatch.delitem(IS_PASSIVE, openmm.CustomExternalForce)
+    integrator = SIER2Integrator(0.001)
+    context = openmm.Context(assembled([1.0], field("x", [0])), integrator, platform())
+    context.setPositions([[0, 0, 0]])
+    integrator.step(1)
+    updates = integrator.binding.engine.updates
+    assert updates.act
+    assert not updates.are_of_barostats
