@@ -362,7 +362,8 @@ def search(out: Path, examples: int, seed: int | None = None) -> dict[str, int]:
         Unsafe: see `check`; the file is the simplest one that Hypothesis found.
     """
     originals = out / "originals" / "run"
-    originals.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(originals.parent, ignore_errors=True)
+    originals.mkdir(parents=True)
     with redirect_stdout(io.StringIO()):
         make_run(originals)
     counts: dict[str, int] = {}
