@@ -371,9 +371,10 @@ class Links:
         restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
         a CustomBondForce has the pairs three bonds apart.
         """
-        short = self.lengths <= LONGEST_COVALENT
+        # Those without length only tell OpenMM what belongs together.
+        short = (self.lengths > 0) & (self.lengths <= LONGEST_COVALENT)
         sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
-        others = np.concatenate([self.bonds[~short], self.custom])
+        others = np.concatenate([self.bonds[self.lengths > LONGEST_COVALENT], self.custom])
         ends = joined(self.n_particles, sure)[others]
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
