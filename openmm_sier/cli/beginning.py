@@ -6,7 +6,7 @@ import openmm
 
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.info import rigid_bodies
+from openmm_sier.cli.info import with_rigid_bodies
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.ensembles import VelocityRescaling
@@ -43,8 +43,8 @@ class Simulated:
         box = read_input(settings.box, *given)
         hint = "" if box.system.usesPeriodicBoundaryConditions() else " (--edges gives a box)"
         note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
-        self.settings, self.box = settings, box
-        self.bodies = rigid_bodies(box, settings.rigid)
+        self.settings = settings
+        self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
         prepared = prepare_system(box.system, self.bodies)
         self.fast = prepared.fastForceGroups
         if settings.rigid:

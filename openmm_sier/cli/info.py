@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import app
+from openmm import app, unit
 
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
@@ -18,6 +18,7 @@ from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
 from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
+from openmm_sier.system.molecules import make_whole
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -31,8 +32,8 @@ MOST_SHOWN = 6
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
-def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
-    """Find the rigid bodies of a box, and print those that words describe.
+def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:
+    """Find the rigid bodies of a box, print those that words describe, and return the box with these whole.
 
     Args:
         box: as `inputs.read_input` gives it.
@@ -42,12 +43,15 @@ def rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> RigidBodies:
         RigidityError: constraints make no rigid bodies, or what is described cannot be one.
         ValueError: nothing is described by one of the words.
     """
-    named = select_bodies(box.topology, rigid) if rigid else None
-    if named is not None:
-        shown = str(named).splitlines()
-        more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
-        note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
-    return RigidBodies.from_system(box.system, box.topology, named, box.positions)
+    if not rigid:
+        return box, RigidBodies.from_system(box.system, box.topology, None, box.positions)
+    named = select_bodies(box.topology, rigid)
+    shown = str(named).splitlines()
+    more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+    note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
+    whole = make_whole(box.system, box.positions, box.topology, named)
+    bodies = RigidBodies.from_system(box.system, box.topology, named, whole)
+    return box._replace(positions=whole * unit.nanometer), bodies
 
 
 def execute(given: Mapping[str, Any]) -> None:
@@ -64,7 +68,7 @@ def execute(given: Mapping[str, Any]) -> None:
         raise Misused("info needs BOX, a file of coordinates (see openmm-sier info --help)")
     asked = new_settings(given)
     read = read_input(asked.box, asked.topology, asked.forcefield, asked.constraints, edges=asked.edges)
-    bodies = rigid_bodies(read, asked.rigid)
+    read, bodies = with_rigid_bodies(read, asked.rigid)
     atoms = list(read.topology.atoms())
     riders = _riders(read.system, bodies)
     rows = [_row(species, atoms, riders) for species in bodies.species]

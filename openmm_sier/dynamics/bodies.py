@@ -292,9 +292,10 @@ class RigidBodies:
         raise RigidityError(
             f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and only "
             f"{tolerances[worst]:.4g} nm or less is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). "
-            f"{unit}(1) If the periodic boundary cuts the molecule, call make_whole. (2) If constraints keep it rigid, "
-            "call context.applyConstraints(1e-6). (3) If you named it in `bodies`, minimize in a Context with this "
-            "integrator, not with another one; or start from the positions that gave it its shape"
+            f"{unit}(1) If the periodic boundary cuts it, take make_whole(system, positions, bodies=bodies). (2) If "
+            "constraints keep it rigid, call context.applyConstraints(1e-6). (3) If you named it in `bodies`, minimize "
+            "in a Context with this integrator, not with another one; or start from the positions that gave it its "
+            "shape"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:

@@ -42,7 +42,7 @@ class Actions:
         """Minimize the energy and keep bodies rigid, see `openmm.LocalEnergyMinimizer` for the arguments.
 
         Raises:
-            RigidityError: the periodic boundary cuts a molecule, which constraints would pull together.
+            RigidityError: the periodic boundary cuts a molecule, which constraints or bonds would pull together.
             openmm.OpenMMException: it cannot begin where the atoms are.
         """
         now = Snapshot.of(self._context)

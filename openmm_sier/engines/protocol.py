@@ -20,11 +20,12 @@ from openmm_sier.dynamics.ledger import Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.snapshot import box_of
+from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks, own_methods
 from openmm_sier.system.arguments import Bodies
+from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, degrees_of_freedom, temperatures
 
@@ -119,6 +120,18 @@ class Engine(ABC):
     def bodies(self) -> RigidBodies:
         """Return the rigid and point bodies of the System."""
         return self.moving
+
+    @cached_property
+    def _bonds(self) -> Bonds:
+        return Bonds.of_system(self._context.getSystem())
+
+    def refuse_cut_molecules(self, now: Snapshot) -> None:
+        """Refuse positions at which the periodic boundary cuts a molecule.
+
+        Raises:
+            RigidityError: it cuts one that constraints or bonds would pull together.
+        """
+        refuse_cut_molecules(self._context.getSystem(), now.positions, now.box, self._bonds)
 
     # --- what an engine must do ---
 

@@ -19,8 +19,9 @@ from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
+from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import parts
-from openmm_sier.system.molecules import Bonds, joined_by, make_whole
+from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.notices import Remedy, notify
 from openmm_sier.system.untrusted_files import open_regular
 

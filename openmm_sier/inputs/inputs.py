@@ -21,7 +21,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import OF_ENSEMBLES
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.notices import Remedy
+from openmm_sier.system.notices import Remedy, notify
 from openmm_sier.system.untrusted_files import open_regular, read_system
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
@@ -158,11 +158,24 @@ def _box_of_topology(
         remedy = Remedy("give a box", "give coordinates with their box, or its `edges`")
         raise ForceFieldError(f"{path} has no periodic box, but {topology} was made for one", remedy)
     refuse_other_atoms(path, found, file.topology, topology)
+    if kind == TOP:
+        _tell_of_rigid_water(topology, file)
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)
     except ForceFieldError as error:
         raise error.within(topology) from error
     return _box(source, system, file.topology, files)
+
+
+def _tell_of_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
+    """Warn of a top file that asks for flexible water, which is rigid here in all files."""
+    # OpenMM defines it as True by itself, to read the bonds of water, and then makes them constraints.
+    asks = file._defines.get("FLEXIBLE", True) is not True
+    if asks and any(residue.name == "HOH" for residue in file.topology.residues()):
+        notify(
+            f"{path} defines FLEXIBLE, but its water is rigid here. For flexible water give a System of OpenMM as the "
+            "topology, made with rigidWater=False"
+        )
 
 
 # --- a System ---

@@ -12,6 +12,7 @@ from openmm.unit import Quantity
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.alternates import find_alternates
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.system.boxes import reduced
 from openmm_sier.system.notices import Advised, Remedy, notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
@@ -102,6 +103,7 @@ def extent(vectors: np.ndarray) -> str:
     Args:
         vectors: of the box in rows, (3, 3), nm.
     """
+    vectors = reduced(vectors)
     lengths = np.linalg.norm(vectors, axis=1)
     edges = f"{' x '.join(f'{edge:.4f}' for edge in lengths)} nm"
     a, b, c = vectors / lengths[:, None]

@@ -26,7 +26,7 @@ from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
-from openmm_sier.prepare.fast_forces import find_fast_groups
+from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
@@ -156,6 +156,7 @@ class Binding:
         Raises:
             openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
                 integrator was given computations, or its Context is gone.
+            RigidityError: the System was prepared for other bodies.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
         if self._context() is not None:
@@ -169,6 +170,7 @@ class Binding:
         checks.refuse_impossible_numbers(system)
         installation.refuse_additions(self._integrator, self._own_computations)
         given = self.settings
+        refuse_other_bodies(system, given.bodies)
         if given.fast_groups is None:
             self._found_groups = find_fast_groups(system, given.bodies, says=True)
             self._flow = None

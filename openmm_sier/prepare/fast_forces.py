@@ -6,6 +6,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, own_forces
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
+from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pairs
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, working_terms
@@ -94,6 +95,16 @@ def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) 
             "force groups before you call prepare_system(system), or give these Forces groups of their own"
         )
     return mask
+
+
+def refuse_other_bodies(system: openmm.System, bodies: Bodies) -> None:
+    """Refuse an integrator's bodies in a System that was prepared for others.
+
+    Raises:
+        RigidityError: atoms of a body for which it was prepared are in none, or in several.
+    """
+    if len(pairs := remembered_pairs(system)):
+        refuse_torn_bodies(pairs, _owners(system, bodies))
 
 
 def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:

@@ -13,16 +13,14 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.dynamics import bodies as dynamics
-from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.species import Species
 from openmm_sier.prepare.carried_forces import Added, carry_forces
 from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.prepare.frame_topology import with_frame_atoms
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
-from openmm_sier.system.cut_molecules import MAKE_WHOLE
+from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
-from openmm_sier.system.molecules import Bonds
 from openmm_sier.system.solver_trial import SolverTrial
 
 #: Constraints between all of more atoms are redundant.
@@ -241,9 +239,11 @@ def with_frames(
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
         known = linked(system, bodies)
+        wholeness = Wholeness(system, topology)
+        for species in known.species:
+            wholeness.refuse_cut(x, species.atoms, known.describe_atoms)
     else:
         known = RigidBodies.from_system(system, topology, bodies, x)
-    _refuse_cut(system, known, x)
     frames = tuple(_frames(system, known, x))
     if not frames:
         raise ValueError(
@@ -267,20 +267,6 @@ def _copied(system: openmm.System) -> openmm.System:
         return copy.deepcopy(system)
     except Exception as error:
         raise ValueError(f"with_frames cannot copy the System by XML: {error}") from error
-
-
-def _refuse_cut(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> None:
-    """Refuse bodies with bonds that are far too long at positions x."""
-    bonds = Bonds.of_system(system)
-    owners = bodies.owners[bonds.pairs]
-    cut = (bonds.measured(x, None) > bonds.longest) & (owners[:, 0] == owners[:, 1]) & (owners[:, 0] >= 0)
-    if cut.any():
-        number = int(cut.argmax())
-        one, other = bonds.pairs[number].tolist()
-        raise RigidityError(
-            f"atoms {one} and {other} of {bodies.describe(int(owners[number, 0]))} are bonded and "
-            f"{np.linalg.norm(x[one] - x[other]):.4g} nm apart: the periodic boundary cuts the body. {MAKE_WHOLE}"
-        )
 
 
 def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> Iterator[Frame]:

@@ -18,6 +18,7 @@ from openmm_sier.dynamics.names import as_ranges
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Positions, Quantity, checked_positions, checked_system, quantity_to_float
+from openmm_sier.system.cut_molecules import Wholeness
 
 #: The least mass of an atom over the mean one: an atom without mass would be frozen.
 LEAST = 1e-3
@@ -57,6 +58,7 @@ def set_inertia(
         ValueError: moments are not in ascending order, or one is above the sum of the others, which no body has; or no
             masses of the atoms have them: the message says which multiples of them some have. Add particles without
             interactions then, further out or further in. The System is unchanged.
+        RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)
     x = checked_positions(positions, system.getNumParticles())
@@ -65,17 +67,23 @@ def set_inertia(
     if whole <= 0:
         raise ValueError(f"mass must be positive, got {whole:g} dalton")
     present = tables.masses(system)
+    wholeness = Wholeness(system)
     found: dict[int, float] = {}
     for body in bodies:
         atoms = np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64)
         if not len(atoms) or not (present[atoms] > 0).all():
             got = f"atoms {as_ranges(body)}" if len(body) else "no atoms"
             raise ValueError(f"a body must have atoms, and each of them a mass, got {got}")
+        wholeness.refuse_cut(x, atoms[None], _described)
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
-        masses = _masses(shape, whole, wanted, f"atoms {as_ranges(atoms)}")
+        masses = _masses(shape, whole, wanted, _described(atoms))
         found |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))
     for atom, each in found.items():
         system.setParticleMass(atom, each)
+
+
+def _described(atoms: Any) -> str:
+    return f"atoms {as_ranges(atoms)}"
 
 
 def _checked_moments(moments: Any) -> np.ndarray:

@@ -1,23 +1,23 @@
-"""Bodies whose atoms no bond joins, made molecules for OpenMM.
+"""Bodies that no constraints hold, as a System remembers them: their atoms are joined by bonds without strength.
 
 OpenMM finds molecules by bonds, which a rigid body needs none of. Its trajectories move molecules into the box, and its
 barostats scale their centres: without this the atoms of such a body would be scattered over the box, and their linkers
-be left behind.
+be left behind. And a System that was prepared for bodies is wrong without them: their atoms may not interact any more.
 """
 
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.system import tables
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.bonded_terms import bonded_terms
 
 #: Name of the Force of bonds without strength, by which a prepared System is renewed.
 NAME = "openmm_sier: atoms of bodies"
 
 
 def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
-    """Join the molecules of a periodic System that a body consists of, by bonds without strength.
+    """Join the atoms of each body that no constraints hold, by bonds without strength.
 
     Args:
         system: openmm.System, to which a HarmonicBondForce is added where there is something to join.
@@ -26,22 +26,50 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
     Returns:
         How many bodies were joined.
     """
-    if not system.usesPeriodicBoundaryConditions():
-        return 0
-    links = Links(system)
-    # Those that OpenMM knows. Angles and torsions are none of them.
-    pairs = np.concatenate([links.constraints.pairs, links.bonds, links.custom])
-    molecules = joined(links.n_particles, pairs)
     moving = np.flatnonzero((owner >= 0) & (tables.masses(system) > 0))
-    # Each molecule that has an atom in a body, once.
-    parts, first = np.unique(np.stack([owner[moving], molecules[moving]], axis=1), axis=0, return_index=True)
-    atoms = moving[first]
-    same = np.flatnonzero(parts[1:, 0] == parts[:-1, 0])
-    if not same.size:
+    atoms = moving[np.argsort(owner[moving], kind="stable")]
+    sizes = np.bincount(owner[atoms])
+    ends = owner[tables.constraints(system).pairs]
+    inside = ends[(ends[:, 0] == ends[:, 1]) & (ends[:, 0] >= 0), 0]
+    held = np.bincount(inside, minlength=len(sizes)) >= sizes * (sizes - 1) // 2
+    pairs = np.column_stack([atoms[:-1], atoms[1:]])
+    pairs = pairs[(owner[pairs[:, 0]] == owner[pairs[:, 1]]) & ~held[owner[pairs[:, 0]]]]
+    if not len(pairs):
         return 0
     force = openmm.HarmonicBondForce()
     force.setName(NAME)
-    for place in same.tolist():
-        force.addBond(int(atoms[place]), int(atoms[place + 1]), 0.0, 0.0)
+    for one, other in pairs.tolist():
+        force.addBond(one, other, 0.0, 0.0)
     system.addForce(force)
-    return len(np.unique(parts[same, 0]))
+    return len(np.unique(owner[pairs[:, 0]]))
+
+
+def remembered_pairs(system: openmm.System) -> np.ndarray:
+    """Return pairs of atoms that share a body for which a System was prepared, (p, 2).
+
+    Those of virtual sites are left out, as atoms of bodies are in a System with frames.
+    """
+    found = [bonded_terms(force) for force in system.getForces() if force.getName() == NAME]
+    pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *found])
+    return pairs[(tables.masses(system)[pairs] > 0).all(axis=1)] if len(pairs) else pairs
+
+
+def refuse_torn_bodies(pairs: np.ndarray, owner: np.ndarray) -> None:
+    """Refuse bodies other than those for which a System was prepared.
+
+    Args:
+        pairs: see `remembered_pairs`.
+        owner: for each particle the number of its body, (N,), -1 where it has none.
+
+    Raises:
+        RigidityError: two atoms that shared a body do not.
+    """
+    ends = owner[pairs]
+    torn = pairs[(ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0)]
+    if len(torn):
+        one, other = torn[0].tolist()
+        raise RigidityError(
+            f"prepare_system prepared this System for a rigid body that has atoms {one} and {other}, but the "
+            "integrator has no such body: give it the same bodies by `bodies`, or prepare a new System for those that "
+            "it has"
+        )

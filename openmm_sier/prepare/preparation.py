@@ -68,8 +68,9 @@ def prepare_system(
       SIER integrator finds them. In the inner steps rigid bodies on which they act turn too. Terms that act on a
       virtual site or a frozen atom stay slow. A Force that has such terms is divided into two, unless its energy is an
       expression or it is inside another Force; then it stays slow as a whole.
-    - In a periodic System it joins bodies that consist of several molecules by bonds without strength, so that OpenMM
-      keeps their atoms together in trajectories and with barostats.
+    - It joins the atoms of bodies that no constraints hold by bonds without strength, so that OpenMM keeps them
+      together in trajectories and with barostats. By these the System remembers its bodies, and an integrator without
+      them is refused. OpenMM's own integrators know nothing of bodies: give them the System of `with_frames`.
     - Where all bonds and angles are slow, as between beads that stand for residues, no force becomes fast unless you
       give a `fastForceGroup`, since inner steps would only cost time.
     - It counts nonbonded interactions between atoms up to four bonds apart as fast too. One CustomBondForce adds them
@@ -113,14 +114,13 @@ def prepare_system(
         done = _balance(system)
         for i in reversed(close_pairs.own_forces(system)):
             system.removeForce(i)
-        done += _join(system, known)
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
     with tables.read_once():
         coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
         fast, said = _gather_fast_forces(system, known, group, coarse)
         excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
-        done += said + _inside_bodies(system, found, excluded, known.owner)
+        done += _join(system, known) + said + _inside_bodies(system, found, excluded, known.owner)
         limits = describe_jumps(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(done), limits, excluded.pairs, excluded.energy * unit.kilojoule_per_mole)
@@ -145,12 +145,13 @@ def _balance(system: openmm.System) -> list[str]:
 
 
 def _join(system: openmm.System, known: FastForces) -> list[str]:
-    """Join bodies that consist of several molecules; return what was done."""
+    """Join the atoms of bodies that no constraints hold; return what was done."""
     if not (joined := join_bodies(system, known.owner)):
         return []
     return [
         f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
-        "molecule, in trajectories and with barostats."
+        "molecule, in trajectories and with barostats. Give the integrator the same bodies; OpenMM's own integrators "
+        "need those of with_frames, and tear these apart."
     ]
 
 

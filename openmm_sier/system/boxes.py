@@ -4,6 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+#: Fraction of an edge by which coordinates of files round.
+ROUNDING = 1e-4
+
 
 def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -> np.ndarray:
     """Return points (n, 3) moved by box vectors into the box.
@@ -27,3 +30,24 @@ def widths(box: np.ndarray) -> np.ndarray:
     """
     faces = np.cross(np.roll(box, -1, axis=0), np.roll(box, -2, axis=0))
     return np.abs(np.linalg.det(box)) / np.linalg.norm(faces, axis=1)
+
+
+def reduced(box: np.ndarray) -> np.ndarray:
+    """Return box vectors in OpenMM's reduced form, in which shifts by half an edge are negative, (3, 3), nm.
+
+    In a dodecahedron or an octahedron an edge is shifted by half of another one. The sign of such a shift changes
+    nothing in the lattice, and follows from rounding where a program reduces the vectors.
+
+    Args:
+        box: box vectors as rows, lower triangular, (3, 3), nm.
+    """
+    a, b, c = np.array(box, dtype=float)
+    b -= a * _periods(b[0] / a[0])
+    c -= b * _periods(c[1] / b[1])
+    c -= a * _periods(c[0] / a[0])
+    return np.array([a, b, c])
+
+
+def _periods(shift: float) -> float:
+    """Return the whole number that leaves from -1/2 to 1/2, exclusive, of a shift."""
+    return float(np.floor(shift + 0.5 + ROUNDING))

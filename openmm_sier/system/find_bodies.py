@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import openmm
@@ -17,6 +17,7 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies, Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
+from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
@@ -78,7 +79,8 @@ class RigidBodies(dynamics.RigidBodies):
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
-                massless particle that is not a virtual site is in a body, or positions are needed and were not given.
+                massless particle that is not a virtual site is in a body, positions are needed and were not given, or
+                the periodic boundary cuts a body that takes its shape from them.
             ValueError: `rigid` names particles or residues that do not exist, or a particle twice; a list in it is
                 empty; it needs the topology; or positions have another shape.
             TypeError: `system` is something else, such as a Topology.
@@ -105,6 +107,7 @@ class BodyPlan:
         lengths = self._links.constraints.by_pair()
         named = self._checked(_named(topology, rigid, lengths, self._links), system)
         self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
+        self._wholeness = Wholeness(system, topology) if self.needs_positions else None
 
     @property
     def species(self) -> tuple[Species, ...]:
@@ -116,16 +119,20 @@ class BodyPlan:
         """Tell whether the geometry of some body is known from positions only."""
         return any(kind.needs_positions for kind in self.kinds)
 
-    def bodies(self, positions: np.ndarray | None = None, sites: np.ndarray | None = None) -> RigidBodies:
+    def bodies(
+        self, positions: np.ndarray | None = None, sites: np.ndarray | None = None, box: Any = None
+    ) -> RigidBodies:
         """Return all bodies.
 
         Args:
             positions: (N, 3), nm.
             sites: (N, 3), nm, atom positions in the principal frames of their bodies. Named bodies get exactly these
                 sites, unless the frames are not principal.
+            box: vectors of the positions' box, nm; None: the System's default ones.
 
         Raises:
-            RigidityError: positions are needed and were not given, or they contradict the constraints.
+            RigidityError: positions are needed and were not given, they contradict the constraints, or the boundary
+                cuts a body that takes its shape from them.
         """
         if positions is None:
             if self.needs_positions:
@@ -134,10 +141,10 @@ class BodyPlan:
         species: list[Species] = []
         shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
-            if kind.needs_positions:
-                self._demand_extent(kind, positions)
+            known = [] if sites is None or kind.model is not None else geometries.from_sites(kind, sites)
+            if kind.needs_positions and not known:
+                self._demand_extent(kind, positions, box)
             if kind.model is None:
-                known = [] if sites is None else geometries.from_sites(kind, sites)
                 found, sharing = (known, []) if known else geometries.from_positions(kind, positions, self._describe)
                 species += found
                 shared += sharing
@@ -210,7 +217,7 @@ class BodyPlan:
         for atom in np.flatnonzero(free).tolist():
             yield (atom,), {}
 
-    def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
+    def _demand_extent(self, kind: Kind, positions: np.ndarray, box: Any) -> None:
         for cluster in kind.clusters:
             x = positions[cluster]
             if not np.isfinite(x).all():
@@ -220,6 +227,8 @@ class BodyPlan:
                     f"all atoms of {self._describe(cluster)} are at one point, but its shape comes from the positions. "
                     "Set the positions first"
                 )
+        if self._wholeness is not None:
+            self._wholeness.refuse_cut(positions, kind.clusters, self._describe, box)
 
 
 def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodies | BodyPlan:
@@ -362,9 +371,10 @@ class Links:
         restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
         a CustomBondForce has the pairs three bonds apart.
         """
-        short = self.lengths <= LONGEST_COVALENT
+        # Those without length only tell OpenMM what belongs together.
+        short = (self.lengths > 0) & (self.lengths <= LONGEST_COVALENT)
         sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
-        others = np.concatenate([self.bonds[~short], self.custom])
+        others = np.concatenate([self.bonds[self.lengths > LONGEST_COVALENT], self.custom])
         ends = joined(self.n_particles, sure)[others]
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 

@@ -86,3 +86,29 @@ def test_what_is_rigid_is_shown(capsys):
 )
 def test_words_that_describe_nothing(capsys, words, said):
     assert said in complaint(capsys, "info", *CHAIN, "--rigid", words)
+
+
+def test_a_body_without_bonds_that_the_boundary_cuts_is_read_whole(capsys):
+    """Only the words tell that the atoms belong together. The largest moment is 0.36; as the file has them it is 65."""
+    x = np.array([[2.9, 1.0, 1.0], [0.05, 1.0, 1.0], [0.05, 1.15, 1.0]])
+    system, pairwise = openmm.System(), openmm.NonbondedForce()
+    pairwise.setNonbondedMethod(pairwise.CutoffPeriodic)
+    system.setDefaultPeriodicBoxVectors(*(3 * np.eye(3)))
+    topology = app.Topology()
+    residue = topology.addResidue("TRI", topology.addChain())
+    for name in ("C1", "C2", "C3"):
+        system.addParticle(12.0)
+        pairwise.addParticle(0, 0.3, 0)
+        topology.addAtom(name, app.Element.getBySymbol("C"), residue)
+    system.addForce(pairwise)
+    topology.setPeriodicBoxVectors(3 * np.eye(3) * unit.nanometer)
+    with open("cut.pdb", "w") as file:
+        app.PDBFile.writeFile(topology, x * unit.nanometer, file)
+    with open("cut.xml", "w") as file:
+        file.write(openmm.XmlSerializer.serialize(system))
+    run("info", "cut.pdb", "--topology", "cut.xml", "--rigid", "atoms 0-2")
+    assert "0.090000 0.270000 0.360000" in capsys.readouterr().out
+    run("run", "cut.pdb", "--topology", "cut.xml", "--rigid", "atoms 0-2", *SHORT, "--steps", "5", "--out", "t.dcd")
+    distances = np.linalg.norm(np.diff(mdtraj.load("t.dcd", top="cut.pdb").xyz, axis=1), axis=2)
+    # Single precision in Angstrom, of coordinates up to 30.
+    np.testing.assert_allclose(distances, 0.15, atol=1e-5)

@@ -71,6 +71,8 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
         ((90, 90, 90), "1.4000 x 1.4000 x 1.4000 nm"),
         # A truncated octahedron.
         ((109.47, 109.47, 109.47), "1.4000 x 1.4000 x 1.4000 nm with angles of 109.47, 109.47 and 109.47 degrees"),
+        # A rhombic dodecahedron, whose vectors OpenMM reduces to others of the same lattice.
+        ((60, 60, 90), "1.4000 x 1.4000 x 1.4000 nm with angles of 120.00, 120.00 and 90.00 degrees"),
         ((90, 90, 120), "1.4000 x 1.4000 x 1.4000 nm with angles of 90.00, 90.00 and 120.00 degrees"),
     ],
 )

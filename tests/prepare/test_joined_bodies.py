@@ -1,13 +1,20 @@
-"""Bodies without bonds: OpenMM keeps their atoms together, in trajectories and with its barostats."""
+"""A System remembers its bodies: OpenMM keeps their atoms together, and an integrator without them is refused."""
 
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, SIERLangevinIntegrator, prepare_system, select_bodies
+from openmm_sier import (
+    RigidBodies,
+    RigidityError,
+    SIERLangevinIntegrator,
+    prepare_system,
+    select_bodies,
+    with_frames,
+)
 from openmm_sier.prepare.joined_bodies import NAME
 from tests.support.domains import descriptions, domain_system, folded, topology_of
-from tests.support.waters import platform
+from tests.support.waters import periodic_system, platform
 
 
 def unbonded(box=12.0):
@@ -36,10 +43,47 @@ def test_a_chain_is_one_molecule(as_lists):
         assert openmm.XmlSerializer.serialize(system) == before
 
 
-def test_nothing_is_joined_where_bonds_do_or_where_there_is_no_box():
-    for system in (domain_system(2, box=12.0), unbonded(None)[0]):
-        prepare_system(system, unbonded()[1])
-        assert NAME not in [force.getName() for force in system.getForces()]
+def test_nothing_is_joined_where_constraints_hold_the_bodies():
+    _, _, system = periodic_system()
+    prepare_system(system, RigidBodies.from_system(system))
+    assert NAME not in [force.getName() for force in system.getForces()]
+
+
+PREPARED = {
+    "apart": unbonded,
+    "bonded": lambda: (domain_system(2, box=12.0), *unbonded()[1:]),
+    "without a box": lambda: unbonded(None),
+}
+
+
+@pytest.mark.parametrize("engine", ["auto", "exact"])
+@pytest.mark.parametrize("kind", PREPARED)
+def test_an_integrator_without_the_bodies_of_the_preparation_is_refused(kind, engine):
+    """The atoms of the domains may not interact any more, and would fly apart; copies by XML remember it too."""
+    system, bodies, positions = PREPARED[kind]()
+    prepare_system(system, bodies)
+    lists = [species.atoms[i].tolist() for species in bodies.species for i in range(len(species.atoms))]
+    lists = [atoms for atoms in lists if len(atoms) > 1]
+    copied = openmm.XmlSerializer.clone(system)
+    for others in (None, lists[1:], [lists[0][1:], *lists[1:]]):
+        with pytest.raises(
+            RigidityError, match=r"prepared this System for a rigid body that has atoms \d+ and \d+, but"
+        ):
+            openmm.Context(copied, SIERLangevinIntegrator(300, 1, 0.01, bodies=others, engine=engine), platform())
+    for same in (bodies, lists):
+        context = openmm.Context(copied, SIERLangevinIntegrator(300, 1, 0.01, bodies=same), platform())
+        context.setPositions(positions)
+        context.getIntegrator().step(1)
+
+
+def test_a_system_with_frames_needs_no_bodies():
+    system, bodies, positions = unbonded()
+    prepare_system(system, bodies)
+    framed = with_frames(system, positions, bodies)
+    for integrator in (openmm.VerletIntegrator(0.01), SIERLangevinIntegrator(300, 1, 0.01)):
+        context = openmm.Context(framed.system, integrator, platform())
+        context.setPositions(framed.positions)
+        integrator.step(1)
 
 
 def test_atoms_stay_together_in_frames_and_with_a_barostat_of_openmm():

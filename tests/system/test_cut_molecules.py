@@ -1,4 +1,4 @@
-"""Molecules that the periodic boundary cuts: refused with the remedy by everything that would pull them together."""
+"""What the periodic boundary cuts is refused with the remedy where it would be pulled together, or become a shape."""
 
 from functools import partial
 
@@ -6,7 +6,15 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidityError, SIER2Integrator, SIERLangevinIntegrator, make_whole
+from openmm_sier import (
+    RigidBodies,
+    RigidityError,
+    SIER2Integrator,
+    SIERLangevinIntegrator,
+    make_whole,
+    set_inertia,
+    with_frames,
+)
 from tests.support.peptides import capped_alanine
 from tests.support.waters import context_at, periodic_system, phase_point
 
@@ -52,7 +60,21 @@ def cut(system, x):
     return x - edges * np.floor(x / edges)
 
 
-MOLECULES = {"chain": chain, "peptide": peptide, "water": water}
+def bonded_peptide():
+    """A peptide that the boundary cuts at a bond of heavy atoms, which no constraint holds."""
+    system, x = peptide()
+    held = [system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())]
+    bonds = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    ends = (bonds.getBondParameters(i)[:2] for i in range(bonds.getNumBonds()))
+    for a, b in ends:
+        shifted = x - (x[a] + x[b]) / 2 + np.array([0, 1, 1])
+        crosses = cut(system, shifted) - shifted
+        if crosses[a, 0] != crosses[b, 0] and all(crosses[i, 0] == crosses[j, 0] for i, j in held):
+            return system, shifted
+    raise AssertionError("every plane through a bond cuts a constraint")
+
+
+MOLECULES = {"chain": chain, "peptide": peptide, "bonded": bonded_peptide, "water": water}
 
 
 def acts(integrator, context):
@@ -75,9 +97,7 @@ def test_what_the_boundary_cuts_is_refused_with_the_remedy(kind, engine):
     integrator = SIERLangevinIntegrator(300, 1, 0.001, engine=engine)
     context = context_at(system, integrator, (broken, 0 * broken))
     for act in acts(integrator, context).values():
-        with pytest.raises(
-            RigidityError, match=r"apart, but their constraint has the length .* boundary cuts .*make_whole\("
-        ):
+        with pytest.raises(RigidityError, match=r"belong .* nm apart, but are .* boundary cuts .*make_whole\("):
             act()
     np.testing.assert_array_equal(phase_point(context)[0], broken)
     assert context.getStepCount() == 0
@@ -107,3 +127,118 @@ def test_without_a_box_the_question_is_asked(engine):
     _context = context_at(system, integrator, (broken, 0 * broken))
     with pytest.raises(RigidityError, match=r"Does the periodic boundary cut the molecule\? .*make_whole\("):
         integrator.step(1)
+
+
+# --- bodies, whose shape positions give ---
+
+#: Three atoms of which the last are beyond the boundary of a box of 3 nm.
+TRIANGLE = np.array([[2.9, 1.0, 1.0], [3.05, 1.0, 1.0], [3.05, 1.15, 1.0]])
+
+#: A row of 19 atoms, longer than half the box, that the boundary cuts once it is wrapped.
+ROW = np.column_stack([2.0 + 0.12 * np.arange(19), np.full(19, 1.0), 1.0 + 0.1 * (np.arange(19) % 2)])
+
+
+def body_system(x, strength=None, periodic_bonds=False):
+    """Atoms in a periodic box, in a row of bonds of some strength, if any."""
+    system, pairwise = openmm.System(), openmm.NonbondedForce()
+    pairwise.setNonbondedMethod(pairwise.CutoffPeriodic)
+    system.setDefaultPeriodicBoxVectors(*(BOX * np.eye(3)))
+    bonds = openmm.HarmonicBondForce()
+    bonds.setUsesPeriodicBoundaryConditions(periodic_bonds)
+    for i in range(len(x)):
+        system.addParticle(12.0)
+        pairwise.addParticle(0, 0.3, 0)
+        if i and strength is not None:
+            bonds.addBond(i - 1, i, float(np.linalg.norm(x[i] - x[i - 1])), strength)
+    system.addForce(pairwise)
+    system.addForce(bonds)
+    return system
+
+
+def step_at(system, bodies, x):
+    integrator = SIER2Integrator(0.001, bodies=bodies)
+    context = context_at(system, integrator, (x, 0 * x))
+    integrator.step(1)
+    return context
+
+
+SHAPED = {
+    "from_system": lambda system, bodies, x: RigidBodies.from_system(system, None, bodies, x),
+    "with_frames": lambda system, bodies, x: with_frames(system, x, bodies),
+    "set_inertia": lambda system, bodies, x: set_inertia(system, x, bodies, 36, [0.09, 0.27, 0.36]),
+    "integrator": step_at,
+}
+
+
+@pytest.mark.parametrize("bonds", [None, 2e5, 0.0, "periodic"])
+@pytest.mark.parametrize("way", SHAPED)
+def test_a_cut_body_is_refused_however_it_gets_its_shape(way, bonds):
+    """It would have a moment of 65 dalton nm^2 in place of 0.36, in silence; and the remedy of the message works."""
+    system = body_system(TRIANGLE, 2e5 if bonds == "periodic" else bonds, bonds == "periodic")
+    broken, bodies = cut(system, TRIANGLE), [[0, 1, 2]]
+    with pytest.raises(RigidityError, match=r"the periodic boundary cuts .*make_whole\("):
+        SHAPED[way](system, bodies, broken)
+    whole = make_whole(system, broken, bodies=bodies)
+    # By box vectors, so to the rounding of 3 nm.
+    np.testing.assert_allclose(whole - whole[0], TRIANGLE - TRIANGLE[0], atol=1e-14)
+    assert np.array_equal(make_whole(system, whole, bodies=bodies), whole)
+    found = RigidBodies.from_system(system, None, bodies, whole)
+    np.testing.assert_allclose(found.moments[:, 0], [0.09, 0.27, 0.36], atol=1e-9)
+    SHAPED[way](system, bodies, whole)
+    # Bodies that are known are looked at as well.
+    assert np.array_equal(make_whole(system, broken, bodies=found), whole)
+
+
+def test_bonds_without_strength_keep_molecules_whole():
+    """They tell OpenMM what a molecule is, and so they tell it here, whatever lengths they have."""
+    system = body_system(TRIANGLE, 0.0)
+    bonds = system.getForce(1)
+    for length in (0.0, 0.1, 2.0):
+        for i in range(2):
+            bonds.setBondParameters(i, i, i + 1, length, 0.0)
+        whole = make_whole(system, cut(system, TRIANGLE))
+        np.testing.assert_allclose(whole - whole[0], TRIANGLE - TRIANGLE[0], atol=1e-14)
+
+
+@pytest.mark.parametrize("strength", [None, 0.0, 1e5])
+def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(strength):
+    system, bodies = body_system(ROW, strength), [range(len(ROW))]
+    assert np.ptp(ROW, axis=0)[0] > 0.7 * BOX
+    assert np.array_equal(make_whole(system, ROW, bodies=bodies), ROW)
+    found = RigidBodies.from_system(system, None, bodies, ROW)
+    broken = cut(system, ROW)
+    with pytest.raises(RigidityError, match="the periodic boundary cuts the body"):
+        RigidBodies.from_system(system, None, bodies, broken)
+    whole = make_whole(system, broken, bodies=bodies)
+    np.testing.assert_allclose(whole - whole[0], ROW - ROW[0], atol=1e-13)
+    np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, found.moments, rtol=1e-9)
+
+
+def test_a_wide_gap_in_a_body_is_told_by_a_bond_without_strength():
+    """Two atoms of a body that are 2 nm apart in a box of 3 nm look like two that are 1 nm apart, and cut."""
+    x = np.array([[0.5, 1.0, 1.0], [0.6, 1.0, 1.0], [2.5, 1.1, 1.0]])
+    system, bodies = body_system(x), [[0, 1, 2]]
+    with pytest.raises(RigidityError, match=r"longer than half the box .*bond of the gap's length without strength"):
+        RigidBodies.from_system(system, None, bodies, x)
+    system.getForce(1).addBond(1, 2, float(np.linalg.norm(x[2] - x[1])), 0.0)
+    assert np.array_equal(make_whole(system, x, bodies=bodies), x)
+    assert RigidBodies.from_system(system, None, bodies, x).moments[2, 0] > 20
+
+
+def test_a_body_as_large_as_the_box_is_whole():
+    """Atoms on a lattice through the whole box, all of whose gaps are alike."""
+    lattice = 0.3 * np.stack(np.meshgrid(*3 * [np.arange(10)], indexing="ij"), axis=-1).reshape(-1, 3)
+    system, bodies = body_system(lattice), [range(len(lattice))]
+    assert np.array_equal(make_whole(system, lattice, bodies=bodies), lattice)
+    RigidBodies.from_system(system, None, bodies, lattice)
+
+
+def test_bodies_of_several_molecules_are_made_whole_with_their_linkers():
+    """A molecule moves as a whole, also with the atoms that are in no body, and so do bodies that share a molecule."""
+    x = np.array([[2.8, 1, 1], [2.95, 1, 1], [3.1, 1, 1], [3.1, 1.3, 1], [3.1, 1.45, 1], [2.9, 1.3, 1.0]])
+    system = body_system(x)
+    for a, b in ((0, 1), (1, 2), (3, 4)):
+        system.getForce(1).addBond(a, b, float(np.linalg.norm(x[a] - x[b])), 1e5)
+    bodies = [[3, 0], [4, 5]]
+    whole = make_whole(system, cut(system, x), bodies=bodies)
+    np.testing.assert_allclose(whole - whole[0], x - x[0], atol=1e-14)

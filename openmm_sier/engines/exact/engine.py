@@ -55,7 +55,7 @@ class ExactEngine(Engine):
         super().__init__(task)
         context = task.context
         self.updates = SystemUpdates(context)
-        self._fitting = Fitting(context.getSystem())
+        self._fitting = Fitting()
         self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
         self._moves_volume = False
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
@@ -78,11 +78,11 @@ class ExactEngine(Engine):
     def _made(self) -> MovingBodies:
         """Return the bodies and what is made for them, which named bodies need positions for."""
         if self._parts is None:
-            self._settle(Snapshot.of(self._context).positions)
+            self._settle(Snapshot.of(self._context))
         return self._parts  # type: ignore[return-value]
 
-    def _settle(self, positions: np.ndarray) -> None:
-        """Give named bodies the geometry that the Context carries or, the first time, that of positions.
+    def _settle(self, now: Snapshot) -> None:
+        """Give named bodies the geometry that the Context carries or, the first time, that of its positions.
 
         Raises:
             RigidityError, openmm.OpenMMException: the positions do not form the bodies, or what they form is refused.
@@ -92,7 +92,7 @@ class ExactEngine(Engine):
         sites = np.array(self._integrator.getPerDofVariableByName(SITES))
         if self._parts is not None and np.array_equal(sites_of_atoms(self._parts.bodies), sites):
             return
-        made = MovingBodies(self._context, self._plan.bodies(positions, sites), self.flow, self.ledger)
+        made = MovingBodies(self._context, self._plan.bodies(now.positions, sites, now.box), self.flow, self.ledger)
         if self._moves_volume:
             checks.refuse_constant_pressure(self._context.getSystem(), made.bodies)
         self._evaluations_before = self.evaluations
@@ -182,7 +182,8 @@ class ExactEngine(Engine):
         moved = point is None or not now.same_positions(before)
         if moved:
             self.start_anew()
-            self._settle(now.positions)
+            self.refuse_cut_molecules(now)
+            self._settle(now)
         if point is None or moved or not now.same_velocities(before):
             point = self._found(now, moved)
             self.forces.velocities[:] = now.velocities

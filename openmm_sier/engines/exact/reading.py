@@ -11,7 +11,7 @@ from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system import checks
-from openmm_sier.system.cut_molecules import IF_CUT, cut_molecules
+from openmm_sier.system.cut_molecules import IF_CUT
 
 #: Points further than this from their constraints, in nm, are refused, since they are not the molecule that was meant.
 FARTHEST = 0.05
@@ -63,8 +63,7 @@ def with_velocities(bodies: RigidBodies, state: BodyState, now: Snapshot) -> Bod
 class Fitting:
     """Fit bodies to atoms, and warn once of bodies that are moved onto their constraints."""
 
-    def __init__(self, system: openmm.System):
-        self._system = system
+    def __init__(self) -> None:
         self._told_of_misfit = False
 
     def __call__(
@@ -80,14 +79,10 @@ class Fitting:
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
         """
-        try:
-            q, A, misfit = bodies.fit_with_misfit(now.positions, previous)
-            if len(bodies.constraints.pairs):
-                q, moved = _onto_constraints(bodies, q)
-                misfit = np.maximum(misfit, moved)
-        except RigidityError as error:
-            cut = cut_molecules(self._system, now.positions, now.box)
-            raise (RigidityError(cut) if cut else error) from None
+        q, A, misfit = bodies.fit_with_misfit(now.positions, previous)
+        if len(bodies.constraints.pairs):
+            q, moved = _onto_constraints(bodies, q)
+            misfit = np.maximum(misfit, moved)
         if not self._told_of_misfit:
             self._told_of_misfit = checks.tell_of_misfit(bodies, misfit)
         return q, A

@@ -234,7 +234,9 @@ class NativeEngine(Engine):
         if not self._is_fresh:
             return
         self._known.publish()
-        refuse_what_is_not_finite(Snapshot.of(self._context))
+        now = Snapshot.of(self._context)
+        refuse_what_is_not_finite(now)
+        self.refuse_cut_molecules(now)
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         if len(self._constraints.pairs):

@@ -6,7 +6,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import own_methods
-from openmm_sier.system.cut_molecules import IF_CUT, refuse_cut_molecules
+from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.tables import Constraints
 
 #: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
@@ -26,12 +26,10 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         tolerance: relative, for OpenMM's solvers.
 
     Raises:
-        RigidityError: OpenMM cannot satisfy them, or would pull together what the periodic boundary cuts.
+        RigidityError: OpenMM cannot satisfy them.
     """
     errors, speeds = _errors(context, constraints)
     if not errors.max() <= OFF:
-        now = Snapshot.of(context)
-        refuse_cut_molecules(context.getSystem(), now.positions, now.box)
         own_methods.constrain_positions(context, tolerance)
         errors, speeds = _errors(context, constraints)
         worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
