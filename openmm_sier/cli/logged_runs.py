@@ -15,7 +15,7 @@ from openmm_sier.analysis import read_log
 from openmm_sier.analysis.observables import blocks
 from openmm_sier.analysis.statistics import FEWEST, Estimate, of_independent, pooled, rms, settling
 from openmm_sier.cli import results
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.outputs import same_file
 from openmm_sier.cli.planning import noted_settings
@@ -267,13 +267,14 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
         skip: what to leave out of each in any case, ps or trials; None for what had not settled.
 
     Raises:
-        RunError: the logs are not of one kind, one is given twice, or nothing is left.
+        Misused: a log is given twice.
+        RunError: the logs are not of one kind, or nothing is left.
         RecordError, OSError: as for `read_run`.
     """
     found = [read_run(path) for path in paths]
     for i, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:i]):
-            raise RunError(f"{path} is given twice: each run counts once")
+            raise Misused(f"{path} is given twice: each run counts once")
     first, *others = found
     for run in others:
         if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import same_file
 from openmm_sier.cli.streams import PROGRAM
@@ -36,7 +36,8 @@ def execute(
         overwrite: whether an existing file is replaced.
 
     Raises:
-        RunError: the file to write is in the way.
+        Misused: the file to write is not a PDB file by its name.
+        RunError: it is in the way.
         ForceFieldError, OSError, ModuleNotFoundError: as their messages say.
     """
     path = out or Path(f"{structure.stem}-water.pdb")
@@ -54,7 +55,7 @@ def execute(
 def _check_out(path: Path, structure: Path, overwrite: bool) -> None:
     """Refuse a file that is no PDB file by its name, would destroy another, or cannot be written."""
     if path.suffix != ".pdb":
-        raise RunError(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
+        raise Misused(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
     if same_file(path, structure):
         raise RunError(f"{path} is the structure that is read, and would be overwritten: give another name with --out")
     if path.exists() and not (overwrite and path.is_file()):

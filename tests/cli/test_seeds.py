@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import openmm
 import pytest
 
 from openmm_sier.analysis.many_runs import Member, run_many

@@ -16,6 +16,9 @@ from openmm_sier.cli.files import records
 #: Version of what a checkpoint holds.
 FORMAT = 1
 
+#: With which a zip archive begins that has a file.
+LOCAL_HEADER = b"PK\x03\x04"
+
 
 def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
     """Replace the checkpoint: at any moment the file is either the old or the new one.
@@ -64,7 +67,16 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except (zipfile.BadZipFile, KeyError, ValueError, EOFError, zlib.error, openmm.OpenMMException) as error:
-        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
+        raise records.RecordError(_complaint(path)) from error
+
+
+def _complaint(path: Path) -> str:
+    """Say of a file that cannot be read whether it is a checkpoint that was cut off, or none."""
+    with path.open("rb") as file:
+        begin = file.read(len(LOCAL_HEADER))
+    if LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(path):
+        return f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied"
+    return f"{path} is not a checkpoint of openmm-sier run"
 
 
 def _notes(archive: zipfile.ZipFile) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import check_place
 
@@ -52,11 +52,12 @@ def check(path: Path, others: Collection[Path], may_replace: bool) -> None:
         may_replace: whether it may take the place of an earlier one.
 
     Raises:
-        RunError: naming the file, and what is expected.
+        Misused: its name has a wrong ending.
+        RunError: naming the file that is in the way.
         ModuleNotFoundError: there is no matplotlib; the message says how to install it.
     """
     if path.suffix.lower() not in FORMATS:
-        raise RunError(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
+        raise Misused(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
     check_place(path, others, "" if may_replace else "--plot")
     try:
         import matplotlib.figure  # noqa: F401
