@@ -32,6 +32,9 @@ LONGEST_BEGINNING = 0.5
 #: also have a slow part which a run hardly shows, one in twenty.
 UNSETTLED, FEW_SETTLED = 4.0, 10
 
+#: Standard errors of a trend from which on it is left out of a series that is too short to tell.
+DOUBTFUL = 2.0
+
 
 class Estimate(NamedTuple):
     """Hold a value and its standard error; print it.
@@ -53,9 +56,9 @@ class Estimate(NamedTuple):
         if math.isnan(self.value):
             return "-"
         if not math.isfinite(self.error):
-            return f"{self.value:.4g} ± ?"
+            return f"{plain(self.value)} ± ?"
         if not self.error:
-            return f"{self.value:.4g}"
+            return plain(self.value)
         exponent = math.floor(math.log10(max(abs(self.value), self.error)))
         if not -4 <= exponent < 7:
             return f"({self.times(10.0**-exponent)})e{exponent}"
@@ -65,6 +68,16 @@ class Estimate(NamedTuple):
     def times(self, factor: float) -> Estimate:
         """Return value and error times a factor, for another unit."""
         return self._replace(value=self.value * factor, error=self.error * abs(factor))
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """Return a number with so many significant digits, and without an exponent from 1e-4 to 1e7.
+
+    >>> plain(-12345.6), plain(0.0123456, digits=2)
+    ('-12346', '0.012')
+    """
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if 10**digits <= abs(float(text)) < 1e7 else text
 
 
 def rms(values: np.ndarray) -> float:
@@ -140,30 +153,59 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
 # --- what has not settled ---
 
 
+class Settling(NamedTuple):
+    """Tell from where on a series fluctuates about one mean.
+
+    Attributes:
+        begin: index of the first value there; the length of the series if it has a trend to its end.
+        samples: number of independent values from there on. Fewer than `FEWEST` do not show a trend.
+    """
+
+    begin: int
+    samples: float
+
+
 def settled_from(series: np.ndarray) -> int:
     """Return the index from which a series (n,) fluctuates about one mean; 0 if it does so from the start.
 
-    It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
-    by `UNSETTLED` standard errors. A series whose rest still has a trend has not settled: its length is returned.
-
-    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    A series whose rest still has a trend has not settled: its length is returned.
 
     >>> series = np.random.default_rng(1).normal(size=1000)
     >>> series[:100] += 20
     >>> bool(settled_from(series) >= 100)
     True
     """
+    return settling(series).begin
+
+
+def settling(series: np.ndarray) -> Settling:
+    """Return from where on a series (n,) fluctuates about one mean, and how well that is known.
+
+    It is where the rest has the most independent values. Where the whole series has enough of them, a beginning is left
+    out only if its mean differs from that of the rest by `UNSETTLED` standard errors. Where no rest has enough, it is
+    where no doubtful trend is left, or half of the series.
+
+    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    """
     values = np.asarray(series, dtype=float)
     n = len(values)
-    if n < FEWEST or is_constant(values):
-        return 0
+    if is_constant(values) and n > 1:
+        return Settling(0, math.inf)
+    if n < FEWEST:
+        return Settling(0, n)
     begins = np.unique(np.linspace(0, LONGEST_BEGINNING * n, BEGINNINGS).astype(int))
-    memories = np.array([inefficiency(values[begin:]) for begin in begins])
-    best = int(np.argmax((n - begins) / memories))
+    samples = (n - begins) / np.array([inefficiency(values[begin:]) for begin in begins])
+    best = int(np.argmax(samples))
+    if samples[0] >= FEWEST and best and not _begins_elsewhere(values, int(begins[best])):
+        best = 0
     begin = int(begins[best])
-    if not (begin and _begins_elsewhere(values, begin)):
-        begin = 0
-    return n if _has_trend(values[begin:]) else begin
+    if _is_told(*_trend(values[begin:])):
+        return Settling(n, float(samples[best]))
+    if samples[best] < FEWEST:
+        trends = (_trend(values[begin:]) for begin in begins)
+        steady = (i for i, (rise, error, _) in enumerate(trends) if rise <= DOUBTFUL * error)
+        best = next(steady, len(begins) - 1)
+    return Settling(int(begins[best]), float(samples[best]))
 
 
 def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
@@ -175,16 +217,18 @@ def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
     return _is_told(abs(first.mean() - rest.mean()), error, samples)
 
 
-def _has_trend(values: np.ndarray) -> bool:
-    """Return whether a straight line through a series rises or falls by more than chance gives it."""
+def _trend(values: np.ndarray) -> tuple[float, float, float]:
+    """Return how far a straight line through a series rises or falls, its error, and the number of independent values.
+
+    Too few values have no trend.
+    """
     if len(values) < FEWEST:
-        return False
+        return 0.0, 0.0, float(len(values))
     places = np.linspace(-0.5, 0.5, len(values))
     line = np.polyval(np.polyfit(places, values, 1), places)
     samples = len(values) / inefficiency(values - line)
     # Of the difference between the ends of a line through so many independent values.
-    error = rms(values - line) * math.sqrt(12 / samples)
-    return _is_told(abs(line[-1] - line[0]), error, samples)
+    return abs(line[-1] - line[0]), rms(values - line) * math.sqrt(12 / samples), samples
 
 
 def _is_told(difference: float, error: float, samples: float) -> bool:

@@ -5,8 +5,9 @@ from typing import Any
 import openmm
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.info import with_rigid_bodies
+from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.ensembles import VelocityRescaling
@@ -36,9 +37,11 @@ class Simulated:
         """Read the files of the input, and prepare their System.
 
         Raises:
+            Misused: OpenMM does not have the platform here.
             RunError: the run requires a periodic box, and the input has none.
             ForceFieldError, RigidityError, OSError: as their messages say.
         """
+        check_platform(settings.platform)
         given = settings.topology, settings.forcefield, settings.constraints, settings.interactions, settings.edges
         box = read_input(settings.box, *given)
         hint = "" if box.system.usesPeriodicBoundaryConditions() else " (--edges gives a box)"
@@ -58,13 +61,13 @@ class Simulated:
         """Return the Context of the run when it begins or goes on at a step, without positions.
 
         Raises:
-            RunError: checkpoints are too frequent for OpenMM's barostat.
+            Misused: checkpoints are too frequent for OpenMM's barostat.
         """
         settings = self.settings
         if settings.method.scheme is not None:
             return self.context_of(self.integrator(settings))
         if settings.moves_volume and settings.interval(settings.checkpoint_every) < stock.BAROSTAT_INTERVAL:
-            raise RunError(
+            raise Misused(
                 f"--checkpoint-every {settings.checkpoint_every:g} is too short: OpenMM's barostat counts its "
                 f"{stock.BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give "
                 f"{stock.BAROSTAT_INTERVAL * settings.step_time:g} ps or more"

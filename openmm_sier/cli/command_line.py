@@ -3,13 +3,14 @@
 import os
 import sys
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 from cyclopts.validators import Number
 from pydantic import ValidationError
 
@@ -30,6 +31,9 @@ EXIT_CODES = """Exit codes:
 - 129, 130, 143: ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint
   included, and --restart continues the run
 """
+
+#: Names that other programs have for options, which resemble other options of ours.
+OF_OTHERS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
 
 #: Settings of a run as options, of which none has to be given.
 if TYPE_CHECKING:
@@ -273,7 +277,18 @@ def _described(error: CycloptsError) -> str:
     cause = error.__cause__
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"{error.unused_tokens[0]!r} belongs to no option"
+    if isinstance(error, UnknownOptionError) and (meant := _meant(error)):
+        return f"Unknown option: {error.token.keyword or error.token.value}. Did you mean {meant}?"
     if not (isinstance(cause, ValidationError) and error.argument):
         return " ".join(str(error).split()).removesuffix(".")
     name, message = refusal(cause, error.argument.hint)
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
+
+
+def _meant(error: UnknownOptionError) -> str:
+    """Return the option that was meant by a name of other programs, or by one with a letter more or less; else ""."""
+    there = {name for argument in error.argument_collection or () for name in argument.names}
+    name = (error.token.keyword or error.token.value).split("=")[0]
+    close = get_close_matches(name, OF_OTHERS, n=1, cutoff=0.9)
+    meant = OF_OTHERS[close[0]] if close else ""
+    return meant if meant in there else ""

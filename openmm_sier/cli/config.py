@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import options, refusal
 from openmm_sier.cli.files import records
 from openmm_sier.cli.planning import useless_settings
@@ -33,7 +33,8 @@ def read_config(path: Path) -> dict[str, Any]:
     """Return the settings that a TOML file gives, by name. Paths are relative to the current directory.
 
     Raises:
-        RunError: it is no TOML, or has a setting that is unknown or wrong; the message names the file and the setting.
+        RunError: it is no TOML.
+        Misused: it has a setting that is unknown or wrong; the message names the file and the setting.
         OSError: it cannot be read.
     """
     try:
@@ -47,7 +48,7 @@ def read_config(path: Path) -> dict[str, Any]:
         # As JSON, files are texts, and a text is no number.
         return model.model_validate_json(json.dumps(named, default=str), strict=True).given()
     except ValidationError as error:
-        raise RunError(f"{path}: {': '.join(refusal(error, model))}") from None
+        raise Misused(f"{path}: {': '.join(refusal(error, model))}") from None
 
 
 def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -13,9 +13,9 @@ import numpy as np
 
 from openmm_sier.analysis import read_log
 from openmm_sier.analysis.observables import blocks
-from openmm_sier.analysis.statistics import Estimate, of_independent, pooled, rms, settled_from
+from openmm_sier.analysis.statistics import FEWEST, Estimate, of_independent, pooled, rms, settling
 from openmm_sier.cli import results
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.outputs import same_file
 from openmm_sier.cli.planning import noted_settings
@@ -65,12 +65,14 @@ class Run(NamedTuple):
         log: its columns.
         plan: of the run, by the checkpoint beside the log; None if there is none.
         unsettled: how a doubtful equilibration ended, by that checkpoint; None without one.
+        inputs: fingerprints of the files of its System, by that checkpoint.
     """
 
     path: Path
     log: dict[str, np.ndarray]
     plan: RunSettings | None = None
     unsettled: str | None = None
+    inputs: dict[str, str] | None = None
 
     @property
     def ensemble(self) -> str:
@@ -117,16 +119,22 @@ class Runs(NamedTuple):
     """Runs of one kind.
 
     Attributes:
-        runs: at least one.
+        runs: at least one, each of them once.
         begin: time of their clocks from which on means are taken.
-        moving: names of what had not settled before.
-        settled: whether all that moved settled; if not, means are those of the last half.
+        skipped: the part of it that was chosen; what follows is about the time after that.
+        moving: names of quantities that settled after a while.
+        drifting: names of those that still had a trend at the end.
+        unclear: names of those with too few independent values to show one.
+        copies: of each run that has further logs, the log that counts and the others.
     """
 
     runs: list[Run]
     begin: float = 0.0
+    skipped: float = 0.0
     moving: tuple[str, ...] = ()
-    settled: bool = True
+    drifting: tuple[str, ...] = ()
+    unclear: tuple[str, ...] = ()
+    copies: tuple[tuple[Path, list[Path]], ...] = ()
 
     @property
     def first(self) -> Run:
@@ -156,16 +164,44 @@ class Runs(NamedTuple):
         return [(mine[0]._replace(value=over_runs([one.value for one in mine])), list(mine)) for mine in each]
 
 
+def finding(runs: Runs) -> str:
+    """Say whether the runs had settled, and from which part of them all means are taken."""
+    length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length - runs.skipped, runs.begin))
+    left_out = f"Means leave out the first {begin}"
+    if runs.drifting:
+        found = f"Not settled in {length}: {listed(runs.drifting)}"
+    elif runs.unclear:
+        found = f"{length}: too short to tell a trend of {listed(runs.unclear)}"
+    elif runs.moving:
+        found, left_out = f"Settled after {begin}: {listed(runs.moving)}", "Means are of the rest"
+    else:
+        steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
+        found = f"{length} without a trend of {steady}"
+    sentences = [found, left_out] if runs.begin else [found]
+    if doubtful := sum(run.unsettled is not None for run in runs.runs):
+        of_all = f": {doubtful} of {len(runs.runs)} runs" if len(runs.runs) > 1 else ""
+        sentences.append(f"Not equilibrated at the start{of_all}")
+    return ". ".join(sentences)
+
+
 def remarks(runs: Runs) -> list[str]:
-    """Return what is to be known of the means: what they leave out, and what speaks against them."""
-    found = []
-    if runs.begin:
-        reason = f", in which {listed(runs.moving)} had not settled" if runs.moving and runs.settled else ""
-        found.append(f"means leave out the first {runs.begin:.4g} {runs.unit}{reason}")
-    if not runs.settled:
-        found.append(f"warning: {listed(runs.moving)} had not settled at the end: make longer runs")
+    """Return warnings of what speaks against the means, besides what had not settled."""
+    found = [
+        f"warning: {listed(list(map(str, copies)))} {_have(copies)} the run of {path}: it counts once. Give each run a "
+        "--seed of its own"
+        for path, copies in runs.copies
+    ]
+    found += [
+        f"warning: {listed(list(map(str, alike)))} {_have(alike)} seed, settings and inputs of {path}, and so the same "
+        "noise: give each run a --seed of its own"
+        for path, alike in _groups(runs.runs, _has_the_noise_of)
+    ]
     doubtful = [run for run in runs.runs if run.unsettled]
     return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
+
+
+def _have(subjects: Sequence[object]) -> str:
+    return "has" if len(subjects) == 1 else "have"
 
 
 def listed(names: Sequence[str]) -> str:
@@ -216,40 +252,43 @@ def read_run(path: Path) -> Run:
         notes = checkpoints.read_notes(checkpoint)
         plan = noted_settings(checkpoint, notes["plan"])
         if same_file(plan.report, path):
-            return Run(path, log, plan, notes.get("unsettled"))
+            return Run(path, log, plan, notes.get("unsettled"), notes.get("inputs"))
     return Run(path, log)
 
 
 def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
     """Runs of one kind, from their logs, and where they settled.
 
-    Warns of runs that are shorter than others, or whose options differ in more than the seed.
+    Logs of one run count once. Warns of runs that are shorter than others, or whose options differ in more than the
+    seed.
 
     Args:
         paths: of the logs.
         skip: what to leave out of each in any case, ps or trials; None for what had not settled.
 
     Raises:
-        RunError: the logs are not of one kind, one is given twice, or nothing is left.
+        Misused: a log is given twice.
+        RunError: the logs are not of one kind, or nothing is left.
         RecordError, OSError: as for `read_run`.
     """
     found = [read_run(path) for path in paths]
     for i, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:i]):
-            raise RunError(f"{path} is given twice: each run counts once")
+            raise Misused(f"{path} is given twice: each run counts once")
     first, *others = found
     for run in others:
         if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):
             raise RunError(
                 f"{run.path} is {_described(run)}, but {first.path} is {_described(first)}: give runs of one kind"
             )
-    _warn_of_differences(found)
-    runs = Runs(found)
-    if skip is None:
-        return _with_settling(runs)
-    if skip >= runs.length:
+    longest_first = sorted(found, key=lambda run: -len(run.log["Step"]))
+    copies = _groups(longest_first, _is_log_of)
+    left_out = {path for _, others in copies for path in others}
+    runs = Runs([run for run in found if run.path not in left_out], copies=copies)
+    _warn_of_differences(runs.runs)
+    if skip is not None and skip >= runs.length:
         raise RunError(f"--skip {skip:g} leaves nothing: the shortest run has {runs.length:g} {runs.unit}")
-    return runs._replace(begin=skip)
+    return _with_settling(runs, skip)
 
 
 def _described(run: Run) -> str:
@@ -273,14 +312,57 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
     for run in runs[1:]:
         if first is None or run.plan is None:
             continue
-        differing = [n for n in CONTINUED if n not in MAY_DIFFER and getattr(run.plan, n) != getattr(first, n)]
-        if differing:
+        if differing := _differing(run.plan, first):
             warnings.warn(
                 f"{run.path} and {runs[0].path} differ in {', '.join(differing)}: their mean belongs to no ensemble. "
                 "Give runs with the same settings",
                 stacklevel=3,
             )
             return
+
+
+# --- which of them are one ---
+
+
+def _groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[tuple[Path, list[Path]], ...]:
+    """Return the path of each run to which later ones are alike, with theirs."""
+    groups: list[tuple[Run, list[Path]]] = []
+    for run in runs:
+        alike = next((others for first, others in groups if is_alike(run, first)), None)
+        if alike is None:
+            groups.append((run, []))
+        else:
+            alike.append(run.path)
+    return tuple((first.path, others) for first, others in groups if others)
+
+
+def _is_log_of(one: Run, other: Run) -> bool:
+    """Return whether two logs are of one run: by their common rows, or by a common start, seed and settings."""
+    steps, rows, rows_of_other = np.intersect1d(one.log["Step"], other.log["Step"], return_indices=True)
+    if not len(steps):
+        return False
+    columns = np.array([[one.log[name][rows], other.log[name][rows_of_other]] for name in one.log])
+    is_equal: np.ndarray = np.isclose(columns[:, 0], columns[:, 1], rtol=0, atol=0, equal_nan=True).all(axis=0)
+    if is_equal.all() and len(steps) > 1:
+        return True
+    # Where forces are not repeated to the bit, as on a GPU, later rows differ.
+    return bool(is_equal[0]) and _are_alike(one, other)
+
+
+def _has_the_noise_of(one: Run, other: Run) -> bool:
+    return one.ensemble != "nve" and _are_alike(one, other)
+
+
+def _are_alike(one: Run, other: Run) -> bool:
+    """Return whether checkpoints tell that two runs have the same seed, settings and inputs."""
+    if one.plan is None or other.plan is None:
+        return False
+    return one.plan.seed == other.plan.seed and one.inputs == other.inputs and not _differing(one.plan, other.plan)
+
+
+def _differing(one: RunSettings, other: RunSettings) -> list[str]:
+    """Return the names of settings, besides those in which runs of one kind may differ, that are not the same."""
+    return [name for name in CONTINUED if name not in MAY_DIFFER and getattr(one, name) != getattr(other, name)]
 
 
 # --- where they settled ---
@@ -302,18 +384,39 @@ def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> n
     return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
 
 
-def _with_settling(runs: Runs) -> Runs:
-    """Return runs with where the means over all of them settled."""
-    rows = min(len(run.clock) for run in runs.runs)
-    count = min(rows - 1, BINS)
-    width = runs.length / count
-    found = {}
+def _with_settling(runs: Runs, skip: float | None) -> Runs:
+    """Return runs with where the means over all of them settled, after what is left out in any case."""
+    begin = skip or 0.0
+    logs = [run.after(begin) for run in runs.runs]
+    clocks = [run.clock[run.clock >= begin] - begin for run in runs.runs]
+    count = max(1, min(*map(len, clocks), BINS + 1) - 1)
+    width = (runs.length - begin) / count
+    moving, drifting, unclear, begins = [], [], [], [0.0]
     for column, name in SETTLES.items():
         if column == DENSITY and not runs.first.moves_volume:
             continue
-        series = np.mean([binned(run.clock, run.log[column], width, count) for run in runs.runs], axis=0)
-        if np.isfinite(series).all() and (index := settled_from(series)):
-            found[name] = index * width
-    begin = max(found.values(), default=0.0)
-    settled = begin < runs.length
-    return runs._replace(begin=begin if settled else LEFT_OUT * runs.length, moving=tuple(found), settled=settled)
+        series = np.mean([binned(c, log[column], width, count) for c, log in zip(clocks, logs, strict=True)], axis=0)
+        (kept,) = np.nonzero(np.isfinite(series))
+        if not len(kept):
+            continue
+        found = settling(series[kept])
+        if found.begin == len(kept):
+            drifting.append(name)
+            continue
+        begins.append(float(kept[found.begin]) * width if found.begin else 0.0)
+        if found.samples < FEWEST:
+            unclear.append(name)
+        elif found.begin:
+            moving.append(name)
+    if skip is not None:
+        # What settles later than that has a trend in the means.
+        drifting, moving, begins = drifting + moving, [], [skip]
+    elif drifting:
+        begins.append(LEFT_OUT * runs.length)
+    return runs._replace(
+        begin=max(begins),
+        skipped=begin,
+        moving=tuple(moving),
+        drifting=tuple(drifting),
+        unclear=tuple(unclear),
+    )

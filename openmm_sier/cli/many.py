@@ -9,7 +9,7 @@ from typing import Any
 from openmm_sier.analysis.many_runs import Member, RunsError, named, run_many
 from openmm_sier.cli import summary
 from openmm_sier.cli.console import note
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files.outputs import same_file
 from openmm_sier.cli.logged_runs import FEWEST_ROWS
 from openmm_sier.cli.many_table import watching
@@ -41,7 +41,8 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
         scheduler: address of a scheduler of Dask; None for this machine.
 
     Raises:
-        RunError: options contradict each other, or members failed; the message has each complaint once.
+        Misused: options contradict each other.
+        RunError: members failed; the message has each complaint once.
         Stopped: a signal stopped the members.
         ForceFieldError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
@@ -100,20 +101,18 @@ def _dask_in_silence() -> Iterator[None]:
 def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
     """Refuse what many runs cannot have."""
     if options.get("restart"):
-        raise RunError("--seeds continues each run that has a checkpoint: leave out --restart")
+        raise Misused("--seeds continues each run that has a checkpoint: leave out --restart")
     if options.get("seed") is not None:
-        raise RunError("--seed and --seeds both set seeds: give one of them")
+        raise Misused("--seed and --seeds both set seeds: give one of them")
     if workers and scheduler:
-        raise RunError("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
+        raise Misused("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
 
 
 def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
     """Refuse files of which each member needs its own under another name."""
     for name in OF_MEMBERS:
         if options.get(name):
-            raise RunError(
-                f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}"
-            )
+            raise Misused(f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}")
     for seed in seeds:
         for read in (settings.box, settings.topology):
             if read and same_file(named(settings.out, seed), read):

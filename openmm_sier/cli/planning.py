@@ -41,8 +41,8 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
         origin: those of the run from whose checkpoint this one starts. They define the System.
 
     Raises:
-        RunError: settings contradict each other, or the topology, or would do nothing; or files that make the System
-            must be named again.
+        Misused: settings contradict each other, or the topology, or would do nothing.
+        RunError: files that make the System must be named again.
         ForceFieldError, OSError: the topology is none, or cannot be read; a file of bodies cannot be read.
         ValueError: a file of bodies describes none.
     """
@@ -62,7 +62,7 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
     _check(settings)
     for name in useless_settings(settings):
         if name in given:
-            raise RunError(f"{flag(name)} needs {_NEEDED[name]}")
+            raise Misused(f"{flag(name)} needs {_NEEDED[name]}")
     return settings
 
 
@@ -96,7 +96,7 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
         given: names of settings that the user gave.
 
     Raises:
-        RunError: one of them was given.
+        Misused: one of them was given.
         ForceFieldError, OSError: the topology is none, or cannot be read.
     """
     if topology is None:
@@ -104,7 +104,7 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
     kind = topology_kind(topology)
     for name in IGNORED[kind]:
         if name in given:
-            raise RunError(f"{flag(name)} has no effect with {topology}, which is {kind}: leave it out")
+            raise Misused(f"{flag(name)} has no effect with {topology}, which is {kind}: leave it out")
     return IGNORED[kind]
 
 
@@ -124,9 +124,11 @@ def _check(settings: RunSettings) -> None:
     """Refuse what no run can have."""
     if settings.ensemble not in settings.method.ensembles:
         possible = ", ".join(settings.method.ensembles)
-        raise RunError(f"{settings.method.name} supports the ensembles {possible}, got {settings.ensemble}")
+        raise Misused(f"{settings.method.name} supports the ensembles {possible}, got {settings.ensemble}")
+    if settings.cutoff and settings.switch and settings.switch >= settings.cutoff:
+        raise Misused(f"--switch {settings.switch:g} must be below --cutoff {settings.cutoff:g}")
     if settings.rigid and settings.method.scheme is None:
-        raise RunError(
+        raise Misused(
             f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} keeps "
             "molecules rigid only by constraints"
         )
@@ -164,14 +166,15 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
     Those given must not contradict the checkpoint, and files that do not lie beside it must be named again.
 
     Raises:
-        RunError: they do, or the checkpoint holds no settings.
+        Misused: settings contradict each other.
+        RunError: they contradict the checkpoint, or it holds no settings.
         OSError, ValueError: a file of bodies cannot be read, or describes none.
     """
     _refuse_both_lengths(given)
     given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
-        raise RunError("--start begins a new run, and --restart continues an old one: give one of them")
+        raise Misused("--start begins a new run, and --restart continues an old one: give one of them")
     for name in CONTINUED:
         value, before = given.get(name), getattr(noted, name)
         if value is not None and not _same(value, before):

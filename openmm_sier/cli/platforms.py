@@ -6,11 +6,26 @@ from pathlib import Path
 import openmm
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.settings import RunSettings
 
 #: In the notes of a checkpoint, the name of the platform, and properties on which the last bits of forces depend.
 NAME, PROPERTIES = "Platform", ("Precision", "Threads")
+
+
+def check_platform(name: str | None) -> None:
+    """Refuse a platform that was asked for and that OpenMM does not have here.
+
+    Raises:
+        Misused: naming those that it has.
+    """
+    here = _platforms()
+    if name is not None and name not in here:
+        raise Misused(f"argument --platform: expected one of those that OpenMM has here, {', '.join(here)}; got {name}")
+
+
+def _platforms() -> list[str]:
+    return [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
 
 
 def platform_of(context: openmm.Context) -> dict[str, str]:
@@ -33,7 +48,7 @@ def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, s
     """
     if settings.platform is not None:
         return settings
-    here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    here = _platforms()
     if noted[NAME] not in here:
         raise RunError(
             f"{checkpoint} was written on the {noted[NAME]} platform, which OpenMM does not have here: choose one of "

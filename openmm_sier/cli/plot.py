@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.logged_runs import read_runs
+from openmm_sier.cli.logged_runs import finding, read_runs, remarks
 from openmm_sier.cli.pictures import canvas, drawing
 
 
@@ -22,7 +22,6 @@ def execute(logs: list[Path], out: Path | None, skip: float | None) -> None:
     canvas.check(path, logs, may_replace=True)
     runs = read_runs(logs, skip)
     drawing.draw(runs, path)
-    note(drawing.title_of(runs))
-    for panel in drawing.panels(runs):
-        note(panel.finding)
+    for text in (finding(runs), *(panel.finding for panel in drawing.panels(runs)), *remarks(runs)):
+        note(text)
     note(f"wrote {path}")

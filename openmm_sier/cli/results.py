@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
-from openmm_sier.analysis.statistics import Estimate, mean_and_error, rms, slope_and_error
+from openmm_sier.analysis.statistics import Estimate, mean_and_error, plain, rms, slope_and_error
 from openmm_sier.inputs.report import duration
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
@@ -23,17 +23,27 @@ class Quantity(NamedTuple):
         name: for tables.
         value: with its error where there is one.
         unit: of both.
-        form: of a value without an error, as Python formats it.
+        form: of a value without an error, as Python formats it; three digits unless given.
     """
 
     name: str
     value: Estimate | float
     unit: str
-    form: str = ".3g"
+    form: str = ""
 
     def __str__(self) -> str:
-        text = str(self.value) if isinstance(self.value, Estimate) else f"{self.value:{self.form}}"
+        text = str(self.value) if isinstance(self.value, Estimate) else self.single(self.value)
         return "-" if text in ("-", "nan") else f"{text} {self.unit}"
+
+    def single(self, value: float) -> str:
+        """Return a value of this quantity in one run, with as many digits as the mean has where that has an error."""
+        mean = self.value
+        if not isinstance(mean, Estimate):
+            return f"{value:{self.form}}" if self.form else plain(value, digits=3)
+        if not (math.isfinite(mean.error) and mean.error > 0):
+            return plain(value)
+        digits = max(0, 1 - math.floor(math.log10(mean.error)))
+        return f"{value:.{digits}f}" if digits < 7 else plain(value)
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from openmm import unit
 
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.console import note
-from openmm_sier.cli.errors import NothingLeft, RunError
+from openmm_sier.cli.errors import Misused, NothingLeft, RunError
 from openmm_sier.cli.files import checkpoints, cuts
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
@@ -45,12 +45,13 @@ def checkpoint_to_resume(given: Mapping[str, Any], locks: FileLocks) -> Path | N
     file is missing, a run that has just removed it says so by its lock.
 
     Raises:
-        RunError: both are asked for, or another command writes there.
+        Misused: both are asked for.
+        RunError: another command writes there.
     """
     checkpoint: Path | None = given.get("restart")
     if given.get("resume"):
         if checkpoint:
-            raise RunError("--resume finds the checkpoint beside --out: leave --restart out")
+            raise Misused("--resume finds the checkpoint beside --out: leave --restart out")
         out = given.get("out") or ("box" in given and trajectory_of(given["box"]))
         checkpoint = checkpoint_of(out) if out else None
     if checkpoint and checkpoint.parent.is_dir():

@@ -8,7 +8,7 @@ from openmm_sier.analysis import read_log
 from openmm_sier.cli import many, results, run_checks
 from openmm_sier.cli.config import joined, read_config, write_config
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import Misused, RunError
+from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.logged_runs import read_runs
 from openmm_sier.cli.pictures import drawing
@@ -33,8 +33,8 @@ def execute(
         seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.execute`; None for one run.
 
     Raises:
-        Misused: there are no coordinates.
-        RunError: settings contradict each other or the checkpoint, or a file is in the way or cannot be written.
+        Misused: there are no coordinates, or settings contradict each other.
+        RunError: settings contradict the checkpoint, or a file is in the way or cannot be written.
         Runaway: the energy or the temperature ran away.
         Stopped: a signal ended the run; the message says how to go on.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
@@ -47,7 +47,7 @@ def execute(
         many.execute(given, seeds, workers, scheduler)
         return
     if workers or scheduler:
-        raise RunError(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
+        raise Misused(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     with FileLocks() as locks, StopRequests() as requests:
         checkpoint = checkpoint_to_resume(given, locks)
         try:

@@ -10,7 +10,7 @@ import openmm
 from openmm_sier.cli import config, results, run_checks
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.console import clock, note, progress_bar
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files.outputs import Outputs, check_place, refuse_to_replace
 from openmm_sier.cli.logged_runs import FEWEST_ROWS
 from openmm_sier.cli.methods import is_heavy
@@ -37,7 +37,8 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
         may_replace: whether a picture and settings of an earlier run are replaced.
 
     Raises:
-        RunError: naming the file, and what is expected.
+        Misused: the name of a picture has a wrong ending, or its log would be too short.
+        RunError: naming the file that is in the way.
         ModuleNotFoundError: there is no matplotlib.
     """
     inputs = [path for path in (settings.box, settings.topology, settings.start) if path]
@@ -46,7 +47,7 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
         rows = settings.steps // settings.interval(settings.report_every) + 1
         if rows < FEWEST_ROWS:
             needs = f"--plot needs a log of {FEWEST_ROWS} rows or more"
-            raise RunError(f"{needs}, and this one would have {rows}: lower --report-every")
+            raise Misused(f"{needs}, and this one would have {rows}: lower --report-every")
     if settings.save_config:
         check_place(settings.save_config, inputs, [*outputs.paths, *outputs.extras[:-1]])
         refuse_to_replace(settings.save_config, "--save-config", config.MARK if may_replace else b"")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from openmm_sier.analysis.many_runs import word
 from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
 from openmm_sier.cli.streams import PROGRAM
@@ -37,12 +37,13 @@ def execute(
         overwrite: whether an existing file is replaced.
 
     Raises:
-        RunError: the file to write is in the way.
+        Misused: the file to write is not a PDB file by its name.
+        RunError: it is in the way.
         ForceFieldError, OSError, ModuleNotFoundError: as their messages say.
     """
     path = out or Path(f"{structure.stem}-water.pdb")
     if path.suffix != ".pdb":
-        raise RunError(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
+        raise Misused(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
     check_place(path, [structure, *(forcefield or ())])
     if not overwrite:
         refuse_to_replace(path, "--out")

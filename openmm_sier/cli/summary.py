@@ -10,7 +10,7 @@ from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
-from openmm_sier.cli.logged_runs import Runs, read_runs, remarks
+from openmm_sier.cli.logged_runs import Runs, finding, read_runs, remarks
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.results import Quantity
 from openmm_sier.version import __version__
@@ -40,8 +40,8 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
     means = runs.means()
     rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
     table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
-    for remark in remarks(runs):
-        note(remark)
+    for text in (finding(runs), *remarks(runs)):
+        note(text)
     written = [path for path in (json, plot) if path]
     if json:
         records.replace(json, memoryview(_as_json(runs, means).encode()))
@@ -61,21 +61,11 @@ def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]
     known = [(value, name) for value, name in named if math.isfinite(value)]
     if not known or len(runs.runs) == 1:
         return ["-", "-"]
-    digits = _digits(over_all)
-    return [f"{value:{digits}} ({name})" for value, name in (min(known), max(known))]
+    return [f"{over_all.single(value)} ({name})" for value, name in (min(known), max(known))]
 
 
 def _number(quantity: Quantity) -> float:
     return quantity.value.value if isinstance(quantity.value, Estimate) else quantity.value
-
-
-def _digits(quantity: Quantity) -> str:
-    """Return the form of values of single runs: as many digits as the mean over runs has, or those of the quantity."""
-    value = quantity.value
-    if not isinstance(value, Estimate) or not (math.isfinite(value.error) and value.error > 0):
-        return quantity.form
-    digits = max(0, 1 - math.floor(math.log10(value.error)))
-    return f".{digits}f" if digits < 7 else ".3g"
 
 
 def _as_json(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> str:
@@ -88,7 +78,9 @@ def _as_json(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> str:
         "length": runs.length,
         "left_out": runs.begin,
         "moved_before": list(runs.moving),
-        "settled": runs.settled,
+        "settled": False if runs.drifting else None if runs.unclear else True,
+        "drifting": list(runs.drifting),
+        "too_short_to_tell": list(runs.unclear),
         "means": [
             {"name": over_all.name, "unit": over_all.unit, **_pair(over_all), "runs": [_pair(one) for one in each]}
             for over_all, each in means

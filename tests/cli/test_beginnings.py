@@ -85,7 +85,7 @@ def test_start_equilibrates_if_asked(box, npt_run, capsys):
 
 def test_starts_that_are_refused(box, npt_run, capsys):
     start = npt_run / "npt.chk"
-    assert "give one of them" in complaint(capsys, "run", box, "--start", start, "--restart", start)
+    assert "give one of them" in complaint(capsys, "run", box, "--start", start, "--restart", start, code=2)
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--start", "none.chk")
     one = SYSTEMS / "tip4p-1.pdb"
     message = complaint(capsys, "run", one, "--start", start, "--forcefield", "tip4p.xml")

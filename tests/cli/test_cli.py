@@ -186,6 +186,9 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
     assert "is at step 100" in complaint(capsys, "run", box, *platform, "--restart", chk, "--steps", 50)
     assert "is not a checkpoint" in complaint(capsys, "run", box, *platform, "--restart", whole_run / "whole.csv")
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
+    for length in (0, 3, 1000):
+        Path("cut.chk").write_bytes(chk.read_bytes()[:length])
+        assert "cut.chk is incomplete: a checkpoint" in complaint(capsys, "run", box, "--restart", "cut.chk")
     for option, value in CHANGED:
         message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)
         assert f"{option} " in message
@@ -222,7 +225,7 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "text.pdb is not a PDB file with atoms" in complaint(capsys, "info", "text.pdb")
     assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
-    assert "must end in .dcd or .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr")
+    assert "must end in .dcd or .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr", code=2)
     assert not list(Path().glob("box.*"))
 
 

@@ -73,7 +73,7 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
     ],
 )
 def test_options_of_another_ensemble(capsys, box, arguments, message):
-    assert message in complaint(capsys, "run", str(box), *arguments)
+    assert message in complaint(capsys, "run", str(box), *arguments, code=2)
 
 
 @pytest.mark.parametrize(

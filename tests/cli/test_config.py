@@ -79,7 +79,7 @@ def test_a_restart_saves_the_settings_of_its_run(box):
 def test_files_that_are_refused(box, capsys, text, message):
     Path("run.toml").write_text(text)
     before = contents(Path())
-    code = 2 if "both" in message else 1
+    code = 1 if "not a TOML file" in message else 2
     assert message in complaint(capsys, "run", box, "--config", "run.toml", code=code)
     assert contents(Path()) == before
 

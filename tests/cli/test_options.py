@@ -79,6 +79,15 @@ def test_this_directory_is_no_file_of_coordinates(capsys):
     assert "argument BOX: expected the name of a file, got '.'" in message
 
 
+def test_the_step_of_other_programs_is_known(capsys):
+    """By their letters alone, --timestep resembles --time most."""
+    for name in ("--timestep", "--time-step", "--stepsize=4", "--timesteps"):
+        message = complaint(capsys, "run", "box.pdb", name, "4", code=MISUSED)
+        assert "Did you mean --dt?" in message
+    assert "Did you mean --time?" in complaint(capsys, "run", "box.pdb", "--tim", "4", code=MISUSED)
+    assert "--dt" not in complaint(capsys, "plot", "box.csv", "--timestep", "4", code=MISUSED)
+
+
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     box = {"box": Path("box.pdb")}
     assert new_settings(box).constraints == "hbonds"

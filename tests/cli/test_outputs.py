@@ -151,18 +151,19 @@ def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypat
 def test_paths_that_are_refused(box, capsys, no_equilibration):
     Path("there.dcd").mkdir()
     Path("full.csv").write_text("mine\n")
-    for options, expected in (
-        (["--out", "there.dcd"], ": there.dcd is not a regular file"),
-        (["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
+    for code, options, expected in (
+        (1, ["--out", "there.dcd"], ": there.dcd is not a regular file"),
+        (2, ["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
-        (["--report", "/dev/null", "--overwrite"], "/dev/null is not a regular file"),
-        (["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
-        (["--report", "full.csv"], "full.csv exists"),
-        (["--report", "x.dcd", "--out", "y.dcd"], "x.dcd will be a table: give a name that ends in .csv"),
-        (["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
-        (["--platform", "Abacus"], 'no registered Platform called "Abacus"'),
+        (1, ["--report", "/dev/null", "--overwrite"], "/dev/null is not a regular file"),
+        (1, ["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
+        (1, ["--report", "full.csv"], "full.csv exists"),
+        (2, ["--report", "x.dcd", "--out", "y.dcd"], "x.dcd will be a table: give a name that ends in .csv"),
+        (2, ["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
+        (2, ["--cutoff", "0.4", "--switch", "0.4"], "--switch 0.4 must be below --cutoff 0.4"),
+        (2, ["--platform", "Abacus"], "--platform: expected one of those that OpenMM has here, Reference, "),
     ):
-        message = complaint(capsys, "run", box, *options)
+        message = complaint(capsys, "run", box, *options, code=code)
         assert expected in message
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
     assert sorted(path.name for path in Path().iterdir()) == ["box.pdb", "full.csv", "there.dcd"]

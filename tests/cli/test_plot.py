@@ -7,22 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier.cli import main
-from openmm_sier.cli.logged_runs import read_run, read_runs
+from openmm_sier.analysis.statistics import mean_and_error
+from openmm_sier.cli.logged_runs import finding, read_run, read_runs
 from openmm_sier.cli.pictures import drawing, series
 from openmm_sier.inputs import starts
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 from tests.support.logs import NOISE, write_log
+from tests.support.series import correlated
 
 pytest.importorskip("matplotlib")
 
-POTENTIAL, ROTATION, DENSITY = "Potential Energy (kJ/mole)", "Rotational Temperature (K)", "Density (g/mL)"
+POTENTIAL, DENSITY = "Potential Energy (kJ/mole)", "Density (g/mL)"
+TRANSLATION, ROTATION = "Translational Temperature (K)", "Rotational Temperature (K)"
 
 
 def findings(*paths, skip=None):
     """The title of the picture of some logs, and those of its panels."""
     runs = read_runs([Path(path) for path in paths], skip)
-    return drawing.title_of(runs), [panel.finding for panel in drawing.panels(runs)]
+    return finding(runs), [panel.finding for panel in drawing.panels(runs)]
 
 
 def eight(ensemble, **options):
@@ -38,10 +40,10 @@ def eight(ensemble, **options):
 @pytest.mark.parametrize(
     ("ensemble", "begins"),
     [
-        ("nve", ["The energy is held to", "The potential energy is", "Rotation has the temperature of translation"]),
-        ("nvt", ["The potential energy is", "No heat of the steps shows", "Rotation has"]),
-        ("npt", ["The potential energy is", "No heat of the steps shows", "Rotation has", "The density is 0."]),
-        ("hmc", ["The potential energy is", "Rotation has", ""]),
+        ("nve", ["The energy is held to", "The potential energy is", "Rotation: no difference from translation shows"]),
+        ("nvt", ["The potential energy is", "No heat of the steps shows", "Rotation: no"]),
+        ("npt", ["The potential energy is", "No heat of the steps shows", "Rotation: no", "The density is 0."]),
+        ("hmc", ["The potential energy is", "Rotation: no", ""]),
     ],
 )
 def test_each_ensemble_has_its_panels(ensemble, begins):
@@ -50,8 +52,8 @@ def test_each_ensemble_has_its_panels(ensemble, begins):
     clock = "500 trials" if ensemble == "hmc" else "20 ps"
     assert title.startswith(f"{clock} without a trend of energy")
     assert len(found) == len(begins)
-    for finding, begin in zip(found, begins, strict=True):
-        assert finding.startswith(begin)
+    for text, begin in zip(found, begins, strict=True):
+        assert text.startswith(begin)
     if ensemble == "hmc":
         # 0.9 and 0.3 kT, each within some standard errors of 501 trials: 0.013 and 0.01.
         assert float(found[-1].split()[0]) == pytest.approx(90, abs=5)
@@ -91,7 +93,8 @@ def test_a_drift_is_told_with_its_error():
 def test_a_cold_rotation_is_told():
     """The error of a mean of 501 temperatures of which three are worth one is 0.9 K; that of a difference 1.3 K."""
     write_log("a.csv", change=lambda log: log.update({ROTATION: log[ROTATION] - 15}))
-    assert findings("a.csv")[1][-1].startswith("Rotation is colder than translation by 1")
+    said = re.fullmatch(r"Rotation is (.+) ± .+ K colder than translation", findings("a.csv")[1][-1])
+    assert float(said[1]) == pytest.approx(15, abs=4)
 
 
 def test_what_had_not_settled_is_left_out_of_means():
@@ -103,15 +106,18 @@ def test_what_had_not_settled_is_left_out_of_means():
     write_log("a.csv", "nvt", change=warm)
     runs = read_runs([Path("a.csv")])
     assert runs.moving == ("potential energy",)
-    assert runs.settled
+    assert (runs.drifting, runs.unclear) == ((), ())
     assert 1 < runs.begin < 6
     title, (energy, *_) = findings("a.csv")
     assert title == f"Settled after {runs.begin:.4g} ps: potential energy. Means are of the rest"
     # The mean of the whole is off by 300/20 = 15. The error of the mean of the rest is 4.4, and its transient below 6.
     assert float(energy.split("is ")[1].split()[0]) == pytest.approx(-5000, abs=16)
     # What is left out can be chosen.
-    assert findings("a.csv", skip=8.0)[0] == "The first 8 ps are left out of all means"
+    title = "12 ps without a trend of energy or temperatures. Means leave out the first 8 ps"
+    assert findings("a.csv", skip=8.0)[0] == title
+    # What then drifts is said.
     assert read_runs([Path("a.csv")], 0).begin == 0
+    assert findings("a.csv", skip=0)[0] == "Not settled in 20 ps: potential energy"
 
 
 def test_a_short_log_tells_no_trend():
@@ -119,13 +125,46 @@ def test_a_short_log_tells_no_trend():
     write_log("a.csv", rows=24)
     title, found = findings("a.csv")
     assert title == "0.92 ps: too short to tell a trend of potential energy, translation and rotation"
-    assert all("≥" in finding or finding.startswith(("The energy", "Rotation")) for finding in found)
+    assert all("≥" in text or text.startswith(("The energy", "Rotation: no difference")) for text in found)
+
+
+def test_a_quantity_with_a_long_memory_is_not_settled_by_the_others():
+    """The density rises with a time of 2.5 ps in runs of 8 ps, and the rest is white or settles within a picosecond."""
+
+    def compress(log):
+        time = log["Time (ps)"]
+        log[DENSITY] = 0.99 + 0.1 * (log[DENSITY] - 0.99) - 0.063 * np.exp(-time / 2.5)
+        log[POTENTIAL] = log[POTENTIAL] + 500 * np.exp(-time / 0.2)
+
+    names = eight("npt", rows=201, change=compress)[:3]
+    runs = read_runs([Path(name) for name in names])
+    assert "density" in (*runs.drifting, *runs.unclear)
+    title, (*_, density) = findings(*names)
+    assert re.match(r"(8 ps: too short to tell a trend of|Not settled in 8 ps:) .*density", title)
+    assert re.match(r"The density (may still drift|still drifts), around", density)
+    # The mean of the whole is 0.971, and that of its second half 0.982.
+    assert runs.begin > 3
+    assert float(density.split("around ")[1].split()[0]) > 0.98
+
+
+def test_a_title_claims_no_more_of_temperatures_than_their_errors_allow():
+    """Rotation keeps 0.97 of its deviations, so that 66 of 1001 rows are worth one."""
+
+    def slow(log):
+        log[ROTATION] = 297 + 12 * correlated(np.random.default_rng(2), len(log[ROTATION]), 0.97)
+
+    log = write_log("a.csv", rows=1001, change=slow)
+    _, (*_, temperatures) = findings("a.csv", skip=0)
+    within = re.fullmatch(r"Rotation: no difference from translation shows within (\S+) K", temperatures)
+    # Written with two digits.
+    off = mean_and_error(log[ROTATION] - log[TRANSLATION])
+    assert float(within[1]) == pytest.approx(3 * off.error * (2 if off.samples < 20 else 1), rel=0.05)
 
 
 def test_what_never_settles_is_told():
     write_log("a.csv", "npt", change=lambda log: log.update({DENSITY: log[DENSITY] + 0.01 * log["Time (ps)"]}))
     title, found = findings("a.csv")
-    assert title == "Not settled in 20 ps: density. Means are of the last half"
+    assert title == "Not settled in 20 ps: density. Means leave out the first 10 ps"
     assert found[-1].startswith("The density still drifts")
 
 
@@ -202,7 +241,9 @@ def test_a_run_draws_at_its_end(box, capsys):
 
 def test_a_run_too_short_for_a_picture_is_refused_before_it(box, capsys):
     command = ["run", box, *SMALL, "--steps", "10", "--plot", "a.png"]
-    assert "--plot needs a log of 3 rows or more, and this one would have 2: lower" in complaint(capsys, *command)
+    assert "--plot needs a log of 3 rows or more, and this one would have 2: lower" in complaint(
+        capsys, *command, code=2
+    )
     assert not contents(Path())
 
 
@@ -253,7 +294,8 @@ def test_wrong_logs_are_refused_in_one_line(capsys, arguments, message):
     write_log("tensor.csv", columns=["Step", "Time (ps)"])
     Path("a.dcd").write_bytes(bytes(range(256)))
     before = contents(Path())
-    assert message in complaint(capsys, "plot", *arguments)
+    code = 2 if "must end in" in message or "given twice" in message else 1
+    assert message in complaint(capsys, "plot", *arguments, code=code)
     assert contents(Path()) == before
 
 
@@ -299,8 +341,13 @@ def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys, monk
     for out, options in (("a", []), ("b", ["--seed", "2"]), ("c", ["--seed", "2", "--dt", "2"])):
         run("run", box, *SMALL, "--steps", "20", "--report-every", "0.004", *options, "--out", f"{out}.dcd")
     capsys.readouterr()
-    assert main.main(["plot", "a.csv", "b.csv"]) == 0
-    assert "warning" not in capsys.readouterr().out
+    run("plot", "a.csv", "b.csv")
+    said = capsys.readouterr().out
+    assert "differ in" not in said
+    assert "ends after" not in said
+    # Nor does a picture hide how they began.
+    assert "Not equilibrated at the start: 2 of 2 runs" in said
+    assert "warning: a.csv: not equilibrated, after 0.1" in said
     run("plot", "a.csv", "b.csv", "c.csv")
     said = capsys.readouterr().out
     assert "warning: c.csv and a.csv differ in dt: their mean belongs to no ensemble" in said

@@ -183,7 +183,7 @@ def test_each_complaint_is_told_once():
 )
 def test_options_that_do_not_go_together(box, capsys, options, message):
     before = contents(Path())
-    assert message in complaint(capsys, "run", box, *options)
+    assert message in complaint(capsys, "run", box, *options, code=main.MISUSED)
     assert contents(Path()) == before
 
 
@@ -237,6 +237,19 @@ def test_a_stop_before_the_first_step_begins_nothing_again(box):
     members = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
     assert [(member.state, member.error) for member in members] == 2 * [("stopped", "")]
     assert not Path("a-seed2.csv").exists()
+
+
+@pytest.mark.slow
+def test_a_process_that_has_computed_may_begin_runs(box, monkeypatch):
+    """A forked child would hang in its first Context. A member is a new program, for which nothing calls `os.fork`."""
+    system = openmm.System()
+    system.addParticle(1)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("CPU"))
+    context.setPositions([openmm.Vec3(0, 0, 0)])
+    context.getIntegrator().step(1)
+    monkeypatch.setattr(os, "fork", None)
+    (member,) = run_many(box, [1], out="a.dcd", platform="CPU", equilibrate=0, steps=1)
+    assert (member.state, member.error) == ("complete", "")
 
 
 @pytest.mark.slow

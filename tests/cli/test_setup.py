@@ -29,8 +29,9 @@ def test_what_is_made_is_read(structure, capsys):
 
 
 def test_files_in_the_way(structure, capsys):
+    message = "--out box.cif: expected the name of a PDB file, which ends in .pdb"
+    assert message in complaint(capsys, "setup", structure, "--out", "box.cif", code=2)
     for name, text in (
-        ("box.cif", "--out box.cif: expected the name of a PDB file, which ends in .pdb"),
         ("1VII.pdb", "1VII.pdb would overwrite the input 1VII.pdb: give another name"),
         ("none/box.pdb", "there is no directory none for box.pdb"),
     ):

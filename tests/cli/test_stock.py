@@ -27,14 +27,15 @@ def test_runs_that_start_from_each_other_have_the_same_motion(box):
 
 
 def test_what_they_cannot_do_is_refused(box, capsys):
-    said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve")
+    said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve", code=2)
     assert "OpenMM LangevinMiddle supports the ensembles nvt, npt, got nve" in said
-    said = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc")
+    said = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc", code=2)
     assert "OpenMM Verlet supports the ensembles nve, nvt, npt, got hmc" in said
-    said = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH")
+    said = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH", code=2)
     assert "--rigid HOH needs a scheme of this package" in said
     seldom = ["--scheme", "verlet", "--ensemble", "npt", "--checkpoint-every", "0.02"]
-    assert "--checkpoint-every 0.02 is too short" in complaint(capsys, "run", box, *seldom, *FAST[:4], *FAST[4:6])
+    said = complaint(capsys, "run", box, *seldom, *FAST[:4], *FAST[4:6], code=2)
+    assert "--checkpoint-every 0.02 is too short" in said
     assert not list(Path().glob("*.csv"))
 
 

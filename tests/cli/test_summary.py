@@ -9,7 +9,8 @@ import pytest
 
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.logged_runs import over_runs
-from tests.support.commands import complaint, contents, run
+from openmm_sier.cli.results import Quantity
+from tests.support.commands import SMALL, complaint, contents, run
 from tests.support.logs import write_log
 
 POTENTIAL, DENSITY = "Potential Energy (kJ/mole)", "Density (g/mL)"
@@ -63,7 +64,7 @@ def test_what_had_not_settled_is_left_out_and_said(capsys):
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--json", "a.json")
     _, rest = written()
     assert rest["moved_before"] == ["potential energy"]
-    told = f"means leave out the first {rest['left_out']:.4g} ps, in which potential energy had not settled"
+    told = f"Settled after {rest['left_out']:.4g} ps: potential energy. Means are of the rest"
     assert told in capsys.readouterr().out
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--skip", "2", "--json", "a.json")
     means, rest = written()
@@ -90,6 +91,66 @@ def test_every_ensemble_and_a_single_run(ensemble):
     assert ("trials accepted" in two) == (ensemble == "hmc")
     assert ("rms(H)/rms(V)" in two) == (ensemble == "nve")
     assert ("density" in two) == (ensemble == "npt")
+
+
+def test_logs_of_one_run_count_once(capsys):
+    """Copies, also of a part of it, with other rows, and a log that goes on in another way."""
+    whole = write_log("a.csv", "npt")
+    write_log("other.csv", "npt", seed=2)
+    Path("copy.csv").write_bytes(Path("a.csv").read_bytes())
+    lines = Path("a.csv").read_text().splitlines(keepends=True)
+    Path("part.csv").write_text("".join(lines[:301]))
+    Path("seldom.csv").write_text("".join([lines[0], *lines[1::5]]))
+    # Three steps that it does not have.
+    Path("later.csv").write_text("".join([lines[0], *(f"9{line}" for line in lines[2:5])]))
+    run("summary", "part.csv", "copy.csv", "other.csv", "a.csv", "seldom.csv", "--json", "a.json")
+    means, rest = written()
+    assert rest["runs"] == ["copy.csv", "other.csv"]
+    assert means["density"]["runs"][0]["value"] == pytest.approx(whole[DENSITY].mean())
+    said = capsys.readouterr().out
+    assert "mean over 2 runs" in said
+    assert "warning: a.csv, part.csv and seldom.csv have the run of copy.csv: it counts once" in said
+    run("plot", "a.csv", "copy.csv")
+    assert "warning: copy.csv has the run of a.csv: it counts once" in capsys.readouterr().out
+    run("summary", "a.csv", "other.csv", "later.csv", "--json", "a.json")
+    assert len(written()[1]["runs"]) == 3
+
+
+def test_runs_of_one_seed_are_told_by_their_checkpoints(box, capsys):
+    """The same command twice; with more rows; from another start; with a log that a GPU would round otherwise."""
+    command = ["run", box, *SMALL, "--ensemble", "nvt", "--time", "0.2"]
+    for out, more in (
+        ("a", []),
+        ("again", ["--report-every", "0.02"]),
+        ("two", ["--seed", "2"]),
+        ("on", ["--start", "a.chk", "--equilibrate", "0.02"]),
+    ):
+        run(*command, *more, "--out", f"{out}.dcd")
+    lines = Path("a.csv").read_text().splitlines(keepends=True)
+    run(*command, "--out", "gpu.dcd")
+    Path("gpu.csv").write_text("".join([*lines[:2], *(line.replace(".", ".0", 2) for line in lines[2:])]))
+    capsys.readouterr()
+    run("summary", "a.csv", "again.csv", "two.csv", "gpu.csv")
+    said = capsys.readouterr().out
+    assert "mean over 2 runs" in said
+    assert "warning: a.csv and gpu.csv have the run of again.csv: it counts once. Give each run a --seed" in said
+    assert "noise" not in said
+    run("summary", "a.csv", "on.csv", "two.csv")
+    said = capsys.readouterr().out
+    assert "mean over 3 runs" in said
+    assert "warning: on.csv has seed, settings and inputs of a.csv, and so the same noise: give each run" in said
+
+
+def test_numbers_of_a_table_are_written_alike(capsys):
+    """A mean without an error has no digits to go by: -2555 stood beside -2.56e+03."""
+    for seed in (1, 2):
+        write_log(
+            f"seed{seed}.csv", "nvt", seed=seed, change=lambda log: log.update({POTENTIAL: 0 * log["Step"] - 2555})
+        )
+    run("summary", "seed1.csv", "seed2.csv")
+    row = next(line for line in capsys.readouterr().out.splitlines() if "potential energy V" in line)
+    assert [cell.strip() for cell in row.split("│")[2:5]] == ["-2555 kJ/mol", "-2555 (seed1)", "-2555 (seed2)"]
+    assert str(Quantity("fluctuation rms(H)", 2555.4, "kJ/mol")) == "2555 kJ/mol"
 
 
 def test_numbers_without_errors_have_that_of_their_scatter_over_runs():

@@ -24,6 +24,9 @@ FORMAT = 1
 #: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
 MOST_NOTES = 2**24
 
+#: With which a zip archive begins that has a file.
+LOCAL_HEADER = b"PK\x03\x04"
+
 
 class Notes(BaseModel):
     """Hold what a checkpoint notes of its run.
@@ -123,7 +126,17 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     except ContentError as error:
         raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run: {error}") from None
     except _UNREADABLE as error:
-        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run") from error
+        raise records.RecordError(_complaint(path)) from error
+
+
+def _complaint(path: Path) -> str:
+    """Say of a file that cannot be read whether it is a checkpoint that was cut off, or none."""
+    with open_regular(path) as file:
+        begin = file.read(len(LOCAL_HEADER))
+        is_cut_off = LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(file)
+    if is_cut_off:
+        return f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied"
+    return f"{path} is not a checkpoint of openmm-sier run"
 
 
 #: What zip, JSON and OpenMM raise where a file is none of theirs. A RuntimeError comes of passwords, and of lists that

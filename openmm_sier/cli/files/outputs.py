@@ -8,7 +8,7 @@ from typing import Any
 import openmm
 
 from openmm_sier.cli.beginning import Simulated
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
@@ -35,7 +35,7 @@ class Outputs:
     def __init__(self, settings: RunSettings, checkpoint: Path):
         """
         Raises:
-            RecordError: a name has the wrong ending.
+            Misused: a name has the wrong ending.
         """
         self.checkpoint, self.saved_step, self._settings = checkpoint, None, settings
         self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(settings, kind.option))}
@@ -46,9 +46,9 @@ class Outputs:
         for name, path in self._grown.items():
             is_trajectory = path.suffix.lower() in FORMATS
             if name == "trajectory" and not is_trajectory:
-                raise records.RecordError(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {path}")
+                raise Misused(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {path}")
             if name != "trajectory" and is_trajectory:
-                raise records.RecordError(f"{path} will be a table: give a name that ends in .csv")
+                raise Misused(f"{path} will be a table: give a name that ends in .csv")
 
     # --- before any is opened ---
 

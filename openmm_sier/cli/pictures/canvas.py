@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
 from openmm_sier.cli.streams import PROGRAM
@@ -64,11 +64,12 @@ def check(path: Path, inputs: Collection[Path], may_replace: bool, outputs: Coll
         may_replace: whether it may take the place of an earlier picture.
 
     Raises:
-        RunError: naming the file, and what is expected.
+        Misused: its name has a wrong ending.
+        RunError: naming the file that is in the way.
         ModuleNotFoundError: there is no matplotlib; the message says how to install it.
     """
     if path.suffix.lower() not in FORMATS:
-        raise RunError(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
+        raise Misused(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
     check_place(path, inputs, outputs)
     refuse_to_replace(path, "--plot", MARKS[path.suffix.lower()] if may_replace else b"")
     try:

@@ -14,7 +14,7 @@ import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
-from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, listed, over_runs, remarks
+from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, finding, listed, over_runs, remarks
 from openmm_sier.cli.pictures import canvas, series
 from openmm_sier.cli.pictures.page import page_of
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
@@ -58,8 +58,8 @@ def draw(runs: Runs, path: Path) -> None:
     """
     found = panels(runs)
     caption = textwrap.fill(caption_of(runs, found), LINE_OF_CAPTION)
-    page = partial(page_of, runs, title_of(runs), [*(each.finding for each in found), *remarks(runs)])
-    with canvas.panels(path, len(found), textwrap.fill(title_of(runs), LINE_OF_TITLE), caption, page) as axes:
+    page = partial(page_of, runs, finding(runs), [*(each.finding for each in found), *remarks(runs)])
+    with canvas.panels(path, len(found), textwrap.fill(finding(runs), LINE_OF_TITLE), caption, page) as axes:
         for each, panel in zip(axes, found, strict=True):
             panel.draw(each)
             series.shade_unsettled(each, runs)
@@ -90,27 +90,6 @@ def panels(runs: Runs) -> list[Panel]:
     return found
 
 
-def title_of(runs: Runs) -> str:
-    """Say whether the runs had settled, and from which part of them all means are taken."""
-    length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length, runs.begin))
-    if not runs.settled:
-        return f"Not settled in {length}: {listed(runs.moving)}. Means are of the last half"
-    if runs.moving:
-        return f"Settled after {begin}: {listed(runs.moving)}. Means are of the rest"
-    if runs.begin:
-        return f"The first {begin} are left out of all means"
-    if short := _short(runs):
-        return f"{length}: too short to tell a trend of {listed(short)}"
-    steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
-    return f"{length} without a trend of {steady}"
-
-
-def _short(runs: Runs) -> list[str]:
-    """Return the names of what has too few independent values for its error to be right."""
-    columns = [name for name in SETTLES if np.isfinite(runs.first.log.get(name, math.nan)).all()]
-    return [SETTLES[name] for name in columns if _over(runs, _mean_of(name)).samples < FEWEST]
-
-
 def caption_of(runs: Runs, found: list[Panel]) -> str:
     """Say what was simulated, and what lines and bands are."""
     width, rows = series.width_of_means(runs)
@@ -134,14 +113,22 @@ def _over(runs: Runs, estimate: Callable[[Run, dict[str, np.ndarray]], Estimate 
     return found if isinstance(found, Estimate) else Estimate(found, math.nan)
 
 
+def _least_told(found: Estimate) -> float:
+    """Return the least difference that a value with this error shows."""
+    # An error from few samples is as little as half of what it should be.
+    return TOLD * found.error * (2 if found.samples < FEWEST else 1)
+
+
 def _is_told(found: Estimate) -> bool:
     """Return whether a value is more than its error."""
-    # An error from few samples is as little as half of what it should be.
-    return abs(found.value) > TOLD * found.error * (2 if found.samples < FEWEST else 1)
+    return abs(found.value) > _least_told(found)
 
 
-def _moving(runs: Runs, column: str) -> bool:
-    return not runs.settled and SETTLES[column] in runs.moving
+def _is(runs: Runs, column: str) -> str:
+    """Return the verb of a mean, by whether its quantity had settled."""
+    if SETTLES[column] in runs.drifting:
+        return "still drifts, around"
+    return "may still drift, around" if SETTLES[column] in runs.unclear else "is"
 
 
 def conserved_energy(runs: Runs) -> Panel:
@@ -171,13 +158,12 @@ def conserved_energy(runs: Runs) -> Panel:
 def potential_energy(runs: Runs) -> Panel:
     """Draw the potential energy with its mean."""
     found = _over(runs, _mean_of(POTENTIAL))
-    tells = "The potential energy still drifts, around" if _moving(runs, POTENTIAL) else "The potential energy is"
 
     def draw(axes: Axes) -> None:
         series.draw(axes, series.means_of(runs, POTENTIAL), ENERGY)
         series.draw_mean(axes, runs, found, ENERGY)
 
-    return Panel(f"{tells} {found} kJ/mol", "V (kJ/mol)", draw)
+    return Panel(f"The potential energy {_is(runs, POTENTIAL)} {found} kJ/mol", "V (kJ/mol)", draw)
 
 
 def heat(runs: Runs) -> Panel:
@@ -222,11 +208,11 @@ def temperatures(runs: Runs) -> Panel:
 
 def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None) -> str:
     """Say what is found of temperatures: what is off most by its own error, from the bath or from translation."""
-    if any(_moving(runs, name) for name in found):
+    if any(SETTLES[name] in runs.drifting for name in found):
         return "Temperatures have not settled"
     if bath is not None:
         off = {name: each._replace(value=each.value - bath) for name, each in found.items()}
-        other = f"the bath, {bath:g} K"
+        other = f"the bath of {bath:g} K"
     else:
         off = {name: _over(runs, _difference(name)) for name in list(found)[1:]}
         other = KINDS[next(iter(found))][0]
@@ -234,16 +220,16 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
         return f"The temperature is {next(iter(found.values()))} K"
     if not all(math.isfinite(each.error) for each in off.values()):
         return "Temperatures: too short to tell them apart"
-    worst = max(off, key=lambda name: abs(off[name].value) - TOLD * off[name].error)
-    kind = KINDS[worst][0]
+    worst = max(off, key=lambda name: abs(off[name].value) - _least_told(off[name]))
     if not _is_told(off[worst]):
-        text = listed([KINDS[name][0] for name in off])
-        has = "has" if len(off) == 1 and kind != "flexible molecules" else "have"
-        return f"{text[0].upper()}{text[1:]} {has} the temperature of {other}"
+        kinds = listed([KINDS[name][0] for name in off])
+        within = max(map(_least_told, off.values()))
+        return f"{kinds[0].upper()}{kinds[1:]}: no difference from {other} shows within {within:.2g} K"
     warmer = "warmer" if off[worst].value > 0 else "colder"
     by = off[worst].times(math.copysign(1, off[worst].value))
+    kind = KINDS[worst][0]
     verb = "is" if kind != "flexible molecules" else "are"
-    return f"{kind[0].upper()}{kind[1:]} {verb} {warmer} than {other} by {by} K"
+    return f"{kind[0].upper()}{kind[1:]} {verb} {by} K {warmer} than {other}"
 
 
 def _mean_of(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
@@ -268,13 +254,12 @@ def _difference(name: str) -> Callable[[Run, dict[str, np.ndarray]], Estimate]:
 def density(runs: Runs) -> Panel:
     """Draw the density with its mean."""
     found = _over(runs, _mean_of(DENSITY))
-    tells = "The density still drifts, around" if _moving(runs, DENSITY) else "The density is"
 
     def draw(axes: Axes) -> None:
         series.draw(axes, series.means_of(runs, DENSITY), Look(GREEN))
         series.draw_mean(axes, runs, found, Look(GREEN))
 
-    return Panel(f"{tells} {found} g/ml", "density (g/ml)", draw)
+    return Panel(f"The density {_is(runs, DENSITY)} {found} g/ml", "density (g/ml)", draw)
 
 
 def acceptance(runs: Runs) -> Panel:
