@@ -52,7 +52,11 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, context: openmm.Context) -> Snapshot:
-        """Return the snapshot of a Context as it is now."""
+        """Return the snapshot of a Context as it is now.
+
+        Raises:
+            openmm.OpenMMException: its positions were never set.
+        """
         state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
         shape = state._getNumParticles(), 3
         # Two arrays, since one of twice the size seldom fits where that of an older snapshot was.
@@ -60,6 +64,9 @@ class Snapshot(NamedTuple):
         # Like getPositions(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Positions, positions)
         state._getVectorAsNumpy(openmm.State.Velocities, velocities)
+        if not positions[:1].any() and not positions.any():
+            # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
+            own_methods.get_state(context, energy=True, groups=0)
         parameters = dict(state.getParameters())
         return cls(positions, velocities, time_of(state), state.getStepCount(), box_of(state), parameters)
 

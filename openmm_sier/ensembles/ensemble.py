@@ -149,7 +149,8 @@ class ConstantTemperature(Ensemble):
         the next move.
 
         Raises:
-            openmm.OpenMMException: the box became too small for the cut-off. The engine is back where it was.
+            openmm.OpenMMException: the box became too small for the cut-off, or OpenMM found no energy. The engine is
+                back where it was.
         """
         ledger, before = engine.ledger, engine.potential_energy()
         sample, volume, size = engine.remember(), engine.volume(), _move_size(engine)
@@ -160,10 +161,11 @@ class ConstantTemperature(Ensemble):
         except BaseException as error:
             engine.undo(sample)
             if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
+                # Other errors, such as positions that are not finite, have nothing to do with the size of the box.
+                remedy = "Take a larger box or a shorter cut-off. " if "periodic box size" in str(error) else ""
                 raise openmm.OpenMMException(
                     f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "
-                    f"{error} Take a larger box or a shorter cut-off. The Context is left at the last completed "
-                    "step"
+                    f"{str(error).rstrip('.')}. {remedy}The Context is left at the last completed step"
                 ) from error
             raise
         probability = move.probability(gain, pressure, volume, GAS_CONSTANT * self.temperature)

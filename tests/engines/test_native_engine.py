@@ -254,3 +254,13 @@ def test_atoms_set_off_their_constraints_are_moved_onto_them(cluster):
         # The same operations. Left to the first step they are others: it changes velocities along the constraints as
         # they are then, which differ by 2 %.
         assert np.abs(one[1] - other[1]).max() < 1e-9
+
+
+def test_positions_that_were_never_set():
+    """They are zeros, of which a body's shape is not to blame."""
+    integrator = SIERIntegrator(0.001, engine="native")
+    context = openmm.Context(cluster_system(3)[2], integrator, openmm.Platform.getPlatformByName("Reference"))
+    for ask in (integrator.getBodyState, integrator.computeTemperatures, lambda: integrator.step(1)):
+        with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
+            ask()
+    assert context.getStepCount() == 0

@@ -312,6 +312,20 @@ def test_a_box_too_small_for_the_cutoff(box):
     assert_same(everything(other), everything(context))
 
 
+def test_an_error_that_is_not_about_the_box(box, monkeypatch):
+    _, system, point = box
+    made = integrator(interval=1)
+    context = context_at(system, made, point)
+
+    def scale(factor):
+        raise openmm.OpenMMException("Something else.")
+
+    monkeypatch.setattr(made.binding.engine, "scale", scale)
+    with pytest.raises(openmm.OpenMMException, match=r"nm\^3: Something else\. The Context is left at the last"):
+        made.step(1)
+    assert context.getStepCount() == 0
+
+
 def test_a_cluster_has_no_pressure():
     _, _, system = cluster_system()
     with pytest.raises(openmm.OpenMMException, match="periodic"):

@@ -176,9 +176,6 @@ class ExactEngine(Engine):
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now, before, point = Snapshot.of(self._context), self._agreed, self._point
-        if point is None and not now.positions.any():
-            # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
-            own_methods.get_state(self._context, energy=True, groups=0)
         moved = point is None or not now.same_positions(before)
         if moved:
             self.start_anew()
