@@ -82,8 +82,10 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
 
     Raises:
         ForceFieldError: there is no such record.
+        OSError: it cannot be read.
     """
-    lines = Path(path).read_text(errors="replace").splitlines()
+    with open_regular(path) as file:
+        lines = file.read().decode(errors="replace").splitlines()
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         such = f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
         remedy = Remedy("name the force field", f"give its `files`, such as {such}", such)

@@ -114,5 +114,5 @@ def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):
     short = ["--platform", "Reference", "--equilibrate", "0", "--ensemble", "nvt"]
     run("run", box, *short, "--steps", "1", "--out", "old.dcd")
     rewrite_notes("old.chk", lambda notes: notes["plan"].pop("thermostat"))
-    run("run", "--restart", "old.chk", "--steps", "2")
+    run("run", box, "--restart", "old.chk", "--steps", "2")
     assert checkpoints.read_notes(Path("old.chk"))["plan"]["thermostat"] == "langevin"

@@ -49,7 +49,7 @@ def test_options_of_the_command_line_take_the_place_of_those_of_the_file(box):
 
 def test_a_restart_saves_the_settings_of_its_run(box):
     run("run", box, *PLATFORM, "--steps", "1", "--seed", "4", "--out", "a.dcd")
-    run("run", "--restart", "a.chk", "--steps", "2", "--save-config", "a.toml")
+    run("run", box, "--restart", "a.chk", "--steps", "2", "--save-config", "a.toml")
     found = read_config(Path("a.toml"))
     assert (found["seed"], found["steps"], "restart" in found) == (4, 2, False)
 

@@ -334,3 +334,6 @@ def test_pipes_beside_other_files_are_not_waited_for(here, capsys):
     # The trajectory of a checkpoint that has nothing left to do, and of one that has.
     for steps in ("2", "4"):
         assert "box.dcd" in complaint(capsys, *RESTART[:-1], steps)
+    Path("box.pdb").unlink()
+    os.mkfifo("box.pdb")
+    assert "box.pdb: not a regular file" in complaint(capsys, "run", *RESTART[2:])

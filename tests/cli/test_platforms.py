@@ -35,7 +35,9 @@ def differences(capsys):
     return [line for line in capsys.readouterr().out.splitlines() if line.startswith("part.chk was written on")]
 
 
-def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, part, capsys):
+def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, box, part, capsys):
+    shutil.copy(box, ".")
+    rewrite_notes(part, lambda notes: notes["plan"].update(box=box.name))
     run("run", "--restart", part, "--steps", 20)
     assert part.with_suffix(".dcd").read_bytes() == (begun / "whole.dcd").read_bytes()
     assert "run needs BOX, a file of coordinates, or --restart" in complaint(
