@@ -131,6 +131,20 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(float(values.mean()), float(np.linalg.norm(errors) / len(values)), float(samples.sum()))
 
 
+def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
+    """Return the mean over runs, with an error from their scatter or, for few runs, from their errors.
+
+    Where few runs have no errors, their scatter is taken all the same, and marked as of few samples.
+    """
+    if len(values) == 1:
+        return values[0]
+    estimates = [value if isinstance(value, Estimate) else Estimate(value, math.nan) for value in values]
+    found = pooled(estimates)
+    if math.isfinite(found.error):
+        return found
+    return of_independent(np.array([each.value for each in estimates]))._replace(samples=len(values))
+
+
 def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:
     """Return an estimate from all of n samples, and its standard error from leaving out groups of them.
 
@@ -168,7 +182,10 @@ class Settling(NamedTuple):
 def settled_from(series: np.ndarray) -> int:
     """Return the index from which a series (n,) fluctuates about one mean; 0 if it does so from the start.
 
-    A series whose rest still has a trend has not settled: its length is returned.
+    It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
+    by more than chance gives it. A series whose rest still has a trend has not settled: its length is returned.
+
+    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
 
     >>> series = np.random.default_rng(1).normal(size=1000)
     >>> series[:100] += 20
@@ -179,13 +196,11 @@ def settled_from(series: np.ndarray) -> int:
 
 
 def settling(series: np.ndarray) -> Settling:
-    """Return from where on a series (n,) fluctuates about one mean, and how well that is known.
+    """Return from where on a series (n,) fluctuates about one mean, as `settled_from`, and how well that is known.
 
-    It is where the rest has the most independent values. Where the whole series has enough of them, a beginning is left
-    out only if its mean differs from that of the rest by `UNSETTLED` standard errors. Where no rest has enough, it is
-    where no doubtful trend is left, or half of the series.
-
-    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    Where the whole series has enough independent values, a beginning is left out only if its mean differs from that of
+    the rest by `UNSETTLED` standard errors. Where no rest has enough, it is left out until no doubtful trend is left,
+    but at most half of the series.
     """
     values = np.asarray(series, dtype=float)
     n = len(values)

@@ -13,7 +13,7 @@ import numpy as np
 
 from openmm_sier.analysis import read_log
 from openmm_sier.analysis.observables import blocks
-from openmm_sier.analysis.statistics import FEWEST, Estimate, of_independent, pooled, rms, settling
+from openmm_sier.analysis.statistics import FEWEST, over_runs, rms, settling
 from openmm_sier.cli import results
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files import checkpoints
@@ -208,20 +208,6 @@ def listed(names: Sequence[str]) -> str:
     """Names in a sentence."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
-
-
-def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
-    """Return the mean over runs, with an error from their scatter or, for few runs, from their errors.
-
-    Where few runs have no errors, their scatter is taken all the same, and marked as of few samples.
-    """
-    if len(values) == 1:
-        return values[0]
-    estimates = [value if isinstance(value, Estimate) else Estimate(value, math.nan) for value in values]
-    found = pooled(estimates)
-    if math.isfinite(found.error):
-        return found
-    return of_independent(np.array([each.value for each in estimates]))._replace(samples=len(values))
 
 
 # --- to read them ---

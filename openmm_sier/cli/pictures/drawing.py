@@ -13,8 +13,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
-from openmm_sier.analysis.statistics import ENOUGH_RUNS, FEWEST, Estimate, mean_and_error, rms, slope_and_error
-from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, finding, listed, over_runs, remarks
+from openmm_sier.analysis.statistics import (
+    ENOUGH_RUNS,
+    FEWEST,
+    Estimate,
+    mean_and_error,
+    over_runs,
+    rms,
+    slope_and_error,
+)
+from openmm_sier.cli.logged_runs import SETTLES, Run, Runs, finding, listed, remarks
 from openmm_sier.cli.pictures import canvas, series
 from openmm_sier.cli.pictures.page import page_of
 from openmm_sier.cli.pictures.series import BLUE, GREEN, PURPLE, VERMILION, Look
