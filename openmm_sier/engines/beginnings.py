@@ -44,15 +44,15 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
         own_methods.constrain_positions(context, TOLERANCE)
         context.computeVirtualSites()
         constrained = Snapshot.of(context).positions
+        is_finite = np.isfinite(constrained).all(axis=1)
+        if not is_finite.all():
+            raise openmm.OpenMMException(
+                "No minimization can begin here, since OpenMM cannot satisfy the constraints of "
+                f"{_named(int(is_finite.argmin()), now.positions)}: give other positions"
+            )
         state = own_methods.get_state(context, energy=True, forces=True, groups=groups)
     finally:
         own_methods.set_positions(context, now.positions)
-    is_finite = np.isfinite(constrained).all(axis=1)
-    if not is_finite.all():
-        raise openmm.OpenMMException(
-            "No minimization can begin here, since OpenMM cannot satisfy the constraints of "
-            f"{_named(int(is_finite.argmin()), now.positions)}: give other positions"
-        )
     energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     if not np.isfinite(energy):
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)

@@ -1,12 +1,16 @@
 """What somebody changes in a Context between steps acts from the next step on, and what cannot be is refused."""
 
+from functools import partial
+
 import numpy as np
 import openmm
 import pytest
 from openmm import app
 
-from openmm_sier import SIER2, SIER4, SIERIntegrator
+from openmm_sier import SIER2, SIER4, SIERHMCIntegrator, SIERIntegrator
+from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.stability.runaway import RunawayError
+from openmm_sier.system import own_methods
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
 
@@ -118,6 +122,32 @@ def test_a_run_that_ends_in_no_numbers_says_so(engine):
 
 
 @both_engines
+@pytest.mark.parametrize("make", [SIERIntegrator, partial(SIERHMCIntegrator, 300.0, stepsPerTrial=30)])
+def test_no_step_begins_where_atoms_are_lost(engine, make, monkeypatch):
+    """On Reference, whose PME writes outside of its mesh there, which ends the process."""
+    periodic = openmm.HarmonicBondForce()
+    periodic.setUsesPeriodicBoundaryConditions(True)
+    system = assembled([16.0], field("100*sqrt(0.1 - x)", [0]), periodic)
+    integrator = make(0.002, scheme=SIER2, engine=engine)
+    context = context_at(system, integrator, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
+    own_step, begun = openmm.CustomIntegrator.step, []
+
+    def step(integrator, steps):
+        state = own_methods.get_state(context, positions=True, velocities=True)
+        vectors = state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+        begun.append(steps == 1 and np.isfinite(vectors).all())
+        own_step(integrator, steps)
+
+    monkeypatch.setattr(openmm.CustomIntegrator, "step", step)
+    # The atom meets the place where its energy is no number within 25 steps; a trial goes there and back first.
+    monkeypatch.setattr(Metropolis, "_draw_momenta", lambda *_: None)
+    with pytest.raises(openmm.OpenMMException, match=r"not finite|missed its start by inf"):
+        integrator.step(60)
+    assert all(begun)
+    assert bool(begun) == (engine == "native")
+
+
+@both_engines
 @pytest.mark.parametrize("mass", [-0.1, np.nan, np.inf])
 def test_impossible_masses_are_refused(engine, mass):
     system = assembled([mass, 1.0])
@@ -155,9 +185,17 @@ def on_its_own_atom(positions):
     ],
     ids=["molecules", "atoms of a molecule"],
 )
-def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap, named):
+def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap, named, monkeypatch):
     """OpenMM's minimizer goes on for ever where the energy is no number."""
     topology, system, point = cluster
+    get_state = own_methods.get_state
+
+    def at_finite_positions(context, *arguments, energy=False, **named):
+        # PME of Reference writes outside of its mesh elsewhere.
+        assert not energy or np.isfinite(get_state(context, positions=True).getPositions(asNumpy=True)._value).all()
+        return get_state(context, *arguments, energy=energy, **named)
+
+    monkeypatch.setattr(own_methods, "get_state", at_finite_positions)
     simulation = app.Simulation(topology, system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
     positions = point[0].copy()
     overlap(positions)

@@ -92,6 +92,8 @@ class NativeEngine(Engine):
         platform = context.getPlatform()
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
         self._known = KnownAtoms(context, is_single=precision == "single")
+        #: Whether OpenMM computes forces even at positions that are not finite, where PME writes outside of its mesh.
+        self._is_unguarded = platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
         if precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
@@ -212,14 +214,27 @@ class NativeEngine(Engine):
         return 1
 
     def _native_steps(self, number: int) -> None:
+        at_once = 1 if self._is_unguarded else number
         try:
-            openmm.CustomIntegrator.step(self._integrator, number)
+            for _ in range(0, number, at_once):
+                openmm.CustomIntegrator.step(self._integrator, at_once)
+                if self._is_unguarded:
+                    self._refuse_lost_atoms()
         except openmm.OpenMMException as error:
             # What follows begins with the first part of a step.
             self._integrator.setGlobalVariableByName(PART, 0.0)
-            if "nan" in str(error).lower():
+            if "nan" in str(error).lower() and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
             raise
+
+    def _refuse_lost_atoms(self) -> None:
+        """Raise a TrajectoryError where positions or velocities are not finite, and the next step would need forces."""
+        now = Snapshot.of(self._context)
+        if not (np.isfinite(now.positions).all() and np.isfinite(now.velocities).all()):
+            raise TrajectoryError(
+                f"Positions or velocities are not finite after step {now.steps}. Is the step size too long, or do "
+                "atoms overlap?"
+            )
 
     def _completed(self, steps: int) -> None:
         self._follows_bath = self._follows_bath or steps > 0
