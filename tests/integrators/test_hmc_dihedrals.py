@@ -73,7 +73,7 @@ def sampled(dipeptide, integrator, every):
 
 def distances(one, other):
     """Differences of the means in joint standard errors, (4,)."""
-    return np.abs(one[:, 0] - other[:, 0]) / np.hypot(one[:, 1], other[:, 1])
+    return (one[:, 0] - other[:, 0]) / np.hypot(one[:, 1], other[:, 1])
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +95,16 @@ def unchecked(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 def test_the_rule_mends_a_wrong_scheme(dipeptide, expected):
-    """Trajectories with weak kicks are reversible and keep the volume of phase space; the rule needs no more."""
-    kick = Stage(KICK, 0.35)
+    """Trajectories with weak kicks are reversible and keep the volume of phase space; the rule needs no more.
+
+    Without the rule the temperature is 1/0.6 as high, and the distances of the cosines are -6.7 and -4.7, together -8.
+    """
+    kick = Stage(KICK, 0.3)
     scheme = Scheme("weak kicks", (kick, Stage(DRIFT, 1.0), kick))
     integrator = SIERHMCIntegrator(TEMPERATURE, 0.002, scheme, 20, FRICTION, engine="native")
-    assert (distances(sampled(dipeptide, integrator, 3), expected) < 3.5).all()
-    assert 0.1 < integrator.acceptanceRate < 0.6
+    found = distances(sampled(dipeptide, integrator, 3), expected)
+    # Standard errors: five right ones exceed the limit with a probability of 4e-10.
+    assert (np.abs(found) < 6.5).all()
+    assert abs(found[0] + found[2]) / np.sqrt(2) < 6.5
+    # The rule has something to do. Of 3000 trials some third is accepted.
+    assert 0.05 < integrator.acceptanceRate < 0.9
