@@ -100,10 +100,11 @@ def refuse_drude_particles(system: openmm.System) -> None:
 
 
 def refuse_impossible_numbers(system: openmm.System) -> None:
-    """Refuse masses and lengths of constraints that no motion can have; OpenMM takes them as they are.
+    """Refuse masses and constraints that no motion can have; OpenMM takes them as they are.
 
     Raises:
-        openmm.OpenMMException: a mass is negative or not finite, or a length is not positive or not finite.
+        openmm.OpenMMException: a mass is negative or not finite; a constraint has a length that is not positive or not
+            finite, or does not join two particles of the System.
     """
     masses = tables.masses(system)
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
@@ -113,6 +114,13 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
             "hydrogens get more mass than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
     rows = tables.constraint_rows(system)
+    ends = rows[:, :2]
+    is_particle = (ends >= 0) & (ends < len(masses))
+    if (wrong := ~is_particle.all(axis=1) | (ends[:, 0] == ends[:, 1])).any():
+        i, j = ends[wrong.argmax()].tolist()
+        raise openmm.OpenMMException(
+            f"A constraint joins the particles {i:.0f} and {j:.0f}: expected two different ones, of {len(masses)}"
+        )
     if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
         i, j, length = rows[wrong.argmax()].tolist()
         raise openmm.OpenMMException(
