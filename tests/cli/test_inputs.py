@@ -375,9 +375,12 @@ def test_a_barostat_in_a_system_is_refused(capsys):
         (lambda system: system.setParticleMass(4, float("nan")), "The mass of particle 4 is nan dalton"),
         (lambda system: system.addConstraint(4, 5, -0.1), "The constraint of particles 4 and 5 has the length -0.1 nm"),
         (lambda system: system.addConstraint(4, 4, 0.1), "A constraint joins the particles 4 and 4: expected two"),
-        (lambda system: system.addConstraint(4, 9999, 0.1), "A constraint joins the particles 4 and 9999: expected two"),
+        (
+            lambda system: system.addConstraint(4, 9999, 0.1),
+            "A constraint joins the particles 4 and 9999: expected two",
+        ),
     ],
-    ids=["negative mass", "mass", "constraint"],
+    ids=["negative mass", "mass", "constraint", "one atom", "no atom"],
 )
 def test_a_system_with_impossible_numbers_is_refused(capsys, change, message):
     change_system(change)
