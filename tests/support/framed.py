@@ -54,7 +54,7 @@ def system_of(*names, apart=2.5):
         masses, shape = SHAPES[name]
         bodies.append([system.addParticle(mass) for mass in masses.tolist()])
         places.append(shape @ turn([number, 1, 2], number + 0.3) + [apart * number, 0.1, 0.2])
-    return system, displaced(np.concatenate(places), system), bodies
+    return system, displaced(np.concatenate(places), system, bodies), bodies
 
 
 def polar(system, bodies, charge=0.15, sigma=0.3, epsilon=0.3):

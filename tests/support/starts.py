@@ -1,6 +1,6 @@
 """Starting points of test systems, kept as files, and displaced as the tests' option `--displaced` asks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -49,25 +49,26 @@ def stored(name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np
         return dict(arrays)
 
 
-def displaced(positions: np.ndarray, system: openmm.System) -> np.ndarray:
+def displaced(positions: np.ndarray, system: openmm.System, bodies: Sequence[Sequence[int]] = ()) -> np.ndarray:
     """Positions (N, 3) in nm, displaced by `DISTANCE` if the option `--displaced` is given.
 
-    Atoms that constraints or virtual sites join move as one, so that constraints hold as well as before. Where one of
+    Atoms that constraints, virtual sites or `bodies` join move as one, so that shapes stay as they are. Where one of
     them is frozen, none of them moves.
     """
     if Options.seed is None:
         return positions
-    count, unit, frozen = _units(system)
+    count, unit, frozen = _units(system, bodies)
     directions = np.random.default_rng(Options.seed).normal(size=(count, 3))
     directions *= DISTANCE / np.linalg.norm(directions, axis=1, keepdims=True)
     directions[unit[frozen]] = 0.0
     return positions + directions[unit]
 
 
-def _units(system):
+def _units(system, bodies):
     """The number of units, for each particle (N,) that of its own, and the frozen particles."""
     n = system.getNumParticles()
     joined = [system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints())]
+    joined += [(body[0], i) for body in bodies for i in body[1:]]
     frozen = []
     for i in range(n):
         if system.isVirtualSite(i):
