@@ -13,7 +13,7 @@ from openmm_sier.cli.files.trajectories import DCDTrajectory, XTCTrajectory
 from tests.support.commands import SMALL, complaint, contents, frames, run, write_lattice
 
 TENSORS = ["--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
-AGAIN = ["run", "--platform", "Reference"]
+AGAIN = ["run", "../box.pdb", "--platform", "Reference"]
 
 #: Checkpoints of `SMALL` are 25 steps apart, frames 5, rows of the log and of tensors 10.
 FIRST, WITHIN, BEYOND = 25, 45, 60
@@ -88,14 +88,14 @@ def test_what_a_killed_run_wrote_is_cut_off_and_said(there, capsys, kind):
     # Rows are written every 10 steps, of which 40 is the last.
     said = f"cuts back to 0.1 ps, where box.chk is: box.{kind} from 0.18 ps, box.csv from 0.16 ps, p.csv from 0.16 ps"
     assert said in capsys.readouterr().out
-    assert frames(Path(f"box.{kind}"), Path("box.pdb")).n_frames == (FIRST + 5) // 5
+    assert frames(Path(f"box.{kind}"), Path("../box.pdb")).n_frames == (FIRST + 5) // 5
 
 
 def test_overwrite_allows_the_cut_and_the_cut_is_said(there, capsys):
     there("dcd", BEYOND)
     run(*AGAIN, "--restart", "old.chk", "--steps", FIRST + 5, "--overwrite")
     assert "cuts back to 0.1 ps, where old.chk is: box.dcd from 0.24 ps" in capsys.readouterr().out
-    assert frames(Path("box.dcd"), Path("box.pdb")).n_frames == (FIRST + 5) // 5
+    assert frames(Path("box.dcd"), Path("../box.pdb")).n_frames == (FIRST + 5) // 5
 
 
 # --- records ---
