@@ -38,6 +38,18 @@ ONE_PLACE = 1e-9
 OTHER_MOMENT = 1e-6
 
 
+def _direction(coordinates: np.ndarray) -> float:
+    """Return 1 or -1, by which the first of the outermost atoms along an axis comes onto its positive side.
+
+    An eigenvector is known up to its sign, for which rounding decides. The noise of a heat bath is drawn along the axes,
+    so a run with a seed would be another one on another processor.
+    """
+    distances = np.abs(coordinates)
+    # Symmetric atoms are equally far out to rounding.
+    first = coordinates[np.argmax(distances >= 0.9 * distances.max())]
+    return -1.0 if first < 0 else 1.0
+
+
 class RigidityError(ValueError):
     """Atoms do not form the rigid body that they are meant to form."""
 
@@ -104,7 +116,9 @@ class Species:
         sites = (r @ axes).T
         sites[np.abs(sites) <= ON_AXIS * np.abs(sites).max()] = 0.0
         sites[np.abs(sites).max(axis=1) <= resolution] = 0.0
-        return cls.from_sites(atoms, masses, sites)
+        x, y = map(_direction, sites[:2])
+        # Adding zero makes zeros positive.
+        return cls.from_sites(atoms, masses, np.array([[x], [y], [x * y]]) * sites + 0.0)
 
     @classmethod
     def from_sites(cls, atoms: ArrayLike, masses: np.ndarray, sites: np.ndarray) -> Species:
