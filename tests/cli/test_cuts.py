@@ -13,7 +13,7 @@ from openmm_sier.cli.files.trajectories import DCDTrajectory, XTCTrajectory
 from tests.support.commands import SMALL, complaint, contents, frames, run, write_lattice
 
 TENSORS = ["--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
-AGAIN = ["run", "--platform", "Reference"]
+AGAIN = ["run", "../box.pdb", "--platform", "Reference"]
 
 #: Checkpoints of `SMALL` are 25 steps apart, frames 5, rows of the log and of tensors 10.
 FIRST, WITHIN, BEYOND = 25, 45, 60
