@@ -116,7 +116,7 @@ def locate(name: str, beside: Path) -> str:
     return name
 
 
-def foreign(names: Iterable[str], beside: Path) -> dict[str, Path]:
+def foreign_files(names: Iterable[str], beside: Path) -> dict[str, Path]:
     """Return the force-field files that come neither with OpenMM nor with this project, by name; see `load`."""
     located = {name: Path(locate(name, beside)) for name in names}
     return {name: path for name, path in located.items() if not _is_installed(path)}
