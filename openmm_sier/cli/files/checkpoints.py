@@ -139,8 +139,8 @@ def _complaint(path: Path) -> str:
     return f"{path} is not a checkpoint of openmm-sier run"
 
 
-#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords, and for lists that are
-#: nested too deeply.
+#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords and for lists that
+#: are nested too deeply.
 _UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
 
 
