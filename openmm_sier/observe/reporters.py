@@ -75,7 +75,8 @@ class _TableReporter(_Reporter):
             row = file.read().rpartition(b"\n")[2]
             if len(row) == LONGEST_ROW:
                 raise ValueError(
-                    f"{self._path} cannot be continued: its last row has no end within {LONGEST_ROW} bytes. Name another file"
+                    f"{self._path} cannot be continued: its last row has no end within {LONGEST_ROW} bytes. Name "
+                    "another file"
                 )
             file.truncate(end - len(row))
         if row:
