@@ -350,6 +350,7 @@ class ExactEngine(Engine):
     # --- news from outside ---
 
     def forces_changed(self) -> None:
+        super().forces_changed()
         if self._parts is not None:
             self._parts.forces_changed()
 

@@ -397,6 +397,7 @@ class NativeEngine(Engine):
         self._follows_bath = False
 
     def forces_changed(self) -> None:
+        super().forces_changed()
         # OpenMM itself considers no force valid after that.
         self._potential = None
 
