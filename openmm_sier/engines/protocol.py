@@ -100,7 +100,7 @@ class Engine(ABC):
         self._context_ref = weakref.ref(task.context)
         self.flow = task.flow
         self.stored, self.ledger = task.stored, task.stored.ledger
-        #: Of the System, once somebody has asked; None again after its Forces have changed.
+        #: Of the System; None before they are needed, and after its Forces have changed.
         self._bonds: Bonds | None = None
 
     @property

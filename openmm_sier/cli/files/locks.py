@@ -104,7 +104,7 @@ def _mark(descriptor: int) -> None:
 
 
 def _refuse_unwritable(path: Path, place: Path) -> None:
-    """Refuse a file for whose lock nobody can make a file, which `FileLock` takes for one that somebody has removed.
+    """Refuse a file whose lock file cannot be created; `FileLock` waits as if another process had just removed it.
 
     Raises:
         RunError: naming the file.
