@@ -99,7 +99,8 @@ class Engine(ABC):
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
         self._context_ref = weakref.ref(task.context)
         self.flow = task.flow
-        self.stored, self.ledger = task.stored, task.stored.ledger
+        self.stored = task.stored
+        self.ledger = task.stored.ledger
         #: Of the System; None before they are needed, and after its Forces have changed.
         self._bonds: Bonds | None = None
 

@@ -82,7 +82,9 @@ class Remedies:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies, links: Links):
         """Take a System, its bodies, and what joins its atoms."""
-        self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
+        self._owner = bodies.owners.copy()
+        self._moving = bodies.owners >= 0
+        self._points = bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)

@@ -135,7 +135,10 @@ def _complaint(path: Path) -> str:
         begin = file.read(len(LOCAL_HEADER))
         is_cut_off = LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(file)
     if is_cut_off:
-        return f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied"
+        return (
+            f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied. Give "
+            "the whole file"
+        )
     return f"{path} is not a checkpoint of openmm-sier run"
 
 
@@ -177,4 +180,6 @@ def _checked(path: Path, noted: Any) -> dict[str, Any]:
 
 
 def _damaged(path: Path, reason: str) -> records.RecordError:
-    return records.RecordError(f"{path} is damaged, or is not a checkpoint of openmm-sier run: {reason}")
+    return records.RecordError(
+        f"{path} is damaged, or is not a checkpoint of openmm-sier run: {reason}. Give another one, or begin a new run"
+    )

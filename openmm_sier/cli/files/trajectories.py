@@ -40,7 +40,9 @@ class Trajectory(GrowingFile):
     def __init__(self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None):
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
-        self._topology, self._dt, self._interval = topology, dt, interval
+        self._topology = topology
+        self._dt = dt
+        self._interval = interval
 
     @abstractmethod
     def write(self, positions: Quantity, box: Quantity) -> None:
