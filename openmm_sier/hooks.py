@@ -75,8 +75,8 @@ def install() -> None:
 def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
     """Replace a method by a function; one that replaced it earlier is removed.
 
-    The function takes OpenMM's method, and then the arguments of a call, those that it reads under OpenMM's names and
-    with OpenMM's defaults.
+    The function gets OpenMM's method, and then the arguments of each call. Where it reads an argument, that has
+    OpenMM's name and default, `object` too, so that calls by keyword work.
     """
     if name not in vars(cls):
         return

@@ -12,7 +12,7 @@ import mdtraj
 import numpy as np
 
 from openmm_sier import analysis
-from openmm_sier.analysis.many_runs import words
+from openmm_sier.analysis.many_runs import arguments
 from openmm_sier.cli.errors import NothingLeft
 
 #: Names of the files of a run.
@@ -37,7 +37,7 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     begin = ["--out", TRAJECTORY, "--overwrite"]
     way = ["--restart", CHECKPOINT] if (directory / CHECKPOINT).exists() else begin
-    given = [word for name, value in options.items() for word in words(name, value)]
+    given = [each for name, value in options.items() for each in arguments(name, value)]
     line = [sys.executable, "-m", "openmm_sier.cli", "run", str(box.resolve()), *given, *way]
     done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
     if done.returncode not in (0, NothingLeft.exit_code):

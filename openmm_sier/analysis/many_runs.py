@@ -142,20 +142,20 @@ def named(path: Path, seed: int) -> Path:
 
 def _line(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
     """Return the words of the command line of a member."""
-    line = ["run", word(box), "--seed", str(member.seed), "--out", word(member.out), "--resume"]
-    return line + [each for name, value in options.items() if value is not None for each in words(name, value)]
+    line = ["run", argument(box), "--seed", str(member.seed), "--out", argument(member.out), "--resume"]
+    return line + [each for name, value in options.items() if value is not None for each in arguments(name, value)]
 
 
-def words(name: str, value: Any) -> list[str]:
-    """Return the words of a command line that give an option, by its name with underscores, a value."""
+def arguments(name: str, value: Any) -> list[str]:
+    """Return the arguments of a command line that give an option, by its name with underscores, a value."""
     flag = f"--{name.replace('_', '-')}"
     if isinstance(value, bool):
         return [flag if value else f"--no-{flag[2:]}"]
-    return [flag, *map(word, value if isinstance(value, (list, tuple)) else [value])]
+    return [flag, *map(argument, value if isinstance(value, (list, tuple)) else [value])]
 
 
-def word(value: Any) -> str:
-    """Return a value as a word that is not taken for an option, which a number below zero is not."""
+def argument(value: Any) -> str:
+    """Return a value as an argument that no parser takes for an option; negative numbers are none by themselves."""
     text = str(value)
     return f"./{text}" if text.startswith("-") and not isinstance(value, (int, float)) else text
 

@@ -32,7 +32,7 @@ LONGEST_BEGINNING = 0.5
 #: also have a slow part which a run hardly shows, one in twenty.
 UNSETTLED, FEW_SETTLED = 4.0, 10
 
-#: Standard errors of a trend from which on it is left out of a series that is too short to tell.
+#: Standard errors of a trend that is left out of a series too short to tell.
 DOUBTFUL = 2.0
 
 
@@ -56,9 +56,9 @@ class Estimate(NamedTuple):
         if math.isnan(self.value):
             return "-"
         if not math.isfinite(self.error):
-            return f"{plain(self.value)} ± ?"
+            return f"{format_number(self.value)} ± ?"
         if not self.error:
-            return plain(self.value)
+            return format_number(self.value)
         exponent = math.floor(math.log10(max(abs(self.value), self.error)))
         if not -4 <= exponent < 7:
             return f"({self.times(10.0**-exponent)})e{exponent}"
@@ -70,10 +70,10 @@ class Estimate(NamedTuple):
         return self._replace(value=self.value * factor, error=self.error * abs(factor))
 
 
-def plain(value: float, digits: int = 4) -> str:
+def format_number(value: float, digits: int = 4) -> str:
     """Return a number with so many significant digits, and without an exponent from 1e-4 to 1e7.
 
-    >>> plain(-12345.6), plain(0.0123456, digits=2)
+    >>> format_number(-12345.6), format_number(0.0123456, digits=2)
     ('-12346', '0.012')
     """
     text = f"{value:.{digits}g}"
@@ -168,11 +168,11 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
 
 
 class Settling(NamedTuple):
-    """Tell from where on a series fluctuates about one mean.
+    """The beginning of the part of a series that fluctuates about one mean.
 
     Attributes:
-        begin: index of the first value there; the length of the series if it has a trend to its end.
-        samples: number of independent values from there on. Fewer than `FEWEST` do not show a trend.
+        begin: index of its first value; the length of the series if that has a trend to its end.
+        samples: number of independent values in it. Fewer than `FEWEST` do not show a trend.
     """
 
     begin: int
@@ -196,7 +196,7 @@ def settled_from(series: np.ndarray) -> int:
 
 
 def settling(series: np.ndarray) -> Settling:
-    """Return from where on a series (n,) fluctuates about one mean, as `settled_from`, and how well that is known.
+    """Return the part of a series (n,) that fluctuates about one mean, as `settled_from`, and its independent values.
 
     Where the whole series has enough independent values, a beginning is left out only if its mean differs from that of
     the rest by `UNSETTLED` standard errors. Where no rest has enough, it is left out until no doubtful trend is left,
@@ -214,7 +214,7 @@ def settling(series: np.ndarray) -> Settling:
     if samples[0] >= FEWEST and best and not _begins_elsewhere(values, int(begins[best])):
         best = 0
     begin = int(begins[best])
-    if _is_told(*_trend(values[begin:])):
+    if _is_significant(*_trend(values[begin:])):
         return Settling(n, float(samples[best]))
     if samples[best] < FEWEST:
         trends = (_trend(values[begin:]) for begin in begins)
@@ -229,7 +229,7 @@ def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
     memory = inefficiency(rest)
     samples = max(1.0, len(rest) / memory)
     error = rms(rest) * math.sqrt(min(1.0, memory / begin) + 1 / samples)
-    return _is_told(abs(first.mean() - rest.mean()), error, samples)
+    return _is_significant(abs(first.mean() - rest.mean()), error, samples)
 
 
 def _trend(values: np.ndarray) -> tuple[float, float, float]:
@@ -246,7 +246,7 @@ def _trend(values: np.ndarray) -> tuple[float, float, float]:
     return abs(line[-1] - line[0]), rms(values - line) * math.sqrt(12 / samples), samples
 
 
-def _is_told(difference: float, error: float, samples: float) -> bool:
+def _is_significant(difference: float, error: float, samples: float) -> bool:
     return difference > UNSETTLED * error * (1 + FEW_SETTLED / samples)
 
 

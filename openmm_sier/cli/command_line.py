@@ -32,8 +32,8 @@ EXIT_CODES = """Exit codes:
   included, and --restart continues the run
 """
 
-#: Names that other programs have for options, which resemble other options of ours.
-OF_OTHERS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
+#: Options by names of other programs, for which the parser would suggest a wrong one.
+OF_OTHER_PROGRAMS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
 
 #: Settings of a run as options, of which none has to be given.
 if TYPE_CHECKING:
@@ -286,9 +286,9 @@ def _described(error: CycloptsError) -> str:
 
 
 def _meant(error: UnknownOptionError) -> str:
-    """Return the option that was meant by a name of other programs, or by one with a letter more or less; else ""."""
-    there = {name for argument in error.argument_collection or () for name in argument.names}
+    """Return the command's option for a name of other programs, or nearly one; else ""."""
+    options_here = {name for argument in error.argument_collection or () for name in argument.names}
     name = (error.token.keyword or error.token.value).split("=")[0]
-    close = get_close_matches(name, OF_OTHERS, n=1, cutoff=0.9)
-    meant = OF_OTHERS[close[0]] if close else ""
-    return meant if meant in there else ""
+    close = get_close_matches(name, OF_OTHER_PROGRAMS, n=1, cutoff=0.9)
+    meant = OF_OTHER_PROGRAMS[close[0]] if close else ""
+    return meant if meant in options_here else ""

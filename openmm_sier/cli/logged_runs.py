@@ -119,13 +119,13 @@ class Runs(NamedTuple):
     """Runs of one kind.
 
     Attributes:
-        runs: at least one, each of them once.
+        runs: at least one, each by one log.
         begin: time of their clocks from which on means are taken.
-        skipped: the part of it that was chosen; what follows is about the time after that.
+        skipped: the part of `begin` that a user chose. The names below are about the time after it.
         moving: names of quantities that settled after a while.
-        drifting: names of those that still had a trend at the end.
-        unclear: names of those with too few independent values to show one.
-        copies: of each run that has further logs, the log that counts and the others.
+        drifting: names of quantities with a trend up to the end.
+        unclear: names of quantities with too few independent values to show a trend.
+        copies: of each run with several logs their paths, that of the log that counts first.
     """
 
     runs: list[Run]
@@ -134,7 +134,7 @@ class Runs(NamedTuple):
     moving: tuple[str, ...] = ()
     drifting: tuple[str, ...] = ()
     unclear: tuple[str, ...] = ()
-    copies: tuple[tuple[Path, list[Path]], ...] = ()
+    copies: tuple[list[Path], ...] = ()
 
     @property
     def first(self) -> Run:
@@ -169,15 +169,16 @@ def finding(runs: Runs) -> str:
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length - runs.skipped, runs.begin))
     left_out = f"Means leave out the first {begin}"
     if runs.drifting:
-        found = f"Not settled in {length}: {listed(runs.drifting)}"
+        verdict = f"Not settled in {length}: {listed(runs.drifting)}"
     elif runs.unclear:
-        found = f"{length}: too short to tell a trend of {listed(runs.unclear)}"
+        verdict = f"{length}: too short to tell a trend of {listed(runs.unclear)}"
     elif runs.moving:
-        found, left_out = f"Settled after {begin}: {listed(runs.moving)}", "Means are of the rest"
+        verdict = f"Settled after {begin}: {listed(runs.moving)}"
+        left_out = "Means are of the rest"
     else:
         steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
-        found = f"{length} without a trend of {steady}"
-    sentences = [found, left_out] if runs.begin else [found]
+        verdict = f"{length} without a trend of {steady}"
+    sentences = [verdict, left_out] if runs.begin else [verdict]
     if doubtful := sum(run.unsettled is not None for run in runs.runs):
         of_all = f": {doubtful} of {len(runs.runs)} runs" if len(runs.runs) > 1 else ""
         sentences.append(f"Not equilibrated at the start{of_all}")
@@ -185,23 +186,19 @@ def finding(runs: Runs) -> str:
 
 
 def remarks(runs: Runs) -> list[str]:
-    """Return warnings of what speaks against the means, besides what had not settled."""
-    found = [
-        f"warning: {listed(list(map(str, copies)))} {_have(copies)} the run of {path}: it counts once. Give each run a "
-        "--seed of its own"
-        for path, copies in runs.copies
+    """Return warnings about runs that count once, have the same noise, or were not equilibrated."""
+    warned = [
+        f"warning: {listed(list(map(str, paths)))} are logs of one run, which counts once. Give each run a --seed of "
+        "its own"
+        for paths in runs.copies
     ]
-    found += [
-        f"warning: {listed(list(map(str, alike)))} {_have(alike)} seed, settings and inputs of {path}, and so the same "
-        "noise: give each run a --seed of its own"
-        for path, alike in _groups(runs.runs, _has_the_noise_of)
+    warned += [
+        f"warning: {listed(list(map(str, paths)))} have the same seed, settings and inputs, and so the same noise: "
+        "give each run a --seed of its own"
+        for paths in _groups(runs.runs, _has_the_noise_of)
     ]
     doubtful = [run for run in runs.runs if run.unsettled]
-    return found + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
-
-
-def _have(subjects: Sequence[object]) -> str:
-    return "has" if len(subjects) == 1 else "have"
+    return warned + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
 
 
 def listed(names: Sequence[str]) -> str:
@@ -238,7 +235,7 @@ def read_run(path: Path) -> Run:
         notes = checkpoints.read_notes(checkpoint)
         plan = noted_settings(checkpoint, notes["plan"])
         if same_file(plan.report, path):
-            return Run(path, log, plan, notes.get("unsettled"), notes.get("inputs"))
+            return Run(path, log, plan, notes["unsettled"], notes["inputs"])
     return Run(path, log)
 
 
@@ -269,7 +266,7 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
             )
     longest_first = sorted(found, key=lambda run: -len(run.log["Step"]))
     copies = _groups(longest_first, _is_log_of)
-    left_out = {path for _, others in copies for path in others}
+    left_out = {path for _, *others in copies for path in others}
     runs = Runs([run for run in found if run.path not in left_out], copies=copies)
     _warn_of_differences(runs.runs)
     if skip is not None and skip >= runs.length:
@@ -310,16 +307,16 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
 # --- which of them are one ---
 
 
-def _groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[tuple[Path, list[Path]], ...]:
-    """Return the path of each run to which later ones are alike, with theirs."""
-    groups: list[tuple[Run, list[Path]]] = []
+def _groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[list[Path], ...]:
+    """Return the paths of runs that are alike, for each group of several."""
+    groups: list[list[Run]] = []
     for run in runs:
-        alike = next((others for first, others in groups if is_alike(run, first)), None)
+        alike = next((group for group in groups if is_alike(run, group[0])), None)
         if alike is None:
-            groups.append((run, []))
+            groups.append([run])
         else:
-            alike.append(run.path)
-    return tuple((first.path, others) for first, others in groups if others)
+            alike.append(run)
+    return tuple([run.path for run in group] for group in groups if len(group) > 1)
 
 
 def _is_log_of(one: Run, other: Run) -> bool:
@@ -340,14 +337,14 @@ def _has_the_noise_of(one: Run, other: Run) -> bool:
 
 
 def _are_alike(one: Run, other: Run) -> bool:
-    """Return whether checkpoints tell that two runs have the same seed, settings and inputs."""
+    """Return whether two runs have the same seed, settings and inputs by their checkpoints, if both have one."""
     if one.plan is None or other.plan is None:
         return False
     return one.plan.seed == other.plan.seed and one.inputs == other.inputs and not _differing(one.plan, other.plan)
 
 
 def _differing(one: RunSettings, other: RunSettings) -> list[str]:
-    """Return the names of settings, besides those in which runs of one kind may differ, that are not the same."""
+    """Return the names of settings that differ, without those in which runs of one kind may."""
     return [name for name in CONTINUED if name not in MAY_DIFFER and getattr(one, name) != getattr(other, name)]
 
 
@@ -371,13 +368,21 @@ def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> n
 
 
 def _with_settling(runs: Runs, skip: float | None) -> Runs:
-    """Return runs with where the means over all of them settled, after what is left out in any case."""
+    """Return runs with the time from which the means over all of them have settled, and the quantities that have not.
+
+    Args:
+        runs: none of whose quantities was looked at.
+        skip: time of their clocks that is left out in any case; None leaves out what had not settled.
+    """
     begin = skip or 0.0
     logs = [run.after(begin) for run in runs.runs]
     clocks = [run.clock[run.clock >= begin] - begin for run in runs.runs]
     count = max(1, min(*map(len, clocks), BINS + 1) - 1)
     width = (runs.length - begin) / count
-    moving, drifting, unclear, begins = [], [], [], [0.0]
+    begins = [0.0]
+    moving: list[str] = []
+    drifting: list[str] = []
+    unclear: list[str] = []
     for column, name in SETTLES.items():
         if column == DENSITY and not runs.first.moves_volume:
             continue
@@ -395,8 +400,10 @@ def _with_settling(runs: Runs, skip: float | None) -> Runs:
         elif found.begin:
             moving.append(name)
     if skip is not None:
-        # What settles later than that has a trend in the means.
-        drifting, moving, begins = drifting + moving, [], [skip]
+        # Quantities that settle later have a trend in the means.
+        drifting += moving
+        moving = []
+        begins = [skip]
     elif drifting:
         begins.append(LEFT_OUT * runs.length)
     return runs._replace(

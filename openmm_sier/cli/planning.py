@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from openmm_sier.analysis.many_runs import words
+from openmm_sier.analysis.many_runs import argument, arguments
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import refusal
 from openmm_sier.cli.methods import METHODS
@@ -27,7 +27,7 @@ from openmm_sier.cli.settings import (
     flag,
     steps_in,
 )
-from openmm_sier.inputs.forcefields import foreign, pick
+from openmm_sier.inputs.forcefields import foreign_files, pick
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
 from openmm_sier.inputs.pdb_files import ForceFieldError
 from openmm_sier.system.body_selection import file_words
@@ -58,7 +58,7 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
         values.setdefault("ensemble", METHODS[values["scheme"]].ensembles[0])
     settings = RunSettings(**values)
     if origin is not None:
-        _refuse_unnamed(settings, given, given["start"])
+        _refuse_unnamed(INPUTS, settings, given, given["start"])
     _check(settings)
     for name in useless_settings(settings):
         if name in given:
@@ -145,9 +145,9 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
     """
     if absent := [name for name in NOTED if name not in (*saved, *LATER)]:
         raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run")
-    if foreign := set(saved) - set(NOTED):
+    if unknown := set(saved) - set(NOTED):
         raise RunError(
-            f"{checkpoint} has the setting {min(foreign)}, which this version does not know: continue with the version "
+            f"{checkpoint} has the setting {min(unknown)}, which this version does not know: continue with the version "
             "that wrote it, or begin a new run"
         )
     try:
@@ -182,41 +182,37 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
             raise RunError(
                 f"{option} differs from {_shown(before)} in {checkpoint}; leave it out, or begin a new run with --start"
             )
-    for name in OUTPUTS:
-        if (path := getattr(noted, name)) and name not in given and not _is_below(path, checkpoint):
-            raise RunError(
-                f"{checkpoint} names {path} for {flag(name)}, in a directory other than its own: to write there, give "
-                f"{flag(name)} {path}"
-            )
     changed = {name: value for name, value in given.items() if SETTINGS[name]["restart"] != "keeps" and name != "start"}
     if "time" in given:
         changed["steps"] = steps_in(given["time"], 1000 * noted.step_time)
     settings = noted.model_copy(update={**changed, "restart": checkpoint})
-    _refuse_unnamed(settings, given, checkpoint)
+    _refuse_unnamed(FILES, settings, given, checkpoint)
     return settings
 
 
-def _refuse_unnamed(settings: RunSettings, given: Collection[str], checkpoint: Path) -> None:
-    """Refuse inputs that a checkpoint names and nobody else, if they are not beside it or could execute code.
+def _refuse_unnamed(names: Sequence[str], settings: RunSettings, given: Collection[str], checkpoint: Path) -> None:
+    """Refuse files that only a checkpoint names, if they are not beside it or could execute code.
 
     Args:
-        settings: with the inputs, some of which are from the checkpoint.
+        names: of the settings that the checkpoint gives and that name a file.
+        settings: those of the checkpoint and of the user.
         given: names of the settings that the user gave.
         checkpoint: which may be from anybody.
 
     Raises:
-        RunError: naming the file, and how it is named again.
+        RunError: naming the file, and the argument that names it again.
     """
-    for name in INPUTS:
+    for name in names:
         path = getattr(settings, name)
         if path is not None and name not in given and not _is_below(path, checkpoint):
+            purpose = "write there" if name in OUTPUTS else "read it"
             raise RunError(
-                f"{checkpoint} names {path} for {_option(name)}, in a directory other than its own: to read it, give "
+                f"{checkpoint} names {path} for {_option(name)}, in a directory other than its own: to {purpose}, give "
                 f"{_again(name, path)}"
             )
     if "forcefield" in given or (settings.forcefield is None and "box" in given):
         return
-    for name, path in foreign(_force_field(settings), settings.box.parent).items():
+    for name, path in foreign_files(_force_field(settings), settings.box.parent).items():
         # Parameters of a psf file are numbers, but force fields of OpenMM may have scripts.
         if settings.topology is None:
             reason = "which could execute code: if you trust it"
@@ -235,7 +231,7 @@ def _refuse_unnamed(settings: RunSettings, given: Collection[str], checkpoint: P
 
 
 def _force_field(settings: RunSettings) -> Sequence[str]:
-    """Return the names of the files of a force field, those too that a PDB file names."""
+    """Return the names of the files of a force field: those in the settings, else those in the PDB file."""
     if settings.forcefield is not None:
         return [str(file) for file in settings.forcefield]
     if settings.topology is not None:
@@ -243,7 +239,7 @@ def _force_field(settings: RunSettings) -> Sequence[str]:
     try:
         return pick(settings.box)[0]
     except ForceFieldError:
-        # There is none, which the reading of the file tells.
+        # It names none, which is refused when the file is read.
         return []
 
 
@@ -252,8 +248,8 @@ def _option(name: str) -> str:
 
 
 def _again(name: str, value: Any) -> str:
-    """Return the words of a command line that give a setting again."""
-    return f"{shlex.quote(str(value))} as BOX" if name == "box" else shlex.join(words(name, value))
+    """Return the arguments of a command line that give a setting again."""
+    return f"{shlex.quote(argument(value))} as BOX" if name == "box" else shlex.join(arguments(name, value))
 
 
 def _same(given: Any, noted: Any) -> bool:

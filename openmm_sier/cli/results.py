@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_sier.analysis.observables import energy_error
-from openmm_sier.analysis.statistics import Estimate, mean_and_error, plain, rms, slope_and_error
+from openmm_sier.analysis.statistics import Estimate, format_number, mean_and_error, rms, slope_and_error
 from openmm_sier.inputs.report import duration
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
@@ -39,11 +39,11 @@ class Quantity(NamedTuple):
         """Return a value of this quantity in one run, with as many digits as the mean has where that has an error."""
         mean = self.value
         if not isinstance(mean, Estimate):
-            return f"{value:{self.form}}" if self.form else plain(value, digits=3)
+            return f"{value:{self.form}}" if self.form else format_number(value, digits=3)
         if not (math.isfinite(mean.error) and mean.error > 0):
-            return plain(value)
+            return format_number(value)
         digits = max(0, 1 - math.floor(math.log10(mean.error)))
-        return f"{value:.{digits}f}" if digits < 7 else plain(value)
+        return f"{value:.{digits}f}" if digits < 7 else format_number(value)
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:

@@ -113,7 +113,7 @@ def _check_unfinished(settings: RunSettings, outputs: Outputs, notes: Mapping[st
     if step > settings.steps:
         raise RunError(message)
     outputs.check_noted(notes)
-    raise Complete(message, settings, notes.get("unsettled"))
+    raise Complete(message, settings, notes["unsettled"])
 
 
 def _restored(simulated: Simulated, checkpoint: Path, notes: Mapping[str, Any]) -> openmm.Context:

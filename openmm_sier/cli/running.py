@@ -49,7 +49,8 @@ def check_extras(settings: RunSettings, outputs: Outputs, may_replace: bool) -> 
             needs = f"--plot needs a log of {FEWEST_ROWS} rows or more"
             raise Misused(f"{needs}, and this one would have {rows}: lower --report-every")
     if settings.save_config:
-        check_place(settings.save_config, inputs, [*outputs.paths, *outputs.extras[:-1]])
+        written = [*outputs.paths, *([settings.plot] if settings.plot else [])]
+        check_place(settings.save_config, inputs, written)
         refuse_to_replace(settings.save_config, "--save-config", config.MARK if may_replace else b"")
 
 

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from openmm_sier.analysis.many_runs import word
+from openmm_sier.analysis.many_runs import argument
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
@@ -54,4 +54,4 @@ def execute(
     records.replace(path, memoryview(as_pdb(made).encode()))
     title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
     table(title, ("", ""), made.changes, left=2)
-    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', word(path), '--ensemble', 'npt'])}")
+    note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', argument(path), '--ensemble', 'npt'])}")

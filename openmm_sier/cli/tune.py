@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from openmm_sier.analysis.many_runs import word, words
+from openmm_sier.analysis.many_runs import argument, arguments
 from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused
@@ -51,7 +51,7 @@ def run_line(given: Mapping[str, Any], found: Tuning) -> str:
         "dt": float(f"{1000 * found.stepSize:.4g}"),
         "steps_per_trial": found.stepsPerTrial,
     }
-    line = [PROGRAM, "run", word(given["box"]), "--ensemble", "hmc"]
+    line = [PROGRAM, "run", argument(given["box"]), "--ensemble", "hmc"]
     for name, value in {**given, **chosen}.items():
-        line += [] if name == "box" else words(name, value)
+        line += [] if name == "box" else arguments(name, value)
     return shlex.join(line)

@@ -99,7 +99,10 @@ class Engine(ABC):
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
         self._context_ref = weakref.ref(task.context)
         self.flow = task.flow
-        self.stored, self.ledger = task.stored, task.stored.ledger
+        self.stored = task.stored
+        self.ledger = task.stored.ledger
+        #: Of the System; None before they are needed, and after its Forces have changed.
+        self._bonds: Bonds | None = None
 
     @property
     def _context(self) -> openmm.Context:
@@ -121,17 +124,16 @@ class Engine(ABC):
         """Return the rigid and point bodies of the System."""
         return self.moving
 
-    @cached_property
-    def _bonds(self) -> Bonds:
-        return Bonds.of_system(self._context.getSystem())
-
     def refuse_cut_molecules(self, now: Snapshot) -> None:
         """Refuse positions at which the periodic boundary cuts a molecule.
 
         Raises:
             RigidityError: it cuts one that constraints or bonds would pull together.
         """
-        refuse_cut_molecules(self._context.getSystem(), now.positions, now.box, self._bonds)
+        system = self._context.getSystem()
+        if self._bonds is None:
+            self._bonds = Bonds.of_system(system)
+        refuse_cut_molecules(system, now.positions, now.box, self._bonds)
 
     # --- what an engine must do ---
 
@@ -385,8 +387,9 @@ class Engine(ABC):
     def box_changed(self) -> None:  # noqa: B027
         """Take note that the box was set."""
 
-    def forces_changed(self) -> None:  # noqa: B027
+    def forces_changed(self) -> None:
         """Take note that the potential was changed."""
+        self._bonds = None
 
     def groups_changed(self) -> None:
         """Take note that the integration force groups were changed."""

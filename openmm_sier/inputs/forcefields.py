@@ -116,7 +116,7 @@ def locate(name: str, beside: Path) -> str:
     return name
 
 
-def foreign(names: Iterable[str], beside: Path) -> dict[str, Path]:
+def foreign_files(names: Iterable[str], beside: Path) -> dict[str, Path]:
     """Return the force-field files that come neither with OpenMM nor with this project, by name; see `load`."""
     located = {name: Path(locate(name, beside)) for name in names}
     return {name: path for name, path in located.items() if not _is_installed(path)}
@@ -298,7 +298,7 @@ def read_box(
     # What a force field is recognized by, and where it puts virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:
-        chosen, reason = (tuple(map(str, files)), "named by the user") if files else pick(path)
+        chosen, reason = (tuple(map(str, files)), "as given") if files else pick(path)
         forcefield = load(chosen, Path(path).parent)
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)

@@ -167,8 +167,8 @@ def equilibrate(
 ) -> Equilibration:
     """Bring a Context to equilibrium at a temperature, and at a pressure if one is kept.
 
-    Velocities are drawn anew, and a heat bath acts until the liquid has settled. Then the Context has the positions,
-    velocities and box of the end; its time and step count stay as they were. After an error it is as before.
+    Velocities are drawn at random, and a heat bath acts until the liquid has settled. Afterwards the Context has the
+    positions, velocities and box of the end; its time and step count stay as they were. An error leaves it unchanged.
 
     The liquid has settled when, over the last two windows of 1 ps,
 
@@ -220,7 +220,7 @@ def equilibrate(
     # Who gives a time may know that it is too short to tell.
     doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
     described = _describe(last, done * step, temperature, dof) if done else ""
-    _take_atoms(context, bath)
+    _copy_atoms_and_box(context, bath)
     found = Equilibration(done * step, last, settled, doubtful, described)
     if done:
         _tell(found, report)
@@ -244,7 +244,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     return bath
 
 
-def _take_atoms(context: openmm.Context, other: openmm.Context) -> None:
+def _copy_atoms_and_box(context: openmm.Context, other: openmm.Context) -> None:
     """Give a Context the positions, velocities and box of another one."""
     time, steps = context.getTime(), context.getStepCount()
     context.setState(other.getState(positions=True, velocities=True))

@@ -11,7 +11,7 @@ from openmm_sier.observe import body_states, conservation, pressure
 from openmm_sier.system.arguments import whole_number
 from openmm_sier.system.notices import notify
 
-#: Bytes, more than a row has.
+#: Bytes; rows are shorter.
 LONGEST_ROW = 2**16
 
 
@@ -40,8 +40,8 @@ class _TableReporter(_Reporter):
         Args:
             file: path of the CSV file.
             reportInterval: number of steps between two rows, at least 1.
-            append: True continues an existing file without a second header, and first removes, with a warning, a last
-                row without its end, as a killed run leaves it; False replaces the file.
+            append: True continues an existing file without a second header. An incomplete last row, as a killed run
+                leaves it, is removed with a warning. False replaces the file.
 
         Raises:
             ValueError: the interval is not a whole number of at least 1, or the file to be continued has other columns.
@@ -74,10 +74,15 @@ class _TableReporter(_Reporter):
             file.seek(max(0, end - LONGEST_ROW))
             row = file.read().rpartition(b"\n")[2]
             if len(row) == LONGEST_ROW:
-                raise ValueError(f"{self._path} cannot be continued: its last row has no end")
+                raise ValueError(
+                    f"{self._path} cannot be continued: its last row has no end within {LONGEST_ROW} bytes. Name "
+                    "another file"
+                )
             file.truncate(end - len(row))
         if row:
-            notify(f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of that")
+            notify(
+                f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of the row"
+            )
 
     def _write(self, columns: tuple[str, ...], row: tuple[float, ...]) -> None:
         """Write one row, and flush it."""

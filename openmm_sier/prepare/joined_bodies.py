@@ -1,8 +1,8 @@
-"""Bodies that no constraints hold, as a System remembers them: their atoms are joined by bonds without strength.
+"""Bonds without strength between the atoms of a body that no constraints hold: the record of bodies in a System.
 
-OpenMM finds molecules by bonds, which a rigid body needs none of. Its trajectories move molecules into the box, and its
-barostats scale their centres: without this the atoms of such a body would be scattered over the box, and their linkers
-be left behind. And a System that was prepared for bodies is wrong without them: their atoms may not interact any more.
+OpenMM finds molecules by bonds, and a rigid body needs none. OpenMM's trajectories move molecules into the box, and its
+barostats scale their centres: without such bonds the atoms of a body would be scattered over the box, and its linkers
+left behind. And a System that was prepared for bodies is wrong without them: their atoms may not interact any more.
 """
 
 import numpy as np
@@ -47,10 +47,10 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
 def remembered_pairs(system: openmm.System) -> np.ndarray:
     """Return pairs of atoms that share a body for which a System was prepared, (p, 2).
 
-    Those of virtual sites are left out, as atoms of bodies are in a System with frames.
+    Pairs with virtual sites are left out: in a System with frames the atoms of bodies are such sites.
     """
-    found = [bonded_terms(force) for force in system.getForces() if force.getName() == NAME]
-    pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *found])
+    bonds = [bonded_terms(force) for force in system.getForces() if force.getName() == NAME]
+    pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *bonds])
     return pairs[(tables.masses(system)[pairs] > 0).all(axis=1)] if len(pairs) else pairs
 
 
@@ -62,7 +62,7 @@ def refuse_torn_bodies(pairs: np.ndarray, owner: np.ndarray) -> None:
         owner: for each particle the number of its body, (N,), -1 where it has none.
 
     Raises:
-        RigidityError: two atoms that shared a body do not.
+        RigidityError: two atoms that shared a body no longer do.
     """
     ends = owner[pairs]
     torn = pairs[(ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0)]
@@ -70,6 +70,5 @@ def refuse_torn_bodies(pairs: np.ndarray, owner: np.ndarray) -> None:
         one, other = torn[0].tolist()
         raise RigidityError(
             f"prepare_system prepared this System for a rigid body that has atoms {one} and {other}, but the "
-            "integrator has no such body: give it the same bodies by `bodies`, or prepare a new System for those that "
-            "it has"
+            "integrator has no such body: give the integrator these `bodies`, or prepare a new System for its own"
         )

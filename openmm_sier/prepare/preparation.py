@@ -69,8 +69,8 @@ def prepare_system(
       virtual site or a frozen atom stay slow. A Force that has such terms is divided into two, unless its energy is an
       expression or it is inside another Force; then it stays slow as a whole.
     - It joins the atoms of bodies that no constraints hold by bonds without strength, so that OpenMM keeps them
-      together in trajectories and with barostats. By these the System remembers its bodies, and an integrator without
-      them is refused. OpenMM's own integrators know nothing of bodies: give them the System of `with_frames`.
+      together in trajectories and with barostats. These bonds record the bodies in the System, so that an integrator
+      without the bodies is refused. OpenMM's own integrators do not read them: give these the System of `with_frames`.
     - Where all bonds and angles are slow, as between beads that stand for residues, no force becomes fast unless you
       give a `fastForceGroup`, since inner steps would only cost time.
     - It counts nonbonded interactions between atoms up to four bonds apart as fast too. One CustomBondForce adds them
@@ -150,8 +150,8 @@ def _join(system: openmm.System, known: FastForces) -> list[str]:
         return []
     return [
         f"The atoms of {joined} rigid bodies are joined by bonds without strength: OpenMM takes each body for one "
-        "molecule, in trajectories and with barostats. Give the integrator the same bodies; OpenMM's own integrators "
-        "need those of with_frames, and tear these apart."
+        "molecule, in trajectories and with barostats. Give the integrator the same bodies. OpenMM's own integrators "
+        "would tear them apart, and need the System of with_frames."
     ]
 
 

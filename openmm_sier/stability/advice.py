@@ -82,19 +82,22 @@ class Remedies:
 
     def __init__(self, system: openmm.System, bodies: RigidBodies, links: Links):
         """Take a System, its bodies, and what joins its atoms."""
-        self._owner, self._moving, self._points = bodies.owners.copy(), bodies.owners >= 0, bodies.point_particles
+        self._owner = bodies.owners.copy()
+        self._moving = bodies.owners >= 0
+        self._points = bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
         # Terms between frozen atoms do no work, like those inside one body.
         self._owner[tables.frozen_atoms(system)] = bodies.n
-        self._masses, self._links = tables.masses(system), links
+        self._masses = tables.masses(system)
+        self._links = links
 
     @cached_property
     def _hydrogens(self) -> set[int]:
-        """Return all hydrogens. They are looked for once a remedy is asked for, which few Systems need."""
-        found = hydrogens_among(self._masses, partners_of(self._masses, self._links))
-        return {atom for atoms in found.values() for atom in atoms}
+        """Return all hydrogens: not at the start, since few Systems need a remedy."""
+        by_centre = hydrogens_among(self._masses, partners_of(self._masses, self._links))
+        return {atom for atoms in by_centre.values() for atom in atoms}
 
     def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
         """Tell whether `prepare_system` would let a term of a Force act within drifts.

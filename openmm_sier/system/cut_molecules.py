@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,8 +48,10 @@ class Bonds(NamedTuple):
     periodic: np.ndarray
 
     @classmethod
-    def joined(cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: bool = False) -> Bonds:
-        """Make bonds of one kind; numbers count for all."""
+    def of_pairs(
+        cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: bool = False
+    ) -> Bonds:
+        """Make bonds from pairs of particles (b, 2); a single number is that of all bonds."""
         pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         each = np.broadcast_to(np.array(lengths, dtype=float), len(pairs))
         return cls(pairs, each, np.broadcast_to(longest, len(pairs)), np.broadcast_to(periodic, len(pairs)))
@@ -57,7 +59,7 @@ class Bonds(NamedTuple):
     @classmethod
     def of_topology(cls, topology: app.Topology) -> Bonds:
         """Read the bonds of an openmm.app.Topology."""
-        return cls.joined([(bond[0].index, bond[1].index) for bond in topology.bonds()])
+        return cls.of_pairs([(bond[0].index, bond[1].index) for bond in topology.bonds()])
 
     @classmethod
     def guessed(cls, topology: app.Topology) -> Bonds:
@@ -67,45 +69,43 @@ class Bonds(NamedTuple):
         for residue in topology.residues():
             first, *others = (atom.index for atom in residue.atoms())
             pairs += [(first, other) for other in others if other not in known]
-        return cls.together(bonds, cls.joined(pairs))
+        return cls.merged(bonds, cls.of_pairs(pairs))
 
     @classmethod
     def of_system(cls, system: openmm.System) -> Bonds:
         """Read constraints, harmonic bonds that do work, and bonds of virtual sites to their first particles."""
         pairs, lengths = tables.constraints(system)
-        found = [cls.joined(pairs, lengths, lengths + STRETCH)]
-        for force in (part.force for part in parts(system)):
-            if isinstance(force, openmm.HarmonicBondForce):
-                ends, lengths, strengths = harmonic_bonds(force)
-                acts = strengths > 0
-                longest = lengths[acts] + np.sqrt(2 * BREAKING / strengths[acts])
-                found.append(cls.joined(ends[acts], lengths[acts], longest, force.usesPeriodicBoundaryConditions()))
+        kinds = [cls.of_pairs(pairs, lengths, lengths + STRETCH)]
+        for force in _harmonic_bond_forces(system):
+            pairs, lengths, strengths = harmonic_bonds(force)
+            acts = strengths > 0
+            longest = lengths[acts] + np.sqrt(2 * BREAKING / strengths[acts])
+            kinds.append(cls.of_pairs(pairs[acts], lengths[acts], longest, force.usesPeriodicBoundaryConditions()))
         sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
-        found.append(cls.joined([(i, system.getVirtualSite(i).getParticle(0)) for i in sites]))
-        return cls.together(*found)
+        kinds.append(cls.of_pairs([(i, system.getVirtualSite(i).getParticle(0)) for i in sites]))
+        return cls.merged(*kinds)
 
     @classmethod
     def without_strength(cls, system: openmm.System) -> Bonds:
-        """Read harmonic bonds that do no work: they tell OpenMM what belongs together, and need not have its length."""
-        found = [cls.joined([])]
-        for force in (part.force for part in parts(system)):
-            if isinstance(force, openmm.HarmonicBondForce):
-                ends, lengths, strengths = harmonic_bonds(force)
-                idle = strengths <= 0
-                found.append(cls.joined(ends[idle], lengths[idle], lengths[idle] + STRETCH))
-        return cls.together(*found)
+        """Read harmonic bonds that do no work, by which OpenMM knows its molecules; their lengths may be wrong."""
+        kinds = [cls.of_pairs([])]
+        for force in _harmonic_bond_forces(system):
+            pairs, lengths, strengths = harmonic_bonds(force)
+            idle = strengths <= 0
+            kinds.append(cls.of_pairs(pairs[idle], lengths[idle], lengths[idle] + STRETCH))
+        return cls.merged(*kinds)
 
     @classmethod
-    def together(cls, *parts: Bonds) -> Bonds:
-        """Join the bonds of several parts. Where two parts join the same atoms, the earlier one counts."""
-        pairs, *others = map(np.concatenate, zip(*parts, strict=True))
+    def merged(cls, *kinds: Bonds) -> Bonds:
+        """Return the bonds of several kinds. Of two bonds between the same atoms the earlier one counts."""
+        pairs, *others = map(np.concatenate, zip(*kinds, strict=True))
         pairs = np.sort(pairs, axis=1)
         _, first = np.unique(pairs, axis=0, return_index=True)
         return cls(*(column[np.sort(first)] for column in (pairs, *others)))
 
-    def selected(self, which: np.ndarray) -> Bonds:
+    def selected(self, mask: np.ndarray) -> Bonds:
         """Return some of the bonds, by a mask (b,)."""
-        return Bonds(*(column[which] for column in self))
+        return Bonds(*(column[mask] for column in self))
 
     def measured(self, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
         """Return lengths at positions (N, 3) in nm, (b,), nm."""
@@ -115,10 +115,22 @@ class Bonds(NamedTuple):
         return np.linalg.norm(arms, axis=1)
 
 
-def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
-    """Move atoms next to those that they are bonded to, at positions (N, 3) in nm, in a box of vectors (3, 3).
+def _harmonic_bond_forces(system: openmm.System) -> Iterator[openmm.HarmonicBondForce]:
+    """Give all HarmonicBondForces of a System, also those within other Forces."""
+    for part in parts(system):
+        if isinstance(part.force, openmm.HarmonicBondForce):
+            yield part.force
 
-    What is not broken stays as it is, even if another image is nearer.
+
+def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:
+    """Return positions at which no bond is cut, (N, 3), nm: atoms move next to those that they are bonded to.
+
+    Molecules that are whole stay where they are, even if another image of an atom is nearer.
+
+    Args:
+        bonds: that keep molecules together.
+        positions: (N, 3), nm.
+        box: vectors as rows, (3, 3), nm; None without a box.
     """
     if box is None or not (cut := bonds.measured(positions, box) > bonds.longest).any():
         return positions
@@ -138,8 +150,8 @@ def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np
 def _tree(bonds: Bonds, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return for n particles the next one on the way to the first of the molecule, and the number of their bond.
 
-    The first of each molecule has the particle n next, and no bond, -1; and so has the particle n. What is held most
-    closely is joined first: a restraint between two molecules tells less than their bonds.
+    The first of each molecule has the particle n next, and no bond, -1; and so has the particle n. Short bonds are
+    taken before long ones: a restraint between two molecules must not decide before their bonds.
     """
     from scipy import sparse
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
@@ -160,13 +172,13 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
     """Refuse bonds that are too long at positions (N, 3) in nm.
 
     Raises:
-        RigidityError: one is; the message has the longest, with residues if there is a topology.
+        RigidityError: a bond is too long; the message has the longest, with residues if there is a topology.
     """
-    found = bonds.measured(positions, box)
-    broken = np.flatnonzero(found > bonds.longest)
+    lengths = bonds.measured(positions, box)
+    broken = np.flatnonzero(lengths > bonds.longest)
     if not broken.size:
         return
-    worst = broken[np.argmax(found[broken])]
+    worst = broken[np.argmax(lengths[broken])]
     by_topology = np.isnan(bonds.lengths[worst])
     expected = "are bonded" if by_topology else f"belong {bonds.lengths[worst]:.4f} nm apart"
     names = f"atoms {bonds.pairs[worst][0]} and {bonds.pairs[worst][1]}"
@@ -179,7 +191,7 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
     more = f" ({len(broken)} bonds are too long)" if len(broken) > 1 else ""
     stale = ", is the bond left from another file (a record CONECT)" if by_topology else ""
     raise RigidityError(
-        f"a molecule is broken: {names} {expected}, but are {found[worst]:.4g} nm apart{images}{more}. Is an atom "
+        f"a molecule is broken: {names} {expected}, but are {lengths[worst]:.4g} nm apart{images}{more}. Is an atom "
         f"misplaced, are residues missing between the two{stale}, or {wrong_box}?"
     )
 
@@ -190,10 +202,10 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
 class Wholeness:
     """Make the molecules and bodies of a System whole.
 
-    Atoms that bonds join are next to each other. What no bond joins but belongs together, the atoms of a rigid body and
-    molecules joined by bonds without strength, is on one side of the widest gap that it leaves along each edge of the
+    Atoms that bonds join are next to each other. Atoms that belong together without such bonds, those of a rigid body
+    and those that bonds without strength join, are on one side of the widest gap between them along each edge of the
     box. So a body without bonds that is longer than half the box is whole as long as its own gaps are narrower than the
-    one around it; the length of a bond without strength tells of wider ones.
+    one around it. A bond without strength whose length is that of the gap bridges a wider one.
 
     Attributes:
         bonds: of the System and of the topology.
@@ -201,16 +213,17 @@ class Wholeness:
     """
 
     def __init__(self, system: openmm.System, topology: app.Topology | None = None):
-        self._topology, self._particles = topology, system.getNumParticles()
+        self._topology = topology
+        self._particles = system.getNumParticles()
         self.bonds = Bonds.of_system(system)
         if topology is not None:
-            self.bonds = Bonds.together(self.bonds, Bonds.of_topology(topology))
+            self.bonds = Bonds.merged(self.bonds, Bonds.of_topology(topology))
         self._idle = Bonds.without_strength(system)
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         self.box = np.array(vectors) if system.usesPeriodicBoundaryConditions() else None
 
     def whole(self, positions: np.ndarray, clusters: Sequence[Any] | np.ndarray = (), box: Any = None) -> np.ndarray:
-        """Return positions (N, 3), nm, at which nothing is cut; what is whole already keeps them to the last bit.
+        """Return positions at which nothing is cut, (N, 3), nm; molecules that are whole keep theirs to the last bit.
 
         Args:
             positions: (N, 3), nm.
@@ -226,12 +239,12 @@ class Wholeness:
         agree = np.abs(self._idle.measured(x, None) - self._idle.lengths) <= STRETCH
         pairs = np.concatenate([self.bonds.pairs, self._idle.pairs[agree]])
         if len(clusters):
-            x = _closed(clusters, joined(len(x), pairs), x, box)
+            x = _gathered(clusters, joined(len(x), pairs), x, box)
             pairs = np.concatenate([pairs, *(np.column_stack([each[:-1], each[1:]]) for each in clusters)])
         if not len(self._idle.pairs):
             return x
         part = joined(len(x), pairs)
-        return _closed(_groups(part, self._idle.pairs), part, x, box)
+        return _gathered(_groups(part, self._idle.pairs), part, x, box)
 
     def refuse_cut(
         self, positions: np.ndarray, clusters: np.ndarray, describe: Callable[[Any], str], box: Any = None
@@ -257,12 +270,12 @@ class Wholeness:
         raise RigidityError(
             f"the periodic boundary cuts {describe(worst)}: it extends over {here:.3g} nm at these positions, and over "
             f"{there:.3g} nm when it is whole. Take positions = make_whole(system, positions, topology, bodies). If "
-            "the body is longer than half the box and has such a gap, bridge it by a bond of the gap's length without "
+            "the body is longer than half the box and has a gap as wide, add a bond of the gap's length without "
             "strength (HarmonicBondForce)"
         )
 
     def _within(self, clusters: np.ndarray) -> Bonds:
-        """Return the bonds within bodies whose lengths the System tells."""
+        """Return the bonds within bodies that have a length in the System."""
         owner = np.full(self._particles, -1)
         owner[clusters] = np.arange(len(clusters))[:, None]
         ends = owner[self.bonds.pairs]
@@ -276,10 +289,10 @@ def _groups(part: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(group == each) for each in several.tolist()]
 
 
-def _closed(
+def _gathered(
     clusters: Sequence[Any] | np.ndarray, part: np.ndarray, positions: np.ndarray, box: np.ndarray
 ) -> np.ndarray:
-    """Move the parts of each cluster, with all their atoms, to the same side of its widest gaps.
+    """Return positions at which the parts of each cluster are on the same side of its widest gaps, (N, 3), nm.
 
     Args:
         clusters: particle indices of each.
@@ -312,7 +325,7 @@ def _periods(fractions: np.ndarray, narrow: float) -> np.ndarray:
 
     Args:
         fractions: of the edge of the box at which the points are, (k,).
-        narrow: by how much more of the edge the gap must measure than the one around the points as they are.
+        narrow: by which fraction of the edge the gap must be wider than the one around the points as they are.
     """
     on_circle = fractions % 1.0
     ordered = np.sort(on_circle)
@@ -336,7 +349,7 @@ def refuse_cut_molecules(system: openmm.System, positions: np.ndarray, box: Any,
         system: openmm.System.
         positions: (N, 3), nm.
         box: box vectors as rows, (3, 3), nm.
-        bonds: those of the System, where they are known.
+        bonds: those of the System, if they have been read already.
 
     Raises:
         RigidityError: a molecule is cut; the message has the two atoms that are furthest apart.

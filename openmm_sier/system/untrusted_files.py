@@ -11,8 +11,8 @@ from xml.sax.saxutils import escape
 
 import openmm
 
-#: What `decodeObject` of OpenMM makes from XML besides a System or State, by the attribute `type`. None of these
-#: executes code or opens a file. PythonForce, and Forces of plugins such as TorchForce, do.
+#: Classes that OpenMM may make from XML inside a System or State, by the attribute `type`. None of these executes code
+#: or opens a file. PythonForce, and Forces of plugins such as TorchForce, do.
 DATA = {
     *("HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", "RBTorsionForce", "CMAPTorsionForce"),
     *("NonbondedForce", "GBSAOBCForce", "GayBerneForce", "LCPOForce", "ConstantPotentialForce", "DrudeForce"),
@@ -32,29 +32,38 @@ DISPLACEMENTS = {"fixed", "offset"}
 #: Bytes that are parsed at a time. Among so many a file of OpenMM has tags, as the longest value is an expression.
 CHUNK = 2**16
 
-#: Chunks without the begin or end of an element, and levels of elements, beyond which XML is not OpenMM's.
-MOST_IDLE, DEEPEST = 16, 32
+#: Most chunks without the begin or end of an element.
+MOST_IDLE = 16
 
-#: Characters of the values of an element, and those of them that XML escapes. For these OpenMM takes a time that grows
-#: with the square of the length: one of 28 MB takes hours.
-LONGEST_VALUES, MOST_ESCAPED = 2**16, 100
+#: Most levels of elements.
+DEEPEST = 32
 
-#: What a State has at most: elements besides those of particles, and for each particle; bytes for each element. A
-#: checkpoint has nine elements for a particle.
-STATE_ELEMENTS, PARTICLE_ELEMENTS, ELEMENT_BYTES = 1000, 32, 128
+#: Most characters in the values of an element.
+LONGEST_VALUES = 2**16
+
+#: Most characters among them that XML escapes. The time that OpenMM takes for these grows with the square of their
+#: number: a value of 28 MB takes hours.
+MOST_ESCAPED = 100
+
+#: Most elements of a State, of which the checkpoint of a run has nine for each particle.
+STATE_ELEMENTS = 1000
+PARTICLE_ELEMENTS = 32
+
+#: Most bytes of a State for each element.
+ELEMENT_BYTES = 128
 
 
 class ContentError(ValueError):
-    """A file holds something else than is expected, too much of it, or what could execute code."""
+    """The content of a file is not of the expected kind, is too long, or could execute code."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a file for reading, without waiting for what may never come, as pipes and devices do.
+    """Open a file for reading; a pipe or a device, which could block for ever, is refused.
 
     Raises:
         OSError: it cannot be opened, or is no regular file.
     """
-    # None of these but the first is there on every system.
+    # Only O_RDONLY exists on every system.
     flags = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY", "O_CLOEXEC"))
     descriptor = os.open(path, flags)
     mode = os.fstat(descriptor).st_mode
@@ -104,17 +113,19 @@ def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
 
 
 class _Checked:
-    """XML written anew from the elements and attributes that a parser has found and that are allowed.
+    """XML that is safe for OpenMM, written from the elements and attributes that a strict parser has read.
 
-    OpenMM's own parser sees elements in comments, and executes what it is told by the attribute `type`, whatever the
-    tag. So it gets nothing but what was looked at.
+    OpenMM's own parser reads elements within comments, and OpenMM makes objects by the attribute `type`, whatever the
+    tag. So OpenMM gets only elements and attributes that were checked.
     """
 
     def __init__(self, kind: str, most: int | None = None):
         """Expect an object of a kind, "System" or "State", with so many elements at most."""
-        self._kind, self._most = kind, most
+        self._kind = kind
+        self._most = most
         self._pieces: list[str] = []
-        self._elements, self._depth = 0, 0
+        self._elements = 0
+        self._depth = 0
         self._parser = expat.ParserCreate("utf-8")
         self._parser.ordered_attributes = True
         self._parser.StartElementHandler = self._begin
@@ -125,7 +136,7 @@ class _Checked:
         """Return the XML of a stream for OpenMM.
 
         Raises:
-            ContentError: it is not what was expected.
+            ContentError: it is no such object, is too long, or could execute code.
         """
         read, idle = 0, 0
         try:
@@ -135,12 +146,14 @@ class _Checked:
                 read += len(chunk)
                 idle = idle + 1 if len(self._pieces) == pieces else 0
                 if idle > MOST_IDLE:
-                    raise ContentError("it has a longer tag or text than OpenMM writes")
+                    raise ContentError(
+                        f"it has a tag or text of more than {MOST_IDLE * CHUNK} bytes, which OpenMM never writes"
+                    )
                 if self._most is not None and read > self._most * ELEMENT_BYTES:
                     raise self._too_long()
             self._parser.Parse(b"", True)
         except expat.ExpatError as error:
-            raise ContentError(f"it is no XML: {error}") from None
+            raise ContentError(f"it is not XML: {error}") from None
         return "".join(self._pieces)
 
     def _begin(self, tag: str, attributes: list[str]) -> None:
@@ -178,13 +191,14 @@ class _Checked:
         self._pieces.append(f"</{tag}>")
 
     def _refuse_doctype(self, *_: object) -> None:
-        raise ContentError("it has a document type (DOCTYPE), which OpenMM writes nowhere")
+        raise ContentError("it has a document type (DOCTYPE), which OpenMM never writes")
 
     def _too_long(self) -> ContentError:
         return ContentError("it is longer than a State of the particles of this System can be")
 
 
-_SPECIAL, _QUOTES = re.compile('[&<>"]'), {'"': "&quot;"}
+_SPECIAL = re.compile('[&<>"]')
+_QUOTES = {'"': "&quot;"}
 
 
 @lru_cache(maxsize=64)

@@ -108,9 +108,9 @@ def test_logs_of_one_run_count_once(capsys):
     assert means["density"]["runs"][0]["value"] == pytest.approx(whole[DENSITY].mean())
     said = capsys.readouterr().out
     assert "mean over 2 runs" in said
-    assert "warning: a.csv, part.csv and seldom.csv have the run of copy.csv: it counts once" in said
+    assert "warning: copy.csv, a.csv, part.csv and seldom.csv are logs of one run, which counts once" in said
     run("plot", "a.csv", "copy.csv")
-    assert "warning: copy.csv has the run of a.csv: it counts once" in capsys.readouterr().out
+    assert "warning: a.csv and copy.csv are logs of one run, which counts once" in capsys.readouterr().out
     run("summary", "a.csv", "other.csv", "later.csv", "--json", "a.json")
     assert len(written()[1]["runs"]) == 3
 
@@ -132,12 +132,17 @@ def test_runs_of_one_seed_are_told_by_their_checkpoints(box, capsys):
     run("summary", "a.csv", "again.csv", "two.csv", "gpu.csv")
     said = capsys.readouterr().out
     assert "mean over 2 runs" in said
-    assert "warning: a.csv and gpu.csv have the run of again.csv: it counts once. Give each run a --seed" in said
+    assert (
+        "warning: again.csv, a.csv and gpu.csv are logs of one run, which counts once. Give each run a --seed" in said
+    )
     assert "noise" not in said
     run("summary", "a.csv", "on.csv", "two.csv")
     said = capsys.readouterr().out
     assert "mean over 3 runs" in said
-    assert "warning: on.csv has seed, settings and inputs of a.csv, and so the same noise: give each run" in said
+    assert (
+        "warning: a.csv and on.csv have the same seed, settings and inputs, and so the same noise: give each run"
+        in said
+    )
 
 
 def test_numbers_of_a_table_are_written_alike(capsys):

@@ -60,11 +60,18 @@ CALLED = [*(name for name in openmm_sier.__all__ if name not in RESULTS | DATA),
 
 @pytest.fixture(scope="module")
 def water():
-    """Topology, positions and System of a box of 59 molecules, in a chain A."""
+    """Topology, positions and System of a box of 59 molecules, in a chain A that begins at the centre of the box.
+
+    The first molecules are bodies of examples, which the periodic boundary must not cut.
+    """
     topology, positions, system = periodic_system()
     topology = copy.deepcopy(topology)
     next(topology.chains()).id = "A"
-    return topology, relaxed("box-59", topology, positions, copy.deepcopy(system))[0], system
+    positions, _ = relaxed("box-59", topology, positions, copy.deepcopy(system))
+    molecules = positions.reshape(topology.getNumResidues(), 3, 3)
+    centre = np.diag(topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer)) / 2
+    order = np.argsort(np.linalg.norm(molecules[:, 0] - centre, axis=1))
+    return topology, molecules[order].reshape(-1, 3), system
 
 
 @pytest.fixture

@@ -119,6 +119,24 @@ def test_molecules_that_are_whole_across_the_boundary_are_taken(engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_a_bond_that_is_made_longer_in_a_context_is_not_cut(engine):
+    """A restraint may pull two molecules apart, to more than half the box."""
+    x = np.array([[0.0, 0, 0], [0.5, 0, 0], [2, 2, 2]])
+    system = body_system(x)
+    restraint = system.getForce(1)
+    restraint.addBond(0, 1, 0.5, 1000.0)
+    integrator = SIER2Integrator(0.001, engine=engine)
+    context = context_at(system, integrator, (x, np.zeros_like(x)))
+    integrator.step(1)
+    x[1, 0] = 2.0
+    restraint.setBondParameters(0, 0, 1, x[1, 0], 1000.0)
+    restraint.updateParametersInContext(context)
+    context.setPositions(x)
+    integrator.step(1)
+    assert context.getState(energy=True).getPotentialEnergy()._value == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_without_a_box_the_question_is_asked(engine):
     """A System that is not periodic with positions of one that was: nothing tells that they were cut."""
     system, whole = chain(periodic=False)

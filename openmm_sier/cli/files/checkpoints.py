@@ -24,7 +24,7 @@ FORMAT = 1
 #: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
 MOST_NOTES = 2**24
 
-#: With which a zip archive begins that has a file.
+#: First bytes of a zip archive that holds a file.
 LOCAL_HEADER = b"PK\x03\x04"
 
 
@@ -34,12 +34,12 @@ class Notes(BaseModel):
     Attributes:
         format: `FORMAT`.
         plan: settings of the run by name, which `openmm_sier.cli.planning.noted_settings` checks.
-        step: that the run has reached.
-        potential_energy: there, kJ/mol.
+        step: of the run.
+        potential_energy: at that step, kJ/mol.
         platform: as `openmm_sier.cli.platforms.platform_of` returns it.
         inputs: SHA-256 of the files that the run read, by purpose.
         unsettled: how a doubtful equilibration ended, in words.
-        trajectory, log, tensors: the files of the run.
+        trajectory, log, tensors: of the files that the run writes.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -135,11 +135,14 @@ def _complaint(path: Path) -> str:
         begin = file.read(len(LOCAL_HEADER))
         is_cut_off = LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(file)
     if is_cut_off:
-        return f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied"
+        return (
+            f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied. Give "
+            "the whole file"
+        )
     return f"{path} is not a checkpoint of openmm-sier run"
 
 
-#: What zip, JSON and OpenMM raise where a file is none of theirs. A RuntimeError comes of passwords, and of lists that
+#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords and for lists that
 #: are nested too deeply.
 _UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
 
@@ -177,4 +180,6 @@ def _checked(path: Path, noted: Any) -> dict[str, Any]:
 
 
 def _damaged(path: Path, reason: str) -> records.RecordError:
-    return records.RecordError(f"{path} is damaged, or is not a checkpoint of openmm-sier run: {reason}")
+    return records.RecordError(
+        f"{path} is damaged, or is not a checkpoint of openmm-sier run: {reason}. Give another one, or begin a new run"
+    )

@@ -19,11 +19,13 @@ from openmm_sier.system.untrusted_files import open_regular
 #: Seconds to wait for a lock: for one whose holder is just ending, not for a run.
 PATIENCE = 0.2
 
-#: Characters of a command in a message, and bytes of a lock file that are read.
-LONGEST, LONGEST_HOLDER = 200, 2**12
+#: Characters of a command in a message.
+LONGEST_COMMAND = 200
 
+#: Most bytes that are read of a lock file.
+LONGEST_CONTENT = 2**12
 
-#: What a lock holds: nothing yet, or by whom it is held.
+#: Content of a lock file: nothing yet, or its holder.
 CONTENT = re.compile(rb"(process \d+ on .* since \d{4}-\d\d-\d\d .*)?", re.DOTALL)
 
 
@@ -76,24 +78,24 @@ def is_name_of_a_lock(path: Path) -> bool:
 
 
 def _refuse_other_file(path: Path, place: Path) -> None:
-    """Refuse to take a file of somebody for a lock, which is emptied and removed.
+    """Refuse to lock a file that is no lock file: locking empties and removes it.
 
     Raises:
         RunError: naming the file.
     """
     try:
-        is_other = place.is_symlink() or (place.is_file() and not CONTENT.fullmatch(place.read_bytes()))
+        is_other = place.is_symlink() or not CONTENT.fullmatch(_content(place))
     except OSError:
-        # What makes the lock says why it cannot.
+        # There is none, or the lock cannot be made, which `FileLock` tells.
         return
     if is_other:
-        raise RunError(f"{place} is not a lock of {PROGRAM}, and has the name of that of {path}: rename it")
+        raise RunError(f"{place} is not a lock of {PROGRAM}, but has the name of the lock of {path}: rename it")
 
 
 def _mark(descriptor: int) -> None:
     """Write who holds a lock into its file. On a full disk the lock is as good without it."""
     since = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
-    command = shlex.join([PROGRAM, *sys.argv[1:]])[:LONGEST]
+    command = shlex.join([PROGRAM, *sys.argv[1:]])[:LONGEST_COMMAND]
     with suppress(OSError):
         os.ftruncate(descriptor, 0)
         holder = f"process {os.getpid()} on {socket.gethostname()} since {since}: {command}"
@@ -102,7 +104,7 @@ def _mark(descriptor: int) -> None:
 
 
 def _refuse_unwritable(path: Path, place: Path) -> None:
-    """Refuse a file for whose lock nobody can make a file, which `FileLock` takes for one that somebody has removed.
+    """Refuse a file whose lock file cannot be created; `FileLock` waits as if another process had just removed it.
 
     Raises:
         RunError: naming the file.
@@ -123,6 +125,11 @@ def _unlockable(path: Path, place: Path, error: OSError) -> RunError:
 
 def _holder(place: Path) -> str:
     """Who holds a lock, in words."""
-    with suppress(OSError), open_regular(place) as file:
-        return file.read(LONGEST_HOLDER).decode("utf-8", "surrogateescape") or "another process"
+    with suppress(OSError):
+        return _content(place).decode("utf-8", "surrogateescape") or "another process"
     return "another process"
+
+
+def _content(place: Path) -> bytes:
+    with open_regular(place) as file:
+        return file.read(LONGEST_CONTENT)

@@ -18,7 +18,7 @@ from openmm_sier.cli.platforms import platform_of
 from openmm_sier.cli.settings import FILES, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 
-#: Bytes at the beginning of a file in which the mark of its kind is.
+#: First bytes of a file in which the mark of its kind is.
 BEGINNING = 2**12
 
 
@@ -37,7 +37,9 @@ class Outputs:
         Raises:
             Misused: a name has the wrong ending.
         """
-        self.checkpoint, self.saved_step, self._settings = checkpoint, None, settings
+        self.checkpoint = checkpoint
+        self.saved_step: int | None = None
+        self._settings = settings
         self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(settings, kind.option))}
         self.paths = [checkpoint, *self._grown.values()]
         self.extras = [path for path in (settings.plot, settings.save_config) if path]
@@ -131,9 +133,11 @@ class Outputs:
             unsettled: how a doubtful equilibration ended, in words; None without one.
             notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
         """
-        self._inputs, self._unsettled = simulated.inputs, unsettled
+        self._inputs = simulated.inputs
+        self._unsettled = unsettled
         self.saved_step = notes["step"] if notes else None
-        self._files, self._writers = {}, {}
+        self._files = {}
+        self._writers = {}
         for name, path in self._grown.items():
             noted = notes[name] if notes else None
             self._files[name], self._writers[name] = KINDS[name].open(path, simulated, context, noted)
@@ -181,7 +185,7 @@ class Outputs:
             file.close()
 
 
-# --- what every command asks before it writes a file ---
+# --- files that any command writes ---
 
 
 def check_place(path: Path, inputs: Iterable[Path], outputs: Iterable[Path] = ()) -> None:
@@ -189,7 +193,7 @@ def check_place(path: Path, inputs: Iterable[Path], outputs: Iterable[Path] = ()
 
     Args:
         path: of the file.
-        inputs, outputs: files that the command reads and writes besides.
+        inputs, outputs: other files that the command reads and writes.
 
     Raises:
         RunError: naming the file.
@@ -234,7 +238,7 @@ def _beginning(path: Path) -> bytes:
 
 
 def same_file(one: Path, two: Path) -> bool:
-    """Tell whether two names lead to the same file, also through links; neither has to exist."""
+    """Return whether two names lead to the same file, also through links; neither has to exist."""
     try:
         return os.path.samefile(one, two)
     except OSError:

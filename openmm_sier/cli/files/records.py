@@ -27,8 +27,11 @@ WINDOW = 2**16
 #: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
 CHANGING = 48
 
-#: What the heading of every table of a run begins with, and more bytes than a heading and a row have.
-FIRST_COLUMNS, LONGEST_BEGINNING = b"Step,Time (ps),", 2**13
+#: First columns of every table of a run.
+FIRST_COLUMNS = b"Step,Time (ps),"
+
+#: Bytes; a heading and a row are shorter.
+LONGEST_BEGINNING = 2**13
 
 #: A number of bytes or of records in a file.
 Count = Annotated[int, Field(ge=0, lt=2**62)]
@@ -105,7 +108,8 @@ class GrowingFile(ABC):
             OSError: it cannot be written.
         """
         self.path = path
-        self.size, self.count = (noted.size, noted.count) if noted else (0, 0)
+        self.size = noted.size if noted else 0
+        self.count = noted.count if noted else 0
         with naming(path):
             self._file = open(path, "r+b" if self.size else "wb", buffering=0)  # noqa: SIM115
             self._file.truncate(self.size)

@@ -21,7 +21,7 @@ DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 #: What that header begins with: the length of its first record, and the format.
 DCD_MAGIC = struct.pack("<i4s", 84, b"CORD")
 
-#: Where that header has whether frames have a box, and the number of atoms.
+#: Places in that header: whether frames have a box, and the number of atoms.
 DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
 
 #: What a frame of an XTC file begins with, and bytes before its compressed positions, the last four of which count
@@ -29,8 +29,9 @@ DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
 XTC_MAGIC, XTC_HEADER = (1995).to_bytes(4, "big"), 92
 XTC_FEW_ATOMS, XTC_FEW_HEADER = 9, 56
 
-#: Where a frame has its number, and that of the first one.
-XTC_NUMBER, XTC_FIRST = slice(8, 12), (1).to_bytes(4, "big")
+#: Place of the number of a frame, and the number of the first one.
+XTC_NUMBER = slice(8, 12)
+XTC_FIRST = (1).to_bytes(4, "big")
 
 
 class Trajectory(GrowingFile):
@@ -39,7 +40,9 @@ class Trajectory(GrowingFile):
     def __init__(self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None):
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
         super().__init__(path, noted)
-        self._topology, self._dt, self._interval = topology, dt, interval
+        self._topology = topology
+        self._dt = dt
+        self._interval = interval
 
     @abstractmethod
     def write(self, positions: Quantity, box: Quantity) -> None:
@@ -69,16 +72,12 @@ class DCDTrajectory(Trajectory):
 
     @staticmethod
     def records_after(path: Path, size: int) -> int:
-        with naming(path), open(path, "rb") as file:
-            header = file.read(DCD_HEADER)
-            end = file.seek(0, os.SEEK_END)
+        header, end = _header_and_length(path, DCD_HEADER)
         return math.ceil((end - max(size, DCD_HEADER)) / _dcd_frame(header))
 
     @staticmethod
     def are_records(path: Path, size: int) -> bool:
-        with naming(path), open(path, "rb") as file:
-            header = file.read(DCD_HEADER)
-            end = file.seek(0, os.SEEK_END)
+        header, end = _header_and_length(path, DCD_HEADER)
         if not DCD_HEADER <= size <= end or not header.startswith(DCD_MAGIC):
             return False
         frame = _dcd_frame(header)
@@ -86,10 +85,9 @@ class DCDTrajectory(Trajectory):
 
     @staticmethod
     def is_beginning(path: Path) -> bool:
-        with naming(path), open(path, "rb") as file:
-            header = file.read(DCD_HEADER + 1)
+        header, end = _header_and_length(path, DCD_HEADER)
         # The magic may have been cut off too.
-        return len(header) <= DCD_HEADER and (header.startswith(DCD_MAGIC) or DCD_MAGIC.startswith(header))
+        return end <= DCD_HEADER and (header.startswith(DCD_MAGIC) or DCD_MAGIC.startswith(header))
 
     def write(self, positions: Quantity, box: Quantity) -> None:
         self._dcd.writeModel(positions, periodicBoxVectors=box)
@@ -116,9 +114,7 @@ class XTCTrajectory(Trajectory):
 
     @staticmethod
     def are_records(path: Path, size: int) -> bool:
-        with naming(path), open(path, "rb") as file:
-            header = file.read(XTC_HEADER)
-            end = file.seek(0, os.SEEK_END)
+        header, end = _header_and_length(path, XTC_HEADER)
         # Where no frame is noted, the first one may have been cut off.
         if not (XTC_MAGIC.startswith(header[:4]) and XTC_FIRST.startswith(header[XTC_NUMBER])):
             return False
@@ -138,9 +134,15 @@ class XTCTrajectory(Trajectory):
             # OpenMM's writer says nothing where the temporary directory is full.
             if not _is_frame(frame, len(positions)):
                 place = f"OpenMM left it incomplete in the temporary directory {tempfile.gettempdir()}"
-                told = f"a frame could not be written: {place}. Is its disk full? Set TMPDIR to another directory"
-                raise OSError(errno.EIO, told, str(self.path))
+                message = f"a frame could not be written: {place}. Is its disk full? Set TMPDIR to another directory"
+                raise OSError(errno.EIO, message, str(self.path))
             self.append(frame.read_bytes())
+
+
+def _header_and_length(path: Path, length: int) -> tuple[bytes, int]:
+    """Return the first bytes of a file, at most so many, and the length of the file."""
+    with naming(path), open(path, "rb") as file:
+        return file.read(length), file.seek(0, os.SEEK_END)
 
 
 def _dcd_frame(header: bytes) -> int:

@@ -24,7 +24,7 @@ FORMATS: dict[str, dict[str, Any]] = {
     ".html": {"Date": None},
 }
 
-#: In the beginning of each picture, by the endings of names.
+#: Bytes near the beginning of each picture that this package drew, by the endings of names.
 MARKS = {
     ".png": f"Software\0{PROGRAM}".encode(),
     ".svg": f"<dc:title>{PROGRAM}</dc:title>".encode(),
@@ -60,7 +60,7 @@ def check(path: Path, inputs: Collection[Path], may_replace: bool, outputs: Coll
 
     Args:
         path: of the picture.
-        inputs, outputs: files that are read and written besides.
+        inputs, outputs: other files that the command reads and writes.
         may_replace: whether it may take the place of an earlier picture.
 
     Raises:

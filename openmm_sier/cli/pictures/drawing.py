@@ -32,8 +32,8 @@ from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Standard errors from which on a difference is told.
-TOLD = 3.0
+#: Standard errors from which on a difference is significant.
+SIGNIFICANT = 3.0
 
 #: Letters in a line of a title.
 LINE_OF_TITLE, LINE_OF_PANEL, LINE_OF_CAPTION = 62, 66, 105
@@ -121,18 +121,18 @@ def _over(runs: Runs, estimate: Callable[[Run, dict[str, np.ndarray]], Estimate 
     return found if isinstance(found, Estimate) else Estimate(found, math.nan)
 
 
-def _least_told(found: Estimate) -> float:
-    """Return the least difference that a value with this error shows."""
+def _least_difference(found: Estimate) -> float:
+    """Return the least difference that is significant for a value with this error."""
     # An error from few samples is as little as half of what it should be.
-    return TOLD * found.error * (2 if found.samples < FEWEST else 1)
+    return SIGNIFICANT * found.error * (2 if found.samples < FEWEST else 1)
 
 
-def _is_told(found: Estimate) -> bool:
+def _is_significant(found: Estimate) -> bool:
     """Return whether a value is more than its error."""
-    return abs(found.value) > _least_told(found)
+    return abs(found.value) > _least_difference(found)
 
 
-def _is(runs: Runs, column: str) -> str:
+def _verb_of_mean(runs: Runs, column: str) -> str:
     """Return the verb of a mean, by whether its quantity had settled."""
     if SETTLES[column] in runs.drifting:
         return "still drifts, around"
@@ -151,7 +151,7 @@ def conserved_energy(runs: Runs) -> Panel:
         share, unit, factor = f"{error.value:.2g} kJ/mol", "kJ/mol", 1.0
     if not math.isfinite(drift.error):
         finding = f"The energy is held to {share}; the run is too short to tell a drift"
-    elif _is_told(drift):
+    elif _is_significant(drift):
         finding = f"The energy is held to {share}; it drifts by {drift} kJ/mol/ps"
     else:
         finding = f"The energy is held to {share}; no drift shows: {drift} kJ/mol/ps"
@@ -171,7 +171,7 @@ def potential_energy(runs: Runs) -> Panel:
         series.draw(axes, series.means_of(runs, POTENTIAL), ENERGY)
         series.draw_mean(axes, runs, found, ENERGY)
 
-    return Panel(f"The potential energy {_is(runs, POTENTIAL)} {found} kJ/mol", "V (kJ/mol)", draw)
+    return Panel(f"The potential energy {_verb_of_mean(runs, POTENTIAL)} {found} kJ/mol", "V (kJ/mol)", draw)
 
 
 def heat(runs: Runs) -> Panel:
@@ -179,7 +179,7 @@ def heat(runs: Runs) -> Panel:
     found = _over(runs, lambda run, log: slope_and_error(log["Time (ps)"], log[CONSERVED]))
     if not math.isfinite(found.error):
         finding = "The heat of the steps: the run is too short to tell"
-    elif _is_told(found):
+    elif _is_significant(found):
         verb = "heat" if found.value > 0 else "cool"
         finding = f"The steps {verb} by {found.times(math.copysign(1, found.value))} kJ/mol/ps, which the bath balances"
     else:
@@ -228,10 +228,10 @@ def _of_temperatures(runs: Runs, found: dict[str, Estimate], bath: float | None)
         return f"The temperature is {next(iter(found.values()))} K"
     if not all(math.isfinite(each.error) for each in off.values()):
         return "Temperatures: too short to tell them apart"
-    worst = max(off, key=lambda name: abs(off[name].value) - _least_told(off[name]))
-    if not _is_told(off[worst]):
+    worst = max(off, key=lambda name: abs(off[name].value) - _least_difference(off[name]))
+    if not _is_significant(off[worst]):
         kinds = listed([KINDS[name][0] for name in off])
-        within = max(map(_least_told, off.values()))
+        within = max(map(_least_difference, off.values()))
         return f"{kinds[0].upper()}{kinds[1:]}: no difference from {other} shows within {within:.2g} K"
     warmer = "warmer" if off[worst].value > 0 else "colder"
     by = off[worst].times(math.copysign(1, off[worst].value))
@@ -267,7 +267,7 @@ def density(runs: Runs) -> Panel:
         series.draw(axes, series.means_of(runs, DENSITY), Look(GREEN))
         series.draw_mean(axes, runs, found, Look(GREEN))
 
-    return Panel(f"The density {_is(runs, DENSITY)} {found} g/ml", "density (g/ml)", draw)
+    return Panel(f"The density {_verb_of_mean(runs, DENSITY)} {found} g/ml", "density (g/ml)", draw)
 
 
 def acceptance(runs: Runs) -> Panel:

@@ -56,7 +56,8 @@ class ExactEngine(Engine):
         context = task.context
         self.updates = SystemUpdates(context)
         self._fitting = Fitting()
-        self._remembers_list, self._starts_anew = neighbour_list.is_remembered(context), False
+        self._remembers_list = neighbour_list.is_remembered(context)
+        self._starts_anew = False
         self._moves_volume = False
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
@@ -350,6 +351,7 @@ class ExactEngine(Engine):
     # --- news from outside ---
 
     def forces_changed(self) -> None:
+        super().forces_changed()
         if self._parts is not None:
             self._parts.forces_changed()
 

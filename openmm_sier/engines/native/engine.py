@@ -93,7 +93,7 @@ class NativeEngine(Engine):
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
         self._known = KnownAtoms(context, is_single=precision == "single")
         #: Whether OpenMM computes forces even at positions that are not finite, where PME writes outside of its mesh.
-        self._is_unguarded = platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
+        self._checks_each_step = platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
         if precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
@@ -214,11 +214,11 @@ class NativeEngine(Engine):
         return 1
 
     def _native_steps(self, number: int) -> None:
-        at_once = 1 if self._is_unguarded else number
+        at_once = 1 if self._checks_each_step else number
         try:
             for _ in range(0, number, at_once):
                 openmm.CustomIntegrator.step(self._integrator, at_once)
-                if self._is_unguarded:
+                if self._checks_each_step:
                     self._refuse_lost_atoms()
         except openmm.OpenMMException as error:
             # What follows begins with the first part of a step.
@@ -397,6 +397,7 @@ class NativeEngine(Engine):
         self._follows_bath = False
 
     def forces_changed(self) -> None:
+        super().forces_changed()
         # OpenMM itself considers no force valid after that.
         self._potential = None
 
