@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,7 +10,6 @@ from typing import Any, NamedTuple
 import openmm
 
 from openmm_sier import SIERHMCIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -41,7 +39,6 @@ class Contestant:
         friction: of its bath, 1/ps; None takes that of the study.
         has_bath: whether it keeps a temperature.
         only_rigid: whether its step is too long for anything but rigid molecules.
-        reciprocal_group: force group into which its System has the reciprocal sums; None leaves them where they are.
     """
 
     method: str
@@ -55,7 +52,6 @@ class Contestant:
     friction: float | None = None
     has_bath: bool = True
     only_rigid: bool = False
-    reciprocal_group: int | None = None
 
     @property
     def name(self) -> str:
@@ -77,9 +73,6 @@ class Contestant:
             prepare_system(system, hydrogenMass=self.hydrogens)
         elif self.hydrogens is not None:
             set_hydrogen_masses(system, self.hydrogens)
-        for force in system.getForces() if self.reciprocal_group is not None else []:
-            if isinstance(force, openmm.NonbondedForce):
-                force.setReciprocalSpaceForceGroup(self.reciprocal_group)
 
 
 # --- functions that make integrators ---
@@ -96,44 +89,6 @@ def middle(bath: Bath, step: float) -> openmm.Integrator:
 def several_steps(bath: Bath, step: float) -> openmm.Integrator:
     """Return OpenMM's MTSLangevin, with four inner steps of the forces that preparing puts into group 1."""
     return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(0, 1), (1, 4)])
-
-
-def several_steps_of_reciprocal(bath: Bath, step: float) -> openmm.Integrator:
-    """Return OpenMM's MTSLangevin for rigid molecules, with two inner steps of all but the reciprocal sum."""
-    return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(RECIPROCAL, 1), (0, 2)])
-
-
-def with_impulses(bath: Bath, step: float, every: int = 2, first: int = 2) -> openmm.Integrator:
-    """Return SIER2 in a bath for rigid molecules of atoms, with the reciprocal sum as an impulse every few steps.
-
-    The program is kick, half drift, bath, half drift, each half with constraints. The impulse comes with the kick of
-    the step `first`, from 1 to `every`, and of each `every`-th step after it, and is so many times as strong. Where
-    `every` is 1 all forces are in each kick.
-    """
-    made = openmm.CustomIntegrator(step)
-    made.addGlobalVariable("kept", math.exp(-bath.friction * step))
-    made.addGlobalVariable("kT", GAS_CONSTANT * bath.temperature)
-    made.addGlobalVariable("due", first % every)
-    made.addPerDofVariable("free", 0)
-    made.addUpdateContextState()
-    if every > 1:
-        made.addComputeGlobal("due", f"select(due, due - 1, {every - 1})")
-        made.beginIfBlock("due = 0")
-        made.addComputePerDof("v", f"v + {every}*dt*f{RECIPROCAL}/m")
-        made.endBlock()
-    made.addComputePerDof("v", f"v + dt*{'f0' if every > 1 else 'f'}/m")
-    _add_half_drift(made)
-    made.addComputePerDof("v", "kept*v + sqrt((1 - kept*kept)*kT/m)*gaussian")
-    _add_half_drift(made)
-    made.addConstrainVelocities()
-    return made
-
-
-def _add_half_drift(made: openmm.CustomIntegrator) -> None:
-    made.addComputePerDof("x", "x + 0.5*dt*v")
-    made.addComputePerDof("free", "x")
-    made.addConstrainPositions()
-    made.addComputePerDof("v", "v + (x - free)/(0.5*dt)")
 
 
 def in_bath(bath: Bath, step: float, scheme: Scheme = SIER2, **options: Any) -> openmm.Integrator:
@@ -154,36 +109,6 @@ def trials(bath: Bath, step: float, steps: int) -> openmm.Integrator:
 MIDDLE_IN_RIGID_WATER = Contestant("LangevinMiddle", 9, middle, hydrogens=4.0, prepared=True, only_rigid=True)
 
 SEVERAL_STEPS = Contestant("MTSLangevin", 8, several_steps, hydrogens=4.0, prepared=True)
-
-#: The force group of the reciprocal sum, for those that compute it less often than the rest.
-RECIPROCAL = 2
-
-#: What rigid molecules bear: the reciprocal sum every second step, in SIER2 and in OpenMM's own integrator.
-WITH_IMPULSES = Contestant(
-    "SIER2",
-    9,
-    with_impulses,
-    hydrogens=4.0,
-    prepared=True,
-    detail="reciprocal sum every 18 fs",
-    only_rigid=True,
-    reciprocal_group=RECIPROCAL,
-)
-#: Its samples after an even number of steps are at the positions of the impulses, those of the other between two.
-AT_IMPULSES = replace(
-    WITH_IMPULSES, make=partial(with_impulses, first=1), detail=f"{WITH_IMPULSES.detail}, just before it"
-)
-SEVERAL_STEPS_OF_RECIPROCAL = Contestant(
-    "MTSLangevin",
-    8,
-    several_steps_of_reciprocal,
-    forces=2,
-    hydrogens=4.0,
-    prepared=True,
-    detail="all but the reciprocal sum every 4 fs",
-    only_rigid=True,
-    reciprocal_group=RECIPROCAL,
-)
 
 
 def own(step: float, **more: Any) -> Contestant:

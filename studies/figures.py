@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
-from studies import acceptance, crowding, equipartition, records, step_study, style, whole_run
+from studies import equipartition, records, step_study, style, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
@@ -89,9 +89,7 @@ class Drawn(NamedTuple):
 
 
 FIGURES = {
-    "acceptance": Drawn(acceptance.figure, "acceptance.json"),
     "bath": Drawn(bath, "heat-bath.json"),
-    "crowding": Drawn(crowding.figure, "crowding.json"),
     "domains": Drawn(drawing.figure, "domains.json"),
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),

@@ -41,11 +41,8 @@ from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.contestants import (
-    AT_IMPULSES,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
-    SEVERAL_STEPS_OF_RECIPROCAL,
-    WITH_IMPULSES,
     Bath,
     Contestant,
     exact,
@@ -113,9 +110,6 @@ METHODS = {
         *(Contestant("LangevinMiddle", step, middle, hydrogens=3.0) for step in (4, 5)),
         MIDDLE_IN_RIGID_WATER,
         SEVERAL_STEPS,
-        SEVERAL_STEPS_OF_RECIPROCAL,
-        WITH_IMPULSES,
-        AT_IMPULSES,
         *(own(step, hydrogens=None, detail="light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
         *(own(9, hydrogens=mass, detail=f"hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),

@@ -48,11 +48,11 @@ def test_every_record_is_shown_or_claimed():
 
 
 def test_a_table_has_the_command_under_it():
-    shown = pages.show("frames.json", pages.table(pages.read("frames.json", "moments"), {"body": "{body}"}))
-    assert "| body |\n| --- |\n" in shown
-    assert shown.endswith("`studies/data/frames.json`: `OPENMM_CPU_THREADS=1 python -m studies.frames`\n")
-    with pytest.raises(ValueError, match=r"frames\.json has no rows for this table"):
-        pages.show("frames.json", pd.DataFrame())
+    shown = pages.show("exactness.json", pages.table(pages.read("exactness.json"), {"model": "{model}"}))
+    assert "| model |\n| --- |\n" in shown
+    assert shown.endswith("`studies/data/exactness.json`: `python -m studies.hmc.exactness`\n")
+    with pytest.raises(ValueError, match=r"exactness\.json has no rows for this table"):
+        pages.show("exactness.json", pd.DataFrame())
 
 
 def test_numbers_in_sentences():
