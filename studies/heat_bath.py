@@ -40,17 +40,18 @@ from openmm_sier.inputs.starts import equilibrate, make_context
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
-from studies.contestants import (
+from studies.hmc.samples import backbone, charges, cost, dihedral
+from studies.methods import (
+    HEAVY,
+    MIDDLE,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
     Bath,
     Contestant,
     exact,
-    middle,
     own,
     turned_more,
 )
-from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import HIGHEST_TEMPERATURE, Unstable
@@ -106,13 +107,13 @@ FRICTION = 5.0
 METHODS = {
     method.name: method
     for method in (
-        *(Contestant("LangevinMiddle", step, middle, detail="light") for step in (2, 4)),
-        *(Contestant("LangevinMiddle", step, middle, hydrogens=3.0) for step in (4, 5)),
+        *(MIDDLE.at(step, detail=", light") for step in (2, 4)),
+        *(MIDDLE.at(step, hydrogens=3.0) for step in (4, 5)),
         MIDDLE_IN_RIGID_WATER,
-        SEVERAL_STEPS,
-        *(own(step, hydrogens=None, detail="light") for step in (4, 5, 6)),
+        SEVERAL_STEPS.at(8, **HEAVY),
+        *(own(step, hydrogens=None, detail=", light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
-        *(own(9, hydrogens=mass, detail=f"hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
+        *(own(9, hydrogens=mass, detail=f", hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
         *(turned_more(9, friction) for friction in (5.0, 10.0)),
         *(exact(step, steps) for step, steps in ((8, 5), (9, 4))),
     )

@@ -34,15 +34,16 @@ from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.command import BoxSettings, chosen, command
-from studies.contestants import (
+from studies.methods import (
+    HEAVY,
+    MIDDLE,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
+    VERLET,
     Bath,
     Contestant,
-    at_constant_energy,
     in_bath,
-    middle,
-    verlet,
+    of_scheme,
 )
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -103,22 +104,18 @@ class SpeedSettings(BoxSettings):
 def contestants(has_solute: bool) -> list[Contestant]:
     """Return all of them; with solutes SIER2P3 has the step that bonds allow."""
 
-    def own(scheme: Scheme, step: float) -> Contestant:
-        make = partial(at_constant_energy, scheme=scheme)
-        return Contestant(scheme.name, step, make, scheme.force_evaluations, prepared=True, has_bath=False)
-
     def bath(scheme: Scheme, step: float) -> Contestant:
-        make = partial(in_bath, scheme=scheme)
-        return Contestant(f"{scheme.name} in a bath", step, make, scheme.force_evaluations, 4.0, prepared=True)
+        return in_bath(scheme, f"{scheme.name} in a bath").at(step, **HEAVY)
 
-    found = [Contestant("OpenMM Verlet", step, verlet, has_bath=False) for step in (1.0, 2.0)]
-    found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, middle, hydrogens=3.0) for step in (2.0, 4.0, 5.0)]
-    found.append(replace(SEVERAL_STEPS, method="OpenMM MTSLangevin"))
+    middle, longer = MIDDLE.of_openmm(), 9 if has_solute else 12
+    found = [VERLET.of_openmm().at(step) for step in (1, 2)]
+    found += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
+    found += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
+    found.append(SEVERAL_STEPS.of_openmm().at(8, **HEAVY))
     if not has_solute:
-        found.append(replace(MIDDLE_IN_RIGID_WATER, method="OpenMM LangevinMiddle"))
-        found.append(bath(SIER2P3, 18.0))
-    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+        found.append(replace(MIDDLE_IN_RIGID_WATER, method=middle))
+        found.append(bath(SIER2P3, 18))
+    return [*found, *(bath(SIER2, step) for step in (8, 9, 10))]
 
 
 class Turn(NamedTuple):
@@ -149,7 +146,7 @@ def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[s
             "atoms": start.system.getNumParticles(),
             "platform": platform,
             "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", "") if method else "",
-            "method": method.method if method else row["name"].partition(",")[0],
+            "method": method.method.name if method else row["name"].partition(",")[0],
             "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
         }
         report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,9 @@ import pandas as pd
 
 from studies import heat_bath, records, text
 from studies.command import SYSTEMS, command
-from studies.contestants import Contestant, in_bath
 from studies.heat_bath import BathSettings
 from studies.hmc import trials
+from studies.methods import HEAVY, in_bath
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
@@ -72,18 +71,16 @@ def tasks(settings: SubstepSettings) -> Iterator[Task]:
         {"method": "SIER2", "step": step, "engine": engine, "substeps": number}
         for step, (engine, number) in product(settings.steps, engines)
     ]
-    points.append({"method": EXACT.method, "step": EXACT.step, "engine": "exact", "substeps": ""})
+    points.append({"method": EXACT.method.name, "step": EXACT.step, "engine": "exact", "substeps": ""})
     for seed, point in product(range(settings.seed, settings.seed + settings.starts), points):
         yield Task(settings, point | {"seed": seed})
 
 
 def run(task: Task) -> dict[str, Any]:
     """Return what is kept of a run."""
-    point, settings = task.point, task.settings
-    method: Contestant = EXACT
+    point, settings, method = task.point, task.settings, EXACT
     if point["method"] == "SIER2":
-        make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
-        method = Contestant("SIER2", point["step"], make, hydrogens=4.0, prepared=True)
+        method = in_bath(engine=point["engine"], substeps=point["substeps"] or None).at(point["step"], **HEAVY)
     return point | {"time": settings.time} | heat_bath.measure(settings, method, point["seed"], at_ends=True)
 
 
