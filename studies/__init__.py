@@ -24,5 +24,4 @@ STUDIES = {
     "studies.native.substeps": "13 min of one core",
     "studies.launches": "half an hour of two cores of a busy machine",
     "studies.figures": "seconds",
-    "studies.claims": "seconds",
 }

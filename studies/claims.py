@@ -1,19 +1,14 @@
 """What README and the documentation claim of measurements, each beside the record that shows it.
 
-    python -m studies.claims
-
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
-tests assert. The command writes the figures into README and the draft of the paper: a new sentence is written there
-with any figures, and gets those of the record. The page docs/measurements/trust.md lists all claims.
+tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The page
+docs/measurements/trust.md lists all claims.
 """
 
 from __future__ import annotations
 
 from studies import claim_figures as figures
-from studies.trust import ANY, ROOT, Claim
-
-README = ROOT / "README.md"
-DRAFT = ROOT / "paper" / "paper.md"
+from studies.trust import ANY, Claim
 
 WHOLE_RUN = "python -m studies.whole_run --methods verlet sier4g --starts 1 --per-force"
 HEAT_BATH = "python -m studies.heat_bath"
@@ -259,41 +254,3 @@ TOPICS = {
 }
 
 CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
-
-# --- what is made of the list ---
-
-
-def readme(written: str) -> str:
-    """Return README with the figures of the records.
-
-    Raises:
-        ValueError: it lacks a sentence.
-    """
-    for claim in CLAIMS:
-        written = claim.written(written) if claim.in_readme else written
-    return written
-
-
-def draft(written: str) -> str:
-    """Return the draft of the paper with the figures of the records.
-
-    Raises:
-        ValueError: it lacks a sentence.
-    """
-    for claim in CLAIMS:
-        written = claim.written(written) if claim.in_paper else written
-    return written
-
-
-def main() -> None:
-    """Write the figures into README and the draft."""
-    for path, with_figures in ((README, readme), (DRAFT, draft)):
-        before = path.read_text()
-        after = with_figures(before)
-        path.write_text(after)
-        changed = sum(one != other for one, other in zip(before.splitlines(), after.splitlines(), strict=True))
-        print(f"{path.relative_to(ROOT)}: {changed} lines changed")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,9 @@
-"""Claims: what each says, its bounds, and its sentence in texts. The list is in `studies.claims`."""
+"""Claims: what each says, and its bounds. The list is in `studies.claims`."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from string import Formatter
 
 import pandas as pd
 
@@ -21,9 +19,6 @@ Bound = tuple[float, float]
 
 #: No bound on this side.
 ANY = float("inf")
-
-#: A figure in a text that is to be replaced.
-FIGURE = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?"
 
 
 @dataclass(frozen=True)
@@ -71,22 +66,6 @@ class Claim:
             for name, bound in self.bounds.items()
             if not bound[0] <= figures[name] <= bound[1]
         ]
-
-    def written(self, text: str) -> str:
-        """Return a text in which this sentence, found there with any figures, has those of the record.
-
-        Raises:
-            ValueError: it has no such sentence.
-        """
-        pattern = "".join(
-            r"\s+".join(map(re.escape, re.split(r"\s+", words))) + (FIGURE if name else "")
-            for words, name, _, _ in Formatter().parse(self.text)
-        )
-        sentence = self.sentence()
-        text, count = re.subn(pattern, lambda _: sentence, text)
-        if not count:
-            raise ValueError(f"there should be this sentence, with any figures: {self.text}")
-        return text
 
 
 def in_words(name: str, bound: Bound) -> str:
