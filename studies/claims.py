@@ -10,9 +10,6 @@ from __future__ import annotations
 from studies import claim_figures as figures
 from studies.trust import ANY, Claim
 
-WHOLE_RUN = "python -m studies.whole_run --methods verlet sier4g --starts 1 --per-force"
-HEAT_BATH = "python -m studies.heat_bath"
-
 CONSTANT_ENERGY = (
     Claim(
         "Over 100 ps the energy error of SIER4G at 4 fs is {least:.0f} to {most:.0f} times smaller than that of "
@@ -22,7 +19,6 @@ CONSTANT_ENERGY = (
         {"least": (10, ANY), "count": (5, 5)},
         in_readme=True,
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --molecules 512 --liquids TIP3P SPC/E TIP4P/2005 OPC peptide",
     ),
     Claim(
         "In TIP5P it is {gain:.1f} times smaller.",
@@ -30,7 +26,6 @@ CONSTANT_ENERGY = (
         figures.gain(liquid="TIP5P"),
         {"gain": (3, ANY)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --liquids TIP5P",
     ),
     Claim(
         "Over 1 ns of 64 molecules of TIP3P it is {gain:.0f} times smaller.",
@@ -38,7 +33,6 @@ CONSTANT_ENERGY = (
         figures.gain(time=1000.0),
         {"gain": (8, ANY)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --time 1000",
     ),
     Claim(
         "No drift is seen in these runs: none is more than {off:.1f} of its errors.",
@@ -52,7 +46,6 @@ CONSTANT_ENERGY = (
         figures.gain(step=6.0),
         {"gain": (1, 3)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 2 --time 50",
     ),
     Claim(
         "Within 1 ps SIER2P3 at 12 fs has {least:.1f} to {most:.1f} times the energy error of Verlet at 2 fs, for half"
@@ -105,7 +98,6 @@ IN_A_HEAT_BATH = (
         figures.water_in_a_bath,
         {"potential": (-0.2, 0.2), "density": (-0.6, 0.6)},
         in_paper=True,
-        command=f"{HEAT_BATH} systems/tip3p-512.pdb --time 100 --pressure 1",
     ),
     Claim(
         "Reports of temperature are off the bath by {own:+.1f} ± {own_error:.1f} K for the water around the peptide "
@@ -129,7 +121,6 @@ IN_A_HEAT_BATH = (
         figures.light_hydrogens,
         {"share": (80, 120)},
         in_readme=True,
-        command=f"{HEAT_BATH} systems/tip3p-512.pdb --time 100 --pressure 1",
     ),
     Claim(
         "LangevinMiddle at 4 fs gives three models of water the energy that it has at 1 fs within {energy:.1f} %.",
@@ -165,7 +156,6 @@ EXACT_AVERAGES = (
         "trials.json",
         figures.costs_of_trials,
         {"tip3p": (0, 0.7), "spce": (0, 2), "tip4p2005": (0, 1.3), "peptide": (0, 1.2)},
-        command='python -m studies.hmc.trials tip3p-64.pdb --methods "SIER2V2 HMC, 9 fs x 8, 1/ps"',
     ),
     Claim(
         "Of DHFR in water, 23558 atoms, {accepted:.0f} % of {trials:.0f} trials of 36 fs are accepted with SIER4G at 9 "
@@ -174,7 +164,6 @@ EXACT_AVERAGES = (
         figures.trials_of_dhfr,
         {"accepted": (85, 100), "trials": (100, ANY)},
         in_paper=True,
-        command=f'{HEAT_BATH} dhfr --methods "SIER4G HMC, 9 fs" --time 4',
     ),
     Claim(
         "With hydrogens of 3 dalton in DHFR, and of 1 in water, {accepted:.0f} of {trials:.0f} trials of 30 fs are "

@@ -2,10 +2,13 @@
 
 import json
 import math
+import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from time import monotonic
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import openmm
@@ -15,6 +18,14 @@ from studies.report import PrintedReport, Report
 
 #: The boxes of the repository.
 SYSTEMS = Path(__file__).parents[1] / "systems"
+
+#: The program that Python was started with, and the whole command.
+PROGRAM = f"python -m {getattr(sys.modules['__main__'].__spec__, 'name', 'studies').removesuffix('.__main__')}"
+THREADS = f"OPENMM_CPU_THREADS={os.environ['OPENMM_CPU_THREADS']} " if "OPENMM_CPU_THREADS" in os.environ else ""
+COMMAND = f"{THREADS}{PROGRAM} {shlex.join(sys.argv[1:])}".rstrip()
+
+#: When this module was read.
+BEGUN = monotonic()
 
 #: What a study says in one line; any other exception is a fault of the program and shows where.
 EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException)
@@ -142,9 +153,7 @@ def parsed(kind: type[Given], description: str | None, arguments: Sequence[str] 
 
     # The last of several values counts, as elsewhere.
     shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
-    app = App(
-        name=_program(), help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared
-    )
+    app = App(name=PROGRAM, help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared)
     given.__annotations__ = {"settings": Annotated[kind, Parameter(name="*")]}
     given.__kwdefaults__ = {"settings": kind()}
     app.default(given)
@@ -159,10 +168,13 @@ def parsed(kind: type[Given], description: str | None, arguments: Sequence[str] 
     return found if isinstance(found, kind) else None
 
 
-def _program() -> str:
-    """Return the command as it was given, for the help."""
-    module = getattr(sys.modules["__main__"].__spec__, "name", "studies")
-    return f"python -m {module.removesuffix('.__main__')}"
+def elapsed() -> str:
+    """Return how long this process has been running since it read this module, with a unit."""
+    seconds = monotonic() - BEGUN
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
 
 
 def chosen(names: Sequence[str], known: dict[str, Any], what: str) -> list[Any]:

@@ -21,9 +21,8 @@ from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
 from studies.paper import water
-from studies.records import Record
+from studies.records import DATA, Record
 from studies.report import SILENT, Report
-from studies.sources import DATA
 
 DOCS = Path(__file__).parents[1] / "docs"
 

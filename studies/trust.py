@@ -9,8 +9,7 @@ import pandas as pd
 
 from studies import records
 from studies.command import SYSTEMS
-from studies.records import Record
-from studies.sources import COMMANDS, DATA
+from studies.records import DATA, Record
 
 ROOT = SYSTEMS.parent
 
@@ -30,7 +29,6 @@ class Claim:
         record: file in studies/data.
         figures: of the record, by the names of the fields.
         bounds: of figures, by name.
-        command: that makes what the claim is about, if that is less than the record (`studies.sources`).
         in_readme: whether README has the sentence, word for word.
         in_paper: whether the draft of the paper has it.
     """
@@ -39,7 +37,6 @@ class Claim:
     record: str
     figures: Callable[[Record], Mapping[str, float]]
     bounds: Mapping[str, Bound]
-    command: str = ""
     in_readme: bool = False
     in_paper: bool = False
 
@@ -83,9 +80,7 @@ def listed(claims: Iterable[Claim]) -> str:
     parts = []
     for claim in claims:
         bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
-        commands = [claim.command] if claim.command else COMMANDS[claim.record]
-        shown = ", then ".join(f"`{command}`" for command in commands)
-        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
+        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. {records.source(claim.record)}\n")
     return "\n".join(parts)
 
 

@@ -32,6 +32,23 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
         records.read(tmp_path / "b.json")
 
 
+def test_a_record_has_the_commands_that_made_it(tmp_path, monkeypatch):
+    """Those of the same settings, which add to the same runs."""
+    path = tmp_path / "a.json"
+
+    def commands_after(command, settings):
+        monkeypatch.setattr(records, "COMMAND", command)
+        Record(settings, {"rows": ROWS}, {}).write(path)
+        return list(records.read(path).commands)
+
+    settings = {"box": Path("box.pdb"), "dt": (1.0, 2.0)}
+    assert commands_after("first", settings) == ["first"]
+    assert commands_after("second", settings) == ["first", "second"]
+    assert commands_after("first", settings) == ["first", "second"]
+    assert commands_after("third", settings | {"dt": (1.0,)}) == ["third"]
+    assert records.read(path).commands["third"].endswith((" s", " min", " h"))
+
+
 @dataclass(frozen=True)
 class Files(Settings):
     boxes: tuple[Path, ...] = (Path("/here/a.pdb"), Path("/there/b.pdb"))
