@@ -33,6 +33,7 @@ from openmm_sier.inputs.starts import make_context
 from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
+from studies.boxes import BoxSystem
 from studies.command import BoxSettings, chosen, command
 from studies.methods import (
     HEAVY,
@@ -48,7 +49,7 @@ from studies.methods import (
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import equilibrated_liquid
-from studies.speed_boxes import SOLUTES, Start
+from studies.speed_boxes import SOLUTES
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -126,24 +127,24 @@ class Turn(NamedTuple):
     processor: float
 
 
-def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
-    """Return a row for each method in one box."""
-    methods = {method.name: method for method in contestants(start.has_solute)}
-    contexts = {name: _context(method, start, settings) for name, method in methods.items()}
+def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
+    """Return a row for each method in one box, from a phase point."""
+    methods = {method.name: method for method in contestants(box.has_solute)}
+    contexts = {name: _context(method, box, state, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
     actions: dict[str, Callable[[], Turn]] = {
         name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
         for name, method in methods.items()
     }
-    actions |= _actions_of_peers(start, evaluations, settings)
+    actions |= _actions_of_peers(box, state, evaluations, settings)
     platform = contexts[REFERENCE].getPlatform().getName()
     found = turns(actions, settings.rounds)
     rows = rows_of(found, platform)
     for row in rows:
         method = methods.get(row["name"])
         row |= {
-            "box": start.name,
-            "atoms": start.system.getNumParticles(),
+            "box": box.name,
+            "atoms": box.system.getNumParticles(),
             "platform": platform,
             "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", "") if method else "",
             "method": method.method.name if method else row["name"].partition(",")[0],
@@ -170,11 +171,11 @@ def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, An
     return rows
 
 
-def _context(method: Contestant, start: Start, settings: SpeedSettings) -> openmm.Context:
-    system = copy.deepcopy(start.system)
+def _context(method: Contestant, box: BoxSystem, state: openmm.State, settings: SpeedSettings) -> openmm.Context:
+    system = copy.deepcopy(box.system)
     method.fit(system)
     context = make_context(system, method.integrator(Bath(settings.temperature, FRICTION)), settings.platform)
-    context.setState(start.state)
+    context.setState(state)
     return context
 
 
@@ -193,11 +194,13 @@ def _evaluations(context: openmm.Context, least: float) -> int:
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
 
 
-def _actions_of_peers(start: Start, evaluations: int, settings: SpeedSettings) -> dict[str, Callable[[], Turn]]:
+def _actions_of_peers(
+    box: BoxSystem, state: openmm.State, evaluations: int, settings: SpeedSettings
+) -> dict[str, Callable[[], Turn]]:
     """Return turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
-    if start.has_solute or start.molecules > settings.largest_for_peers:
+    if box.has_solute or box.molecules > settings.largest_for_peers:
         return {}
-    liquid = peers.liquid_of(start.system, start.state)
+    liquid = peers.liquid_of(box.system, state)
     if liquid is None:
         return {}
     steps = max(evaluations, PEER_STEPS)
@@ -284,7 +287,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
     chosen(with_solute, SOLUTES, "box")
     made: list[dict[str, Any]] = []
     for name in settings.boxes:
-        made += speeds(speed_boxes.start(name, settings, report), settings, report)
+        made += speeds(*speed_boxes.start(name, settings, report), settings, report)
     found = {"speeds": pd.DataFrame(made)}
     if len(with_solute) < len(settings.boxes):
         found["points"] = energy_errors(settings, report)
