@@ -1,4 +1,7 @@
-"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help."""
+"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help.
+
+A field that is not for keywords alone, such as a box, may also stand first, without its name.
+"""
 
 import json
 import math
@@ -6,10 +9,10 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from time import monotonic
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import openmm
 from cyclopts import App, CycloptsError, Parameter
@@ -31,7 +34,7 @@ BEGUN = monotonic()
 EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """What all studies take.
 
@@ -45,9 +48,6 @@ class Settings:
 
     #: Names of numbers that need not be above 0.
     ANY_SIGN: ClassVar[tuple[str, ...]] = ()
-
-    #: The option whose value a command line may begin with, if there is one.
-    FIRST: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -69,7 +69,7 @@ def _named(value: Any) -> Any:
     return value.name if isinstance(value, Path) else value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoxSettings(Settings):
     """What studies of a box take.
 
@@ -80,15 +80,13 @@ class BoxSettings(Settings):
         platform: of OpenMM; None takes the fastest.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     forcefield: tuple[str, ...] = ()
     temperature: float = 297.0
     platform: str | None = None
 
-    FIRST: ClassVar[str] = "box"
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunsSettings(Settings):
     """What studies take that keep their runs one by one, so that a study that was stopped goes on where it was.
 
@@ -125,10 +123,21 @@ def command(
     """
 
     def main(arguments: Sequence[str] | None = None) -> int:
+        # The last of several values counts, as elsewhere.
+        shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
+        app = App(
+            name=PROGRAM, help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared
+        )
+        app.default(kind)
         try:
-            settings = parsed(kind, description, arguments)
-            if settings is None:
-                return 0
+            settings = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        except (CycloptsError, ValueError) as error:
+            print(" ".join(str(error).split()), file=sys.stderr)
+            raise SystemExit(2) from None
+        if not isinstance(settings, kind):
+            # It has printed the help.
+            return 0
+        try:
             settings.out.mkdir(parents=True, exist_ok=True)
             study(settings, PrintedReport())
         except EXPECTED as error:
@@ -139,33 +148,6 @@ def command(
     if module == "__main__":
         sys.exit(main())
     return main
-
-
-def parsed(kind: type[Given], description: str | None, arguments: Sequence[str] | None = None) -> Given | None:
-    """Return the settings that the arguments of a command line give; None where they ask for help, which is printed.
-
-    Raises:
-        SystemExit: arguments are wrong, which has been said in one line.
-    """
-
-    def given(*, settings: Given) -> Given:
-        return settings
-
-    # The last of several values counts, as elsewhere.
-    shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
-    app = App(name=PROGRAM, help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared)
-    given.__annotations__ = {"settings": Annotated[kind, Parameter(name="*")]}
-    given.__kwdefaults__ = {"settings": kind()}
-    app.default(given)
-    tokens = list(sys.argv[1:] if arguments is None else arguments)
-    if kind.FIRST and tokens and not tokens[0].startswith("-"):
-        tokens.insert(0, f"--{kind.FIRST}")
-    try:
-        found = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-    except (CycloptsError, ValueError) as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        raise SystemExit(2) from None
-    return found if isinstance(found, kind) else None
 
 
 def elapsed() -> str:

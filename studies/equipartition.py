@@ -43,7 +43,7 @@ COLUMNS = text.columns(
 ) | {"V per body/kJ/mol": "{potential_text}"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EquipartitionSettings(GridSettings):
     """Settings of the comparison.
 

@@ -99,7 +99,7 @@ FIGURES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FigureSettings(Settings):
     """What is drawn.
 

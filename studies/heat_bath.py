@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from time import process_time
@@ -120,7 +120,7 @@ METHODS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BathSettings(RunsSettings):
     """Settings of the comparison; the seeds of runs follow `seed`.
 
@@ -137,7 +137,7 @@ class BathSettings(RunsSettings):
         platform: of OpenMM; processor time is known of CPU alone.
     """
 
-    box: Path = SYSTEMS / "peptide.pdb"
+    box: Path = field(default=SYSTEMS / "peptide.pdb", kw_only=False)
     methods: tuple[str, ...] = ()
     starts: int = 1
     time: float = 250.0
@@ -149,7 +149,6 @@ class BathSettings(RunsSettings):
     platform: str = "CPU"
 
     SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance", "equilibrate")
-    FIRST = "box"
 
 
 class Observer:

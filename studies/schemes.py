@@ -35,7 +35,7 @@ COLUMNS = text.columns(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SchemesSettings(GridSettings):
     """Settings of the comparison.
 

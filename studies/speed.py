@@ -77,7 +77,7 @@ STEPS = {
 LEVELS = (0.3, 0.7)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpeedSettings(BoxSettings):
     """Settings of the comparison.
 

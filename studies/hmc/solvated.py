@@ -42,7 +42,7 @@ COLUMNS = text.columns(
 LAWS = text.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SolvatedSettings(SoluteSettings):
     """Choose what is run.
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -105,7 +105,7 @@ METHODS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrialSettings(BathSettings):
     """Settings of the runs; those of `heat_bath`, with shorter ones.
 
@@ -114,12 +114,10 @@ class TrialSettings(BathSettings):
         time: of each run, ps.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     time: float = 500.0
 
     SHARED = ("temperature", "tolerance", "friction")
-
-    FIRST = "box"
 
 
 def tasks(settings: TrialSettings) -> Iterator[Task]:

@@ -34,7 +34,7 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LaunchesSettings(RunsSettings):
     """What is counted.
 

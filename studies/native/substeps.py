@@ -11,7 +11,7 @@ seeds add to the same averages. Writes native-substeps.json.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SubstepSettings(BathSettings):
     """Choose what is compared; the seeds of runs follow `seed`.
 
@@ -55,7 +55,7 @@ class SubstepSettings(BathSettings):
         steps: of SIER2, fs.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     time: float = 100.0
     starts: int = 2
     substeps: tuple[int, ...] = (1, 2, 3)

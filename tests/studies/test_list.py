@@ -12,10 +12,11 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", modules())
-def test_every_study_has_a_summary_and_a_command(name):
+def test_every_study_has_a_summary_and_a_command(name, capsys):
     assert summary(name).endswith((".", "..."))
     module = f"{name}.__main__" if (ROOT / name.replace(".", "/")).is_dir() else name
-    assert callable(import_module(module).main)
+    assert import_module(module).main(["--help"]) == 0
+    assert "--out" in capsys.readouterr().out
 
 
 def test_the_list_has_studies_and_what_their_records_took(capsys):

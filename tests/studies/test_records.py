@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from studies import command, records
-from studies.command import Settings
+from studies.command import BoxSettings, Settings
 from studies.records import Record
 
 ROWS = pd.DataFrame(
@@ -49,7 +49,7 @@ def test_a_record_has_the_commands_that_made_it(tmp_path, monkeypatch):
     assert records.read(path).commands["third"].endswith((" s", " min", " h"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Files(Settings):
     boxes: tuple[Path, ...] = (Path("/here/a.pdb"), Path("/there/b.pdb"))
 
@@ -58,7 +58,7 @@ def test_files_are_recorded_by_their_names():
     assert Files().recorded() == {"seed": 1, "boxes": ("a.pdb", "b.pdb")}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Numbers(Settings):
     """Of a study.
 
@@ -77,8 +77,23 @@ def test_fields_are_options(tmp_path):
     found = []
     arguments = ["--dt", "2", "3", "--pressure", "-5", "--out", str(tmp_path / "new" / "out")]
     assert command.command(Numbers, lambda settings, report: found.append(settings), "what", "")(arguments) == 0
-    assert found == [Numbers(tmp_path / "new" / "out", 1, (2.0, 3.0), -5.0)]
+    assert found == [Numbers(out=tmp_path / "new" / "out", seed=1, dt=(2.0, 3.0), pressure=-5.0)]
     assert (tmp_path / "new" / "out").is_dir()
+
+
+def test_a_box_may_stand_first(tmp_path):
+    found = []
+    main = command.command(BoxSettings, lambda settings, report: found.append(settings.box), "what", "")
+    assert main(["a.pdb", "--out", str(tmp_path)]) == main(["--out", str(tmp_path), "--box", "b.pdb"]) == 0
+    assert found == [Path("a.pdb"), Path("b.pdb")]
+
+
+def test_help_explains_the_options_of_all_studies(capsys):
+    assert command.command(Numbers, lambda settings, report: None, "What it does.", "")(["--help"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "What it does." in said
+    assert "bar." in said
+    assert "directory for numbers and figures" in said
 
 
 def test_errors_are_one_line(tmp_path, capsys):
