@@ -80,7 +80,7 @@ def read(path: Path) -> Record:
     if "tables" not in content:
         raise ValueError(f"{path} is no record of a study: it has no tables")
     tables = {name: pd.DataFrame(rows).replace({None: math.nan}) for name, rows in content["tables"].items()}
-    return Record(content["settings"], tables, content["notes"], content["commands"])
+    return Record(content["settings"], tables, content["notes"], content.get("commands", {}))
 
 
 def source(file: str) -> str:

@@ -42,6 +42,8 @@ def test_a_record_has_the_commands_that_made_it(tmp_path, monkeypatch):
         return list(records.read(path).commands)
 
     settings = {"box": Path("box.pdb"), "dt": (1.0, 2.0)}
+    # One that was written before records had commands.
+    path.write_text(json.dumps({"settings": {}, "notes": {}, "tables": {}}))
     assert commands_after("first", settings) == ["first"]
     assert commands_after("second", settings) == ["first", "second"]
     assert commands_after("first", settings) == ["first", "second"]
