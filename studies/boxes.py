@@ -112,18 +112,24 @@ def solute(path: Path, interactions: Interactions, forcefield: Sequence[str] = (
     return dhfr(**interactions._asdict())
 
 
-class Replica(NamedTuple):
-    """A box repeated along its edges, or a part of one.
+class BoxSystem(NamedTuple):
+    """A box as studies move it: as it was read, repeated along its edges, or a part of one.
 
     Attributes:
-        molecules: their number.
+        molecules: of water, or residues where there is more.
         positions: (N, 3), nm, virtual sites included.
         system: with PME.
+        name: of the box, for tables.
+        has_solute: whether there is more than water.
+        vectors: periodic box vectors, (3, 3), nm; None: those of the System.
     """
 
     molecules: int
     positions: np.ndarray
     system: openmm.System
+    name: str = ""
+    has_solute: bool = False
+    vectors: np.ndarray | None = None
 
 
 def is_water(path: Path) -> bool:
@@ -145,7 +151,7 @@ def copies_for(molecules: int, of: int) -> tuple[int, int, int]:
     return min(shapes, key=lambda shape: (max(shape) - min(shape), shape))
 
 
-def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica:
+def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> BoxSystem:
     """A box repeated along each edge.
 
     Args:
@@ -155,9 +161,9 @@ def repeated(box: Box, directory: Path, copies: tuple[int, int, int]) -> Replica
     """
     positions = np.array(box.positions.value_in_unit(unit.nanometer))
     if copies == (1, 1, 1):
-        return Replica(box.topology.getNumResidues(), positions, box.system)
+        return BoxSystem(box.topology.getNumResidues(), positions, box.system)
     topology, moved = copied(box.topology, positions, copies)
-    return Replica(topology.getNumResidues(), moved, _system(topology, box, directory))
+    return BoxSystem(topology.getNumResidues(), moved, _system(topology, box, directory))
 
 
 def copied(
@@ -173,7 +179,7 @@ def copied(
     return made, ((places @ vectors)[:, None] + positions).reshape(-1, 3)
 
 
-def cropped(box: Box, directory: Path, molecules: int) -> Replica:
+def cropped(box: Box, directory: Path, molecules: int) -> BoxSystem:
     """Molecules around a corner of a box, in a smaller box of the same shape and density.
 
     The molecules are those nearest to the corner. They meet new neighbours across the faces of the smaller box, so
@@ -203,14 +209,14 @@ def cropped(box: Box, directory: Path, molecules: int) -> Replica:
     # Centres fill the smaller box as they filled their part of the larger one.
     shifts = centres[chosen] * share / reach[chosen[-1]] - [positions[atoms[i]].mean(axis=0) for i in chosen]
     found = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
-    return Replica(molecules, found, _system(topology, box, directory))
+    return BoxSystem(molecules, found, _system(topology, box, directory))
 
 
 def _system(topology: app.Topology, box: Box, directory: Path) -> openmm.System:
     return with_tolerance(forcefields.pme_system(topology, forcefields.load(box.files, directory)))
 
 
-def of_size(box: Box, directory: Path, molecules: int) -> Replica:
+def of_size(box: Box, directory: Path, molecules: int) -> BoxSystem:
     """A box of this many molecules: `cropped` where it is smaller than the one given, else `repeated`.
 
     Raises:

@@ -1,22 +1,14 @@
 """What README and the documentation claim of measurements, each beside the record that shows it.
 
-    python -m studies.claims
-
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
-tests assert. The command writes the figures into README and the draft of the paper: a new sentence is written there
-with any figures, and gets those of the record. The page docs/measurements/trust.md lists all claims.
+tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The page
+docs/measurements/trust.md lists all claims.
 """
 
 from __future__ import annotations
 
 from studies import claim_figures as figures
-from studies.trust import ANY, ROOT, Claim
-
-README = ROOT / "README.md"
-DRAFT = ROOT / "paper" / "paper.md"
-
-WHOLE_RUN = "python -m studies.whole_run --methods verlet sier4g --starts 1 --per-force"
-HEAT_BATH = "python -m studies.heat_bath"
+from studies.trust import ANY, Claim
 
 CONSTANT_ENERGY = (
     Claim(
@@ -27,7 +19,6 @@ CONSTANT_ENERGY = (
         {"least": (10, ANY), "count": (5, 5)},
         in_readme=True,
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --molecules 512 --liquids TIP3P SPC/E TIP4P/2005 OPC peptide",
     ),
     Claim(
         "In TIP5P it is {gain:.1f} times smaller.",
@@ -35,7 +26,6 @@ CONSTANT_ENERGY = (
         figures.gain(liquid="TIP5P"),
         {"gain": (3, ANY)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --liquids TIP5P",
     ),
     Claim(
         "Over 1 ns of 64 molecules of TIP3P it is {gain:.0f} times smaller.",
@@ -43,7 +33,6 @@ CONSTANT_ENERGY = (
         figures.gain(time=1000.0),
         {"gain": (8, ANY)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 1.3333333333333333 --time 1000",
     ),
     Claim(
         "No drift is seen in these runs: none is more than {off:.1f} of its errors.",
@@ -57,7 +46,6 @@ CONSTANT_ENERGY = (
         figures.gain(step=6.0),
         {"gain": (1, 3)},
         in_paper=True,
-        command=f"{WHOLE_RUN} 2 --time 50",
     ),
     Claim(
         "Within 1 ps SIER2P3 at 12 fs has {least:.1f} to {most:.1f} times the energy error of Verlet at 2 fs, for half"
@@ -110,7 +98,6 @@ IN_A_HEAT_BATH = (
         figures.water_in_a_bath,
         {"potential": (-0.2, 0.2), "density": (-0.6, 0.6)},
         in_paper=True,
-        command=f"{HEAT_BATH} systems/tip3p-512.pdb --time 100 --pressure 1",
     ),
     Claim(
         "Reports of temperature are off the bath by {own:+.1f} ± {own_error:.1f} K for the water around the peptide "
@@ -134,7 +121,6 @@ IN_A_HEAT_BATH = (
         figures.light_hydrogens,
         {"share": (80, 120)},
         in_readme=True,
-        command=f"{HEAT_BATH} systems/tip3p-512.pdb --time 100 --pressure 1",
     ),
     Claim(
         "LangevinMiddle at 4 fs gives three models of water the energy that it has at 1 fs within {energy:.1f} %.",
@@ -170,7 +156,6 @@ EXACT_AVERAGES = (
         "trials.json",
         figures.costs_of_trials,
         {"tip3p": (0, 0.7), "spce": (0, 2), "tip4p2005": (0, 1.3), "peptide": (0, 1.2)},
-        command='python -m studies.hmc.trials tip3p-64.pdb --methods "SIER2V2 HMC, 9 fs x 8, 1/ps"',
     ),
     Claim(
         "Of DHFR in water, 23558 atoms, {accepted:.0f} % of {trials:.0f} trials of 36 fs are accepted with SIER4G at 9 "
@@ -179,7 +164,6 @@ EXACT_AVERAGES = (
         figures.trials_of_dhfr,
         {"accepted": (85, 100), "trials": (100, ANY)},
         in_paper=True,
-        command=f'{HEAT_BATH} dhfr --methods "SIER4G HMC, 9 fs" --time 4',
     ),
     Claim(
         "With hydrogens of 3 dalton in DHFR, and of 1 in water, {accepted:.0f} of {trials:.0f} trials of 30 fs are "
@@ -259,41 +243,3 @@ TOPICS = {
 }
 
 CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
-
-# --- what is made of the list ---
-
-
-def readme(written: str) -> str:
-    """Return README with the figures of the records.
-
-    Raises:
-        ValueError: it lacks a sentence.
-    """
-    for claim in CLAIMS:
-        written = claim.written(written) if claim.in_readme else written
-    return written
-
-
-def draft(written: str) -> str:
-    """Return the draft of the paper with the figures of the records.
-
-    Raises:
-        ValueError: it lacks a sentence.
-    """
-    for claim in CLAIMS:
-        written = claim.written(written) if claim.in_paper else written
-    return written
-
-
-def main() -> None:
-    """Write the figures into README and the draft."""
-    for path, with_figures in ((README, readme), (DRAFT, draft)):
-        before = path.read_text()
-        after = with_figures(before)
-        path.write_text(after)
-        changed = sum(one != other for one, other in zip(before.splitlines(), after.splitlines(), strict=True))
-        print(f"{path.relative_to(ROOT)}: {changed} lines changed")
-
-
-if __name__ == "__main__":
-    main()

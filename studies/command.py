@@ -1,12 +1,18 @@
-"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help."""
+"""Studies as commands: the fields of a dataclass of settings are the options, and its docstring is their help.
+
+A field that is not for keywords alone, such as a box, may also stand first, without its name.
+"""
 
 import json
 import math
+import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from time import monotonic
+from typing import Any, ClassVar, TypeVar
 
 import openmm
 from cyclopts import App, CycloptsError, Parameter
@@ -16,11 +22,19 @@ from studies.report import PrintedReport, Report
 #: The boxes of the repository.
 SYSTEMS = Path(__file__).parents[1] / "systems"
 
+#: The program that Python was started with, and the whole command.
+PROGRAM = f"python -m {getattr(sys.modules['__main__'].__spec__, 'name', 'studies').removesuffix('.__main__')}"
+THREADS = f"OPENMM_CPU_THREADS={os.environ['OPENMM_CPU_THREADS']} " if "OPENMM_CPU_THREADS" in os.environ else ""
+COMMAND = f"{THREADS}{PROGRAM} {shlex.join(sys.argv[1:])}".rstrip()
+
+#: When this module was read.
+BEGUN = monotonic()
+
 #: What a study says in one line; any other exception is a fault of the program and shows where.
 EXPECTED = (ValueError, OSError, ImportError, openmm.OpenMMException)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """What all studies take.
 
@@ -34,9 +48,6 @@ class Settings:
 
     #: Names of numbers that need not be above 0.
     ANY_SIGN: ClassVar[tuple[str, ...]] = ()
-
-    #: The option whose value a command line may begin with, if there is one.
-    FIRST: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -58,7 +69,7 @@ def _named(value: Any) -> Any:
     return value.name if isinstance(value, Path) else value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoxSettings(Settings):
     """What studies of a box take.
 
@@ -69,15 +80,13 @@ class BoxSettings(Settings):
         platform: of OpenMM; None takes the fastest.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     forcefield: tuple[str, ...] = ()
     temperature: float = 297.0
     platform: str | None = None
 
-    FIRST: ClassVar[str] = "box"
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunsSettings(Settings):
     """What studies take that keep their runs one by one, so that a study that was stopped goes on where it was.
 
@@ -114,10 +123,21 @@ def command(
     """
 
     def main(arguments: Sequence[str] | None = None) -> int:
+        # The last of several values counts, as elsewhere.
+        shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
+        app = App(
+            name=PROGRAM, help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared
+        )
+        app.default(kind)
         try:
-            settings = parsed(kind, description, arguments)
-            if settings is None:
-                return 0
+            settings = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        except (CycloptsError, ValueError) as error:
+            print(" ".join(str(error).split()), file=sys.stderr)
+            raise SystemExit(2) from None
+        if not isinstance(settings, kind):
+            # It has printed the help.
+            return 0
+        try:
             settings.out.mkdir(parents=True, exist_ok=True)
             study(settings, PrintedReport())
         except EXPECTED as error:
@@ -130,39 +150,13 @@ def command(
     return main
 
 
-def parsed(kind: type[Given], description: str | None, arguments: Sequence[str] | None = None) -> Given | None:
-    """Return the settings that the arguments of a command line give; None where they ask for help, which is printed.
-
-    Raises:
-        SystemExit: arguments are wrong, which has been said in one line.
-    """
-
-    def given(*, settings: Given) -> Given:
-        return settings
-
-    # The last of several values counts, as elsewhere.
-    shared = Parameter(consume_multiple=True, allow_repeating=True, negative_iterable="")
-    app = App(
-        name=_program(), help=description or "", help_format="plaintext", version_flags=[], default_parameter=shared
-    )
-    given.__annotations__ = {"settings": Annotated[kind, Parameter(name="*")]}
-    given.__kwdefaults__ = {"settings": kind()}
-    app.default(given)
-    tokens = list(sys.argv[1:] if arguments is None else arguments)
-    if kind.FIRST and tokens and not tokens[0].startswith("-"):
-        tokens.insert(0, f"--{kind.FIRST}")
-    try:
-        found = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-    except (CycloptsError, ValueError) as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        raise SystemExit(2) from None
-    return found if isinstance(found, kind) else None
-
-
-def _program() -> str:
-    """Return the command as it was given, for the help."""
-    module = getattr(sys.modules["__main__"].__spec__, "name", "studies")
-    return f"python -m {module.removesuffix('.__main__')}"
+def elapsed() -> str:
+    """Return how long this process has been running since it read this module, with a unit."""
+    seconds = monotonic() - BEGUN
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
 
 
 def chosen(names: Sequence[str], known: dict[str, Any], what: str) -> list[Any]:

@@ -30,7 +30,7 @@ CELL = ["tolerance", "cutoff", "switch", "balanced"]
 Choice = tuple[Literal["no", "yes"], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DefaultsSettings(GridSettings):
     """Settings of the table.
 

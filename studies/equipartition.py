@@ -27,7 +27,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style, text
 from studies.command import chosen, command
-from studies.methods import CONSTANT_ENERGY, Method, with_bath
+from studies.methods import CONSTANT_ENERGY, Bath, Method, with_bath
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import GridSettings, Liquid, Unstable, follow
@@ -43,7 +43,7 @@ COLUMNS = text.columns(
 ) | {"V per body/kJ/mol": "{potential_text}"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EquipartitionSettings(GridSettings):
     """Settings of the comparison.
 
@@ -71,7 +71,7 @@ class EquipartitionSettings(GridSettings):
 
     def known(self, seed: int) -> dict[str, Method]:
         """The methods of the ensemble, by name."""
-        return CONSTANT_ENERGY if self.ensemble == "nve" else with_bath(self.temperature, self.friction, seed)
+        return CONSTANT_ENERGY if self.ensemble == "nve" else with_bath(Bath(self.temperature, self.friction), seed)
 
 
 def run(task: Task) -> dict[str, Any]:

@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
-from studies import acceptance, crowding, equipartition, records, step_study, style, whole_run
+from studies import equipartition, records, step_study, style, whole_run
 from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
 from studies.paper import water
-from studies.records import Record
+from studies.records import DATA, Record
 from studies.report import SILENT, Report
-from studies.sources import DATA
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -89,9 +88,7 @@ class Drawn(NamedTuple):
 
 
 FIGURES = {
-    "acceptance": Drawn(acceptance.figure, "acceptance.json"),
     "bath": Drawn(bath, "heat-bath.json"),
-    "crowding": Drawn(crowding.figure, "crowding.json"),
     "domains": Drawn(drawing.figure, "domains.json"),
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),
@@ -102,7 +99,7 @@ FIGURES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FigureSettings(Settings):
     """What is drawn.
 

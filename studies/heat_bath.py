@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from time import process_time
@@ -40,20 +40,18 @@ from openmm_sier.inputs.starts import equilibrate, make_context
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
-from studies.contestants import (
-    AT_IMPULSES,
+from studies.hmc.samples import backbone, charges, cost, dihedral
+from studies.methods import (
+    HEAVY,
+    MIDDLE,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
-    SEVERAL_STEPS_OF_RECIPROCAL,
-    WITH_IMPULSES,
     Bath,
     Contestant,
     exact,
-    middle,
     own,
     turned_more,
 )
-from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import HIGHEST_TEMPERATURE, Unstable
@@ -109,23 +107,20 @@ FRICTION = 5.0
 METHODS = {
     method.name: method
     for method in (
-        *(Contestant("LangevinMiddle", step, middle, detail="light") for step in (2, 4)),
-        *(Contestant("LangevinMiddle", step, middle, hydrogens=3.0) for step in (4, 5)),
+        *(MIDDLE.at(step, detail=", light") for step in (2, 4)),
+        *(MIDDLE.at(step, hydrogens=3.0) for step in (4, 5)),
         MIDDLE_IN_RIGID_WATER,
-        SEVERAL_STEPS,
-        SEVERAL_STEPS_OF_RECIPROCAL,
-        WITH_IMPULSES,
-        AT_IMPULSES,
-        *(own(step, hydrogens=None, detail="light") for step in (4, 5, 6)),
+        SEVERAL_STEPS.at(8, **HEAVY),
+        *(own(step, hydrogens=None, detail=", light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
-        *(own(9, hydrogens=mass, detail=f"hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
+        *(own(9, hydrogens=mass, detail=f", hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
         *(turned_more(9, friction) for friction in (5.0, 10.0)),
         *(exact(step, steps) for step, steps in ((8, 5), (9, 4))),
     )
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BathSettings(RunsSettings):
     """Settings of the comparison; the seeds of runs follow `seed`.
 
@@ -142,7 +137,7 @@ class BathSettings(RunsSettings):
         platform: of OpenMM; processor time is known of CPU alone.
     """
 
-    box: Path = SYSTEMS / "peptide.pdb"
+    box: Path = field(default=SYSTEMS / "peptide.pdb", kw_only=False)
     methods: tuple[str, ...] = ()
     starts: int = 1
     time: float = 250.0
@@ -154,7 +149,6 @@ class BathSettings(RunsSettings):
     platform: str = "CPU"
 
     SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance", "equilibrate")
-    FIRST = "box"
 
 
 class Observer:

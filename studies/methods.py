@@ -1,24 +1,37 @@
-"""The integrators that studies compare: those of this package by scheme and free rotation, and OpenMM's own."""
+"""The integrators that studies compare: those of this package by scheme and free rotation, and OpenMM's own.
+
+A `Method` has any step. A `Contestant` is one at a step, with what its System needs.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import openmm
 
+from openmm_sier import SIERHMCIntegrator, prepare_system
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.operators import Rotation
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, Scheme
+from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, SIER4G, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.prepare.masses import set_hydrogen_masses
 
 #: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
 #: mass (1 + (h w)^2/6)/m. With the bath in the middle of its drift it has none (`Scheme.with_bath`).
 BIAS_NVE, BIAS_NVT = 1 / 6, 0.0
+
+
+class Bath(NamedTuple):
+    """Temperature in K, friction in 1/ps, and pressure in bar if one is kept."""
+
+    temperature: float
+    friction: float
+    pressure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -27,19 +40,29 @@ class Method:
 
     Attributes:
         name: for tables.
+        make: step in ps -> integrator; with a bath, step and `Bath` -> integrator.
         forces: evaluations per step.
         order: of its energy error in the step.
-        make: step in ps -> integrator.
+        has_bath: whether it keeps a temperature.
         bias: a step h changes the temperature of a degree of freedom of frequency w by the fraction -bias (h w)^2, to
             leading order; NaN where there is no such law. There is none for Verlet: SETTLE's free rotation, which is
             not exact, has a bias of its own.
     """
 
     name: str
-    forces: int
-    order: int
-    make: Callable[[float], openmm.Integrator]
+    make: Callable[..., openmm.Integrator]
+    forces: int = 1
+    order: int = 2
+    has_bath: bool = False
     bias: float = math.nan
+
+    def at(self, step: float, **needs: Any) -> Contestant:
+        """Return this method at a step in fs; `needs` are attributes of `Contestant`."""
+        return Contestant(self, step, **needs)
+
+    def of_openmm(self) -> Method:
+        """Return this method with the name that it has beside those of the package."""
+        return replace(self, name=f"OpenMM {self.name}")
 
 
 @dataclass(frozen=True)
@@ -48,6 +71,79 @@ class OwnMethod(Method):
 
     scheme: Scheme = SIER2
     rotation: Rotation = rotation.exact
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A method at a step, with the System that it is given.
+
+    Attributes:
+        method: without a step.
+        step: fs.
+        hydrogens: their mass in dalton, in water too; None leaves them as the box has them.
+        prepared: whether its System is.
+        detail: what its name has after the step.
+        steps: made by one call of `step(1)`, as in a trial of hybrid Monte Carlo.
+        friction: of its bath, 1/ps; None takes that of the study.
+        only_rigid: whether its step is too long for anything but rigid molecules.
+    """
+
+    method: Method
+    step: float
+    hydrogens: float | None = None
+    prepared: bool = False
+    detail: str = ""
+    steps: int = 1
+    friction: float | None = None
+    only_rigid: bool = False
+
+    @property
+    def name(self) -> str:
+        return f"{self.method.name}, {self.step:g} fs{self.detail}"
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of one call of `step(1)`, fs."""
+        return self.step * self.steps
+
+    @property
+    def forces(self) -> int:
+        """Evaluations in a step."""
+        return self.method.forces
+
+    def integrator(self, bath: Bath) -> openmm.Integrator:
+        """Return a new integrator."""
+        if not self.method.has_bath:
+            return self.method.make(1e-3 * self.step)
+        mine = bath if self.friction is None else bath._replace(friction=self.friction)
+        return self.method.make(1e-3 * self.step, mine)
+
+    def fit(self, system: openmm.System) -> None:
+        """Give the System masses of hydrogens, and prepare it."""
+        if self.prepared:
+            prepare_system(system, hydrogenMass=self.hydrogens)
+        elif self.hydrogens is not None:
+            set_hydrogen_masses(system, self.hydrogens)
+
+
+# --- OpenMM's own ---
+
+
+def _middle(step: float, bath: Bath) -> openmm.Integrator:
+    return openmm.LangevinMiddleIntegrator(bath.temperature, bath.friction, step)
+
+
+def _several_steps(step: float, bath: Bath) -> openmm.Integrator:
+    """Return OpenMM's MTSLangevin, with four inner steps of the forces that preparing puts into group 1."""
+    return openmm.MTSLangevinIntegrator(bath.temperature, bath.friction, step, [(0, 1), (1, 4)])
+
+
+VERLET = Method("Verlet", openmm.VerletIntegrator)
+MIDDLE = Method("LangevinMiddle", _middle, has_bath=True)
+SEVERAL_STEPS = Method("MTSLangevin", _several_steps, has_bath=True)
+
+
+# --- of this package ---
 
 
 def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "", **options: Any) -> OwnMethod:
@@ -61,7 +157,30 @@ def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "", *
     """
     make = partial(SIERIntegrator, scheme=scheme, rotation=turn, **options)
     bias = BIAS_NVE if scheme is SIER2 and turn is rotation.exact else math.nan
-    return OwnMethod(name or scheme.name, scheme.force_evaluations, scheme.order, make, bias, scheme, turn)
+    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, False, bias, scheme, turn)
+
+
+def in_bath(scheme: Scheme = SIER2, name: str = "", **options: Any) -> OwnMethod:
+    """A scheme in a heat bath; `options` are those of `SIERLangevinIntegrator`, others as of `of_scheme`."""
+
+    def make(step: float, bath: Bath) -> openmm.Integrator:
+        return SIERLangevinIntegrator(bath.temperature, bath.friction, step, scheme, pressure=bath.pressure, **options)
+
+    bias = BIAS_NVT if scheme is SIER2 else math.nan
+    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, True, bias, scheme)
+
+
+def trials(scheme: Scheme, steps: int, name: str = "", **options: Any) -> OwnMethod:
+    """Hybrid Monte Carlo with trials of so many steps; `options` are those of `SIERHMCIntegrator`.
+
+    Momenta keep a part by the friction of the bath, unless an option says otherwise.
+    """
+
+    def make(step: float, bath: Bath) -> openmm.Integrator:
+        given = {"frictionCoeff": bath.friction, "pressure": bath.pressure} | options
+        return SIERHMCIntegrator(bath.temperature, step, scheme, steps, **given)
+
+    return OwnMethod(name or f"{scheme.name} HMC", make, scheme.force_evaluations, scheme.order, True, scheme=scheme)
 
 
 #: The four integrators that van Zon and Schofield (2007) compare.
@@ -76,24 +195,47 @@ PAPER = (
 SCHEMES = {name: of_scheme(scheme) for name, scheme in CATALOGUE.items()}
 
 #: OpenMM's Verlet with SETTLE and the schemes of the catalogue.
-CONSTANT_ENERGY: dict[str, Method] = {"verlet": Method("OpenMM Verlet", 1, 2, openmm.VerletIntegrator), **SCHEMES}
+CONSTANT_ENERGY: dict[str, Method] = {"verlet": VERLET.of_openmm(), **SCHEMES}
 
 #: Trajectories that can be reversed, for hybrid Monte Carlo: Verlet with RATTLE solved to rounding, and the schemes.
 REVERSIBLE = {"verlet": of_scheme(SIER2, rotation.rattle, "Verlet, RATTLE"), **SCHEMES}
 
 
-def with_bath(temperature: float, friction: float, seed: int) -> dict[str, Method]:
-    """OpenMM's LangevinMiddle and every scheme of the catalogue with a heat bath, by lower-case name."""
+def with_bath(bath: Bath, seed: int) -> dict[str, Method]:
+    """LangevinMiddle and every scheme of the catalogue in this bath, by lower-case name; they take a step alone."""
 
-    def seeded(h: float, kind: Callable[..., openmm.Integrator]) -> openmm.Integrator:
-        integrator = kind(temperature, friction, h)
-        integrator.setRandomNumberSeed(seed)
-        return integrator
+    def kept(method: Method) -> Method:
+        def make(step: float) -> openmm.Integrator:
+            integrator = method.make(step, bath)
+            integrator.setRandomNumberSeed(seed)
+            return integrator
 
-    middle = partial(seeded, kind=openmm.LangevinMiddleIntegrator)
-    methods = {"langevinmiddle": Method("OpenMM LangevinMiddle", 1, 2, middle)}
-    for name, scheme in CATALOGUE.items():
-        make = partial(seeded, kind=partial(SIERLangevinIntegrator, scheme=scheme))
-        bias = BIAS_NVT if scheme is SIER2 else math.nan
-        methods[name] = Method(f"{scheme.name} Langevin", scheme.force_evaluations, scheme.order, make, bias)
-    return methods
+        return replace(method, make=make, has_bath=False)
+
+    own = {name: in_bath(scheme, f"{scheme.name} Langevin") for name, scheme in CATALOGUE.items()}
+    return {name: kept(method) for name, method in ({"langevinmiddle": MIDDLE.of_openmm()} | own).items()}
+
+
+# --- what several studies compare ---
+
+#: What a System gets for long steps in a bath.
+HEAVY: dict[str, Any] = {"hydrogens": 4.0, "prepared": True}
+
+#: In a bath with heavy hydrogens OpenMM's own integrator bears the steps of SIER2 too, in rigid water alone.
+MIDDLE_IN_RIGID_WATER = MIDDLE.at(9, **HEAVY, only_rigid=True)
+
+
+def own(step: float, **more: Any) -> Contestant:
+    """Return SIER2 in a bath, with heavy hydrogens unless `more` says otherwise."""
+    return in_bath().at(step, **(HEAVY | more))
+
+
+def turned_more(step: float, friction: float) -> Contestant:
+    """Return SIER2 in a bath with 1/ps for translations and a larger friction for rotations, 1/ps."""
+    method = in_bath(rotationalFriction=friction)
+    return method.at(step, **HEAVY, friction=1.0, detail=f", 1/ps, rotations {friction:g}/ps")
+
+
+def exact(step: float, steps: int) -> Contestant:
+    """Return hybrid Monte Carlo with trials of so many steps."""
+    return trials(SIER4G, steps).at(step, **HEAVY, steps=steps)

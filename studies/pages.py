@@ -14,10 +14,10 @@ from string import Formatter
 
 import pandas as pd
 
-from studies import STUDIES, records, trust
-from studies.__main__ import summary
+from studies import records, trust
+from studies.__main__ import modules, summary, times
 from studies.claims import TOPICS
-from studies.sources import COMMANDS, DATA
+from studies.records import DATA
 from studies.text import UNKNOWN, cell, markdown, table
 
 __all__ = ["claims", "figure", "read", "show", "studies", "table", "value"]
@@ -50,7 +50,6 @@ def show(file: str, made: pd.DataFrame) -> Markdown:
 
     Raises:
         ValueError: the table is empty.
-        KeyError: the file has no command.
     """
     if made.empty:
         raise ValueError(f"{file} has no rows for this table")
@@ -77,8 +76,7 @@ def figure(name: str, shows: str) -> Markdown:
 
 
 def _source(file: str) -> str:
-    commands = ", then ".join(f"`{command}`" for command in COMMANDS[file])
-    return f"{{.source}}\n`studies/data/{file}`: {commands}\n"
+    return f"{{.source}}\n{records.source(file)}\n"
 
 
 def value(rows: pd.DataFrame, form: str) -> str:
@@ -102,9 +100,9 @@ def value(rows: pd.DataFrame, form: str) -> str:
 
 
 def studies() -> Markdown:
-    """Return all studies: commands, what they show, and what they take."""
-    rows = [(f"`python -m {module}`", summary(module), cost or UNKNOWN) for module, cost in STUDIES.items()]
-    return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it shows", "what it takes"])))
+    """Return all studies: commands, what they show, and what they took."""
+    rows = [(f"`python -m {module}`", summary(module), times(module) or UNKNOWN) for module in modules()]
+    return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it shows", "what it took"])))
 
 
 def claims(topic: str) -> Markdown:

@@ -12,7 +12,7 @@ import os
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -24,9 +24,12 @@ from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.version import __version__
-from studies.command import RunsSettings, claim
+from studies.command import COMMAND, RunsSettings, claim, elapsed
 from studies.report import Report
 from studies.text import cell
+
+#: The records that pages show.
+DATA = Path(__file__).parent / "data"
 
 #: Packages that results can depend on.
 PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
@@ -40,17 +43,29 @@ class Record:
         settings: of the study.
         tables: by their names.
         notes: further numbers that can be written as JSON.
+        commands: that made it, one after the other, and what each took.
     """
 
     settings: Mapping[str, Any]
     tables: Mapping[str, pd.DataFrame]
     notes: Mapping[str, Any]
+    commands: Mapping[str, str] = field(default_factory=dict)
 
     def write(self, path: Path) -> Record:
-        """Write everything, versions and machine as JSON, with null for what is not finite, and return the record."""
+        """Write everything, versions, machine and command as JSON, with null for what is not finite.
+
+        The commands that have made a record of the same settings there stay in it.
+
+        Returns:
+            This record.
+        """
         tables = {name: frame.to_dict("records") for name, frame in self.tables.items()}
-        content = {**provenance(), "settings": self.settings, "notes": self.notes, "tables": tables}
-        replace_file(path, json.dumps(_plain(content), indent=1, allow_nan=False, default=str) + "\n")
+        results = _plain({"settings": self.settings, "notes": self.notes, "tables": tables})
+        results = json.loads(json.dumps(results, allow_nan=False, default=str))
+        earlier = read(path) if path.exists() else self
+        commands = dict(earlier.commands) if earlier.settings == results["settings"] else {}
+        commands.setdefault(COMMAND, elapsed())
+        replace_file(path, json.dumps({**provenance(), "commands": commands, **results}, indent=1) + "\n")
         return self
 
 
@@ -65,7 +80,13 @@ def read(path: Path) -> Record:
     if "tables" not in content:
         raise ValueError(f"{path} is no record of a study: it has no tables")
     tables = {name: pd.DataFrame(rows).replace({None: math.nan}) for name, rows in content["tables"].items()}
-    return Record(content["settings"], tables, content["notes"])
+    return Record(content["settings"], tables, content["notes"], content.get("commands", {}))
+
+
+def source(file: str) -> str:
+    """Return the name of a file of `DATA` with the commands that made it, as pages have it."""
+    commands = ", then ".join(f"`{command}`" for command in read(DATA / file).commands)
+    return f"`studies/data/{file}`: {commands}"
 
 
 def provenance() -> dict[str, Any]:

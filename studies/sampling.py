@@ -115,7 +115,7 @@ def equilibrated_liquid(
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GridSettings(BoxSettings, RunsSettings):
     """Hold what studies take that make runs of a box from several starts.
 

@@ -10,7 +10,6 @@ Writes schemes.json from all runs there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, ClassVar
@@ -18,16 +17,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from openmm_sier.dynamics.schemes import DRIFT, KICK, alternating
 from studies import records, text
 from studies.command import chosen, command
-from studies.methods import CONSTANT_ENERGY, Method, of_scheme
+from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 from studies.sampling import GridSettings, conserved, over_starts
-
-#: Palindromes of kicks and drifts by what stands before the colon; after it are the fractions up to the middle stage.
-FIRST = {"kick": KICK, "drift": DRIFT}
 
 #: What the errors of a liquid are divided by: OpenMM's Verlet, and its usual simulated time per force evaluation in fs.
 REFERENCE, USUAL = CONSTANT_ENERGY["verlet"].name, 2.0
@@ -40,29 +35,13 @@ COLUMNS = text.columns(
 )
 
 
-def methods_of(names: Sequence[str]) -> list[Method]:
-    """Methods by name; a palindrome that has none is kick:0.1932,0.5 or drift:0.1189,0.2962,0.3811, see `FIRST`.
-
-    Raises:
-        ValueError: a scheme is unknown, or fractions are not numbers that sum to one.
-    """
-    given = {name: palindrome(name) for name in names if name.partition(":")[0] in FIRST}
-    return chosen(names, CONSTANT_ENERGY | given, "scheme")
-
-
-def palindrome(name: str) -> Method:
-    """The palindrome of kicks and drifts that a name such as kick:0.1932,0.5 describes."""
-    first, _, fractions = name.partition(":")
-    return of_scheme(alternating(name, tuple(float(each) for each in fractions.split(",")), first=FIRST[first]))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SchemesSettings(GridSettings):
     """Settings of the comparison.
 
     Attributes:
         dt: simulated time per force evaluation, fs.
-        schemes: by name, all unless given; palindromes also by their fractions, such as drift:0.1189,0.2962,0.3811.
+        schemes: by name, all unless given.
         tolerance: OpenMM's ewaldErrorTolerance.
     """
 
@@ -76,7 +55,7 @@ class SchemesSettings(GridSettings):
 def run(task: Task) -> dict[str, Any]:
     """A run with its step in fs, and its figures, see `studies.sampling.conserved`."""
     settings, fs_per_force = task.settings, task.point["fs_per_force"]
-    (method,) = methods_of([task.method])
+    method = CONSTANT_ENERGY[task.method]
     start = settings.start(task.point["seed"], settings.tolerance)
     found = task.point | {"order": method.order, "forces": method.forces, "step": fs_per_force * method.forces}
     return found | conserved(start, method, fs_per_force, settings.time)[0]
@@ -105,13 +84,11 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
 
 def study(settings: SchemesSettings, report: Report = SILENT) -> Record:
     """Make the runs that are missing in the directory `out`, and write schemes.json."""
-    methods = dict(zip(settings.schemes or CONSTANT_ENERGY, methods_of(settings.schemes), strict=True))
-    tasks = [
-        Task(
-            settings, {"liquid": settings.liquid, "method": methods[name].name, "fs_per_force": dt, "seed": seed}, name
-        )
-        for seed, dt, name in product(settings.seeds, settings.dt, methods)
-    ]
+    chosen(settings.schemes, CONSTANT_ENERGY, "scheme")
+    tasks = []
+    for seed, dt, name in product(settings.seeds, settings.dt, settings.schemes or CONSTANT_ENERGY):
+        point = {"liquid": settings.liquid, "method": CONSTANT_ENERGY[name].name, "fs_per_force": dt, "seed": seed}
+        tasks.append(Task(settings, point, name))
     form = "{method} at {fs_per_force:g} fs per force, seed {seed}: {percent:.3f} %, drift {drift:+.2f} kJ/mol/ps"
     runs = records.all_runs(settings, "schemes", tasks, run, report, form)
     rows = points(runs)

@@ -33,21 +33,23 @@ from openmm_sier.inputs.starts import make_context
 from studies import speed_boxes, text
 from studies.bench import accuracy, peers, usual_inputs
 from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
+from studies.boxes import BoxSystem
 from studies.command import BoxSettings, chosen, command
-from studies.contestants import (
+from studies.methods import (
+    HEAVY,
+    MIDDLE,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
+    VERLET,
     Bath,
     Contestant,
-    at_constant_energy,
     in_bath,
-    middle,
-    verlet,
+    of_scheme,
 )
 from studies.records import Record
 from studies.report import SILENT, Report
 from studies.sampling import equilibrated_liquid
-from studies.speed_boxes import SOLUTES, Start
+from studies.speed_boxes import SOLUTES
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -75,7 +77,7 @@ STEPS = {
 LEVELS = (0.3, 0.7)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpeedSettings(BoxSettings):
     """Settings of the comparison.
 
@@ -103,22 +105,18 @@ class SpeedSettings(BoxSettings):
 def contestants(has_solute: bool) -> list[Contestant]:
     """Return all of them; with solutes SIER2P3 has the step that bonds allow."""
 
-    def own(scheme: Scheme, step: float) -> Contestant:
-        make = partial(at_constant_energy, scheme=scheme)
-        return Contestant(scheme.name, step, make, scheme.force_evaluations, prepared=True, has_bath=False)
-
     def bath(scheme: Scheme, step: float) -> Contestant:
-        make = partial(in_bath, scheme=scheme)
-        return Contestant(f"{scheme.name} in a bath", step, make, scheme.force_evaluations, 4.0, prepared=True)
+        return in_bath(scheme, f"{scheme.name} in a bath").at(step, **HEAVY)
 
-    found = [Contestant("OpenMM Verlet", step, verlet, has_bath=False) for step in (1.0, 2.0)]
-    found += [own(SIER2, 2.0), own(SIER2P3, 9.0 if has_solute else 12.0), own(SIER4G, 4.0)]
-    found += [Contestant("OpenMM LangevinMiddle", step, middle, hydrogens=3.0) for step in (2.0, 4.0, 5.0)]
-    found.append(replace(SEVERAL_STEPS, method="OpenMM MTSLangevin"))
+    middle, longer = MIDDLE.of_openmm(), 9 if has_solute else 12
+    found = [VERLET.of_openmm().at(step) for step in (1, 2)]
+    found += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
+    found += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
+    found.append(SEVERAL_STEPS.of_openmm().at(8, **HEAVY))
     if not has_solute:
-        found.append(replace(MIDDLE_IN_RIGID_WATER, method="OpenMM LangevinMiddle"))
-        found.append(bath(SIER2P3, 18.0))
-    return [*found, *(bath(SIER2, step) for step in (8.0, 9.0, 10.0))]
+        found.append(replace(MIDDLE_IN_RIGID_WATER, method=middle))
+        found.append(bath(SIER2P3, 18))
+    return [*found, *(bath(SIER2, step) for step in (8, 9, 10))]
 
 
 class Turn(NamedTuple):
@@ -129,27 +127,27 @@ class Turn(NamedTuple):
     processor: float
 
 
-def speeds(start: Start, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
-    """Return a row for each method in one box."""
-    methods = {method.name: method for method in contestants(start.has_solute)}
-    contexts = {name: _context(method, start, settings) for name, method in methods.items()}
+def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
+    """Return a row for each method in one box, from a phase point."""
+    methods = {method.name: method for method in contestants(box.has_solute)}
+    contexts = {name: _context(method, box, state, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
     actions: dict[str, Callable[[], Turn]] = {
         name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
         for name, method in methods.items()
     }
-    actions |= _actions_of_peers(start, evaluations, settings)
+    actions |= _actions_of_peers(box, state, evaluations, settings)
     platform = contexts[REFERENCE].getPlatform().getName()
     found = turns(actions, settings.rounds)
     rows = rows_of(found, platform)
     for row in rows:
         method = methods.get(row["name"])
         row |= {
-            "box": start.name,
-            "atoms": start.system.getNumParticles(),
+            "box": box.name,
+            "atoms": box.system.getNumParticles(),
             "platform": platform,
             "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", "") if method else "",
-            "method": method.method if method else row["name"].partition(",")[0],
+            "method": method.method.name if method else row["name"].partition(",")[0],
             "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
         }
         report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
@@ -173,11 +171,11 @@ def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, An
     return rows
 
 
-def _context(method: Contestant, start: Start, settings: SpeedSettings) -> openmm.Context:
-    system = copy.deepcopy(start.system)
+def _context(method: Contestant, box: BoxSystem, state: openmm.State, settings: SpeedSettings) -> openmm.Context:
+    system = copy.deepcopy(box.system)
     method.fit(system)
     context = make_context(system, method.integrator(Bath(settings.temperature, FRICTION)), settings.platform)
-    context.setState(start.state)
+    context.setState(state)
     return context
 
 
@@ -196,11 +194,13 @@ def _evaluations(context: openmm.Context, least: float) -> int:
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
 
 
-def _actions_of_peers(start: Start, evaluations: int, settings: SpeedSettings) -> dict[str, Callable[[], Turn]]:
+def _actions_of_peers(
+    box: BoxSystem, state: openmm.State, evaluations: int, settings: SpeedSettings
+) -> dict[str, Callable[[], Turn]]:
     """Return turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
-    if start.has_solute or start.molecules > settings.largest_for_peers:
+    if box.has_solute or box.molecules > settings.largest_for_peers:
         return {}
-    liquid = peers.liquid_of(start.system, start.state)
+    liquid = peers.liquid_of(box.system, state)
     if liquid is None:
         return {}
     steps = max(evaluations, PEER_STEPS)
@@ -287,7 +287,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
     chosen(with_solute, SOLUTES, "box")
     made: list[dict[str, Any]] = []
     for name in settings.boxes:
-        made += speeds(speed_boxes.start(name, settings, report), settings, report)
+        made += speeds(*speed_boxes.start(name, settings, report), settings, report)
     found = {"speeds": pd.DataFrame(made)}
     if len(with_solute) < len(settings.boxes):
         found["points"] = energy_errors(settings, report)

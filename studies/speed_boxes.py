@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import openmm
 
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.forcefields import Interactions
 from studies import boxes
+from studies.boxes import BoxSystem
 from studies.command import SYSTEMS, BoxSettings
 from studies.report import Report
 from studies.sampling import warmed
@@ -29,41 +28,23 @@ INTERACTIONS = Interactions(CUTOFF, SWITCH, TOLERANCE, HYDROGEN)
 SOLUTES = {"peptide": SYSTEMS / "peptide.pdb", "dhfr": boxes.DHFR}
 
 
-class Start(NamedTuple):
-    """A box and the phase point from which all methods start.
-
-    Attributes:
-        name: of the box.
-        molecules: of pure water, else of residues.
-        system: as OpenMM makes it.
-        state: positions, velocities and box.
-        has_solute: whether there is more than water.
-    """
-
-    name: str
-    molecules: int
-    system: openmm.System
-    state: openmm.State
-    has_solute: bool
-
-
-def start(name: str, settings: BoxSettings, report: Report) -> Start:
-    """A box by its name.
+def start(name: str, settings: BoxSettings, report: Report) -> tuple[BoxSystem, openmm.State]:
+    """Return a box by its name, as OpenMM makes it, and the phase point from which all methods start.
 
     Raises:
         ValueError: the number of molecules of water is not a multiple of that of the box.
     """
     if name.startswith("water-"):
-        molecules, positions, system = _water(int(name.removeprefix("water-")), settings)
+        box = _water(int(name.removeprefix("water-")), settings)._replace(name=name)
     else:
-        box = boxes.solute(SOLUTES[name], INTERACTIONS)
-        molecules, positions, system = box.topology.getNumResidues(), md(box.positions), box.system
-    boxes.split_by_openmm(system)
-    report.note(f"{name}: {system.getNumParticles()} atoms")
-    return Start(name, molecules, system, warmed(system, positions, settings, SETTLE), name in SOLUTES)
+        solute = boxes.solute(SOLUTES[name], INTERACTIONS)
+        box = BoxSystem(solute.topology.getNumResidues(), md(solute.positions), solute.system, name, has_solute=True)
+    boxes.split_by_openmm(box.system)
+    report.note(f"{name}: {box.system.getNumParticles()} atoms")
+    return box, warmed(box.system, box.positions, settings, SETTLE)
 
 
-def _water(molecules: int, settings: BoxSettings) -> boxes.Replica:
+def _water(molecules: int, settings: BoxSettings) -> BoxSystem:
     box = forcefields.read_box(settings.box, settings.forcefield, None, INTERACTIONS)
     shape = boxes.copies_for(molecules, box.topology.getNumResidues())
     found = boxes.repeated(box, settings.box.parent, shape)

@@ -85,7 +85,7 @@ HEATED = "OpenMM Verlet"
 APART = 0.06
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StepSettings(RunsSettings):
     """Choose what is run.
 

@@ -1,18 +1,15 @@
-"""Claims: what each says, its bounds, and its sentence in texts. The list is in `studies.claims`."""
+"""Claims: what each says, and its bounds. The list is in `studies.claims`."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from string import Formatter
 
 import pandas as pd
 
 from studies import records
 from studies.command import SYSTEMS
-from studies.records import Record
-from studies.sources import COMMANDS, DATA
+from studies.records import DATA, Record
 
 ROOT = SYSTEMS.parent
 
@@ -21,9 +18,6 @@ Bound = tuple[float, float]
 
 #: No bound on this side.
 ANY = float("inf")
-
-#: A figure in a text that is to be replaced.
-FIGURE = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?"
 
 
 @dataclass(frozen=True)
@@ -35,7 +29,6 @@ class Claim:
         record: file in studies/data.
         figures: of the record, by the names of the fields.
         bounds: of figures, by name.
-        command: that makes what the claim is about, if that is less than the record (`studies.sources`).
         in_readme: whether README has the sentence, word for word.
         in_paper: whether the draft of the paper has it.
     """
@@ -44,7 +37,6 @@ class Claim:
     record: str
     figures: Callable[[Record], Mapping[str, float]]
     bounds: Mapping[str, Bound]
-    command: str = ""
     in_readme: bool = False
     in_paper: bool = False
 
@@ -72,22 +64,6 @@ class Claim:
             if not bound[0] <= figures[name] <= bound[1]
         ]
 
-    def written(self, text: str) -> str:
-        """Return a text in which this sentence, found there with any figures, has those of the record.
-
-        Raises:
-            ValueError: it has no such sentence.
-        """
-        pattern = "".join(
-            r"\s+".join(map(re.escape, re.split(r"\s+", words))) + (FIGURE if name else "")
-            for words, name, _, _ in Formatter().parse(self.text)
-        )
-        sentence = self.sentence()
-        text, count = re.subn(pattern, lambda _: sentence, text)
-        if not count:
-            raise ValueError(f"there should be this sentence, with any figures: {self.text}")
-        return text
-
 
 def in_words(name: str, bound: Bound) -> str:
     """Return a bound as the page has it."""
@@ -104,9 +80,7 @@ def listed(claims: Iterable[Claim]) -> str:
     parts = []
     for claim in claims:
         bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
-        commands = [claim.command] if claim.command else COMMANDS[claim.record]
-        shown = ", then ".join(f"`{command}`" for command in commands)
-        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. `studies/data/{claim.record}`: {shown}\n")
+        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. {records.source(claim.record)}\n")
     return "\n".join(parts)
 
 

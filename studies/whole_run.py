@@ -85,7 +85,7 @@ FOURTH_ORDER = [scheme.name for scheme in CATALOGUE.values() if scheme.order == 
 FITTED = (0.025, 5.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WholeRunSettings(RunsSettings):
     """Settings of the comparison; the seeds of the starts follow `seed`.
 

@@ -47,7 +47,7 @@ POINTS = text.columns("method", "fs_per_force", "percent", "fs_per_second")
 COSTS = text.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_per_second")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BenchSettings(BoxSettings):
     """What is measured.
 

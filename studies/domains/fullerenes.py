@@ -1,9 +1,9 @@
 """Crystals of C60, whose molecules turn: Lennard-Jones atoms with Girifalco's parameters.
 
-Cage and interactions are those of `studies.frames` (L. A. Girifalco, J. Phys. Chem. 96, 858 (1992)). The springs join
-atoms up to two bonds apart, with the strength of the bond CA-CA of AMBER (W. D. Cornell et al., J. Am. Chem. Soc. 117,
-5179 (1995)). The crystal is cubic and face-centred, with a lattice constant of 1.417 nm at room temperature (W. I. F.
-David et al., Europhys. Lett. 18, 219 (1992)).
+The interactions are those of L. A. Girifalco, J. Phys. Chem. 96, 858 (1992). The springs join atoms up to two bonds
+apart, with the strength of the bond CA-CA of AMBER (W. D. Cornell et al., J. Am. Chem. Soc. 117, 5179 (1995)). The
+crystal is cubic and face-centred, with a lattice constant of 1.417 nm at room temperature (W. I. F. David et al.,
+Europhys. Lett. 18, 219 (1992)).
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ import numpy as np
 import openmm
 
 from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within, with_network
-from studies.frames import CARBON, EPSILON, SIGMA, buckminsterfullerene
+
+#: Mass in dalton, length of a bond in nm, and Lennard-Jones of a carbon atom, nm and kJ/mol.
+CARBON, BOND, SIGMA, EPSILON = 12.011, 0.144, 0.3469, 0.2763
+
+GOLDEN = (1 + 5**0.5) / 2
 
 #: nm, at 300 K and 1 bar.
 LATTICE = 1.417
@@ -51,6 +55,16 @@ def model(cells: int = 2) -> Model:
     positions = np.concatenate(places)
     network = with_network(system, positions, bodies, REACH, STIFFNESS)
     return Model("C60", system, network, positions, bodies, pressure=1.0, usual=1.0)
+
+
+def buckminsterfullerene() -> np.ndarray:
+    """Return the positions (60, 3) of a cage in nm about the origin."""
+    corners = set()
+    for corner in ((0, 1, 3 * GOLDEN), (1, 2 + GOLDEN, 2 * GOLDEN), (GOLDEN, 2, 2 * GOLDEN + 1)):
+        for signs in itertools.product((1, -1), repeat=3):
+            for shift in range(3):
+                corners.add(tuple(np.round(np.roll(np.array(corner) * signs, shift), 12) + 0.0))
+    return BOND / 2 * np.array(sorted(corners))
 
 
 def rotation(random: np.random.Generator) -> np.ndarray:

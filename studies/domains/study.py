@@ -89,7 +89,7 @@ TABLES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DomainSettings(RunsSettings):
     """What is run.
 

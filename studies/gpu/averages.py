@@ -14,9 +14,9 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.inputs.starts import make_context
 from openmm_sier.system import tables
-from studies.contestants import Contestant
 from studies.gpu.calls import advance
 from studies.gpu.settings import GpuSettings
+from studies.methods import Contestant
 from studies.units import md
 
 #: Time between two samples, ps.

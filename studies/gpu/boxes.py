@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from studies import boxes
+from studies.boxes import BoxSystem
 from studies.command import SYSTEMS
 
 #: Cut-off of PME in nm, OpenMM's default tolerance, and the mass of hydrogens in dalton: those of OpenMM's benchmark.
@@ -25,26 +25,8 @@ FORCE_FIELDS = {
 AMBER = {"cellulose": "Cellulose", "stmv": "STMV"}
 
 
-class GpuBox(NamedTuple):
-    """A box as OpenMM's benchmark has it.
-
-    Attributes:
-        name: of the box.
-        system: with PME, constrained bonds to hydrogen and a CMMotionRemover.
-        positions: (N, 3), nm.
-        vectors: periodic box vectors, (3, 3), nm; None: those of the System.
-        has_solute: whether there is more than water.
-    """
-
-    name: str
-    system: openmm.System
-    positions: np.ndarray
-    vectors: np.ndarray | None
-    has_solute: bool
-
-
-def named(name: str, benchmarks: Path | None) -> GpuBox:
-    """Make a box by its name.
+def named(name: str, benchmarks: Path | None) -> BoxSystem:
+    """Make a box by its name, as OpenMM's benchmark has it, with constrained bonds to hydrogen and a CMMotionRemover.
 
     Args:
         name: water-N, of N molecules; dhfr, apoa1, cellulose or stmv; dhfr-N, N copies of it.
@@ -63,7 +45,8 @@ def named(name: str, benchmarks: Path | None) -> GpuBox:
     if kind == "dhfr" and benchmarks is None and not number:
         made = boxes.dhfr(CUTOFF, CUTOFF, TOLERANCE, HYDROGEN)
         made.system.addForce(openmm.CMMotionRemover())
-        return GpuBox(name, made.system, made.positions.value_in_unit(unit.nanometer), None, True)
+        positions = made.positions.value_in_unit(unit.nanometer)
+        return BoxSystem(made.topology.getNumResidues(), positions, made.system, name, has_solute=True)
     if kind not in FORCE_FIELDS:
         raise ValueError(f"unknown box {name!r}; known are water-N, dhfr, dhfr-N, apoa1, {', '.join(AMBER)}")
     file, fields = FORCE_FIELDS[kind]
@@ -80,7 +63,7 @@ def _file(folder: Path | None, name: Path, box: str) -> Path:
     return folder / name
 
 
-def _of_pdb(name: str, pdb: app.PDBFile, fields: tuple[str, ...], copies: tuple[int, int, int]) -> GpuBox:
+def _of_pdb(name: str, pdb: app.PDBFile, fields: tuple[str, ...], copies: tuple[int, int, int]) -> BoxSystem:
     topology, positions = boxes.copied(pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)), copies)
     system = app.ForceField(*fields).createSystem(
         topology,
@@ -89,10 +72,10 @@ def _of_pdb(name: str, pdb: app.PDBFile, fields: tuple[str, ...], copies: tuple[
         constraints=app.HBonds,
         hydrogenMass=HYDROGEN * unit.dalton,
     )
-    return GpuBox(name, system, positions, None, not name.startswith("water"))
+    return BoxSystem(topology.getNumResidues(), positions, system, name, not name.startswith("water"))
 
 
-def _of_amber(name: str, folder: Path) -> GpuBox:
+def _of_amber(name: str, folder: Path) -> BoxSystem:
     topology = app.AmberPrmtopFile(str(folder / "Topologies" / f"{AMBER[name]}.prmtop"))
     start = app.AmberInpcrdFile(str(folder / "Coordinates" / f"{AMBER[name]}.inpcrd"))
     system = topology.createSystem(
@@ -100,4 +83,5 @@ def _of_amber(name: str, folder: Path) -> GpuBox:
     )
     vectors = start.boxVectors
     box = None if vectors is None else np.array(vectors.value_in_unit(unit.nanometer))
-    return GpuBox(name, system, np.array(start.positions.value_in_unit(unit.nanometer)), box, True)
+    positions = np.array(start.positions.value_in_unit(unit.nanometer))
+    return BoxSystem(topology.topology.getNumResidues(), positions, system, name, has_solute=True, vectors=box)

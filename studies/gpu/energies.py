@@ -7,9 +7,9 @@ import openmm
 
 from openmm_sier.analysis.observables import energy_error, energy_walk
 from openmm_sier.analysis.statistics import slope_and_error
-from studies.contestants import Contestant
 from studies.gpu.calls import advance
 from studies.gpu.settings import GpuSettings
+from studies.methods import Contestant
 from studies.units import md
 
 #: Time between two samples, fs.

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 
 from openmm_sier.dynamics.schemes import SIER4G
-from studies.contestants import (
+from studies.hmc import trials
+from studies.methods import (
+    HEAVY,
+    MIDDLE,
     MIDDLE_IN_RIGID_WATER,
     SEVERAL_STEPS,
+    VERLET,
     Contestant,
-    at_constant_energy,
     in_bath,
-    middle,
-    verlet,
+    of_scheme,
+    own,
 )
-from studies.hmc import trials
 
 #: What ratios are taken over.
 REFERENCE = "LangevinMiddle, 4 fs"
@@ -25,24 +26,17 @@ REFERENCE = "LangevinMiddle, 4 fs"
 SHORT_STEPS = "LangevinMiddle, 1 fs"
 
 #: SIER2 at the longest step that is recommended.
-LONG_STEPS = Contestant("SIER2", 9, in_bath, hydrogens=4.0, prepared=True)
+LONG_STEPS = own(9)
 
 #: It has the averages of the other engine.
-EXACT_ENGINE = replace(LONG_STEPS, make=partial(in_bath, engine="exact"), detail="exact engine")
+EXACT_ENGINE = in_bath(engine="exact").at(9, **HEAVY, detail=", exact engine")
 
-STEADY = Contestant(
-    "SIER4G",
-    4,
-    partial(at_constant_energy, scheme=SIER4G),
-    SIER4G.force_evaluations,
-    prepared=True,
-    has_bath=False,
-)
+STEADY = of_scheme(SIER4G).at(4, prepared=True)
 
 
 def in_water() -> list[Contestant]:
     """Return the methods that are compared in rigid water alone."""
-    middle_steps = [replace(MIDDLE_IN_RIGID_WATER, step=step, detail="heavy hydrogens") for step in (9, 10)]
+    middle_steps = [replace(MIDDLE_IN_RIGID_WATER, step=step, detail=", heavy hydrogens") for step in (9, 10)]
     longer = [replace(LONG_STEPS, step=step) for step in (10, 11)]
     return [*middle_steps, *longer, trials.METHODS[trials.USUAL]]
 
@@ -50,10 +44,10 @@ def in_water() -> list[Contestant]:
 def around_a_solute() -> list[Contestant]:
     """Return the methods that are compared around a solute alone."""
     return [
-        Contestant("LangevinMiddle", 5, middle, hydrogens=3.0, friction=1.0),
-        replace(SEVERAL_STEPS, friction=1.0),
+        MIDDLE.at(5, hydrogens=3.0, friction=1.0),
+        SEVERAL_STEPS.at(8, **HEAVY, friction=1.0),
         replace(LONG_STEPS, step=8),
-        replace(LONG_STEPS, make=partial(in_bath, substeps=3), detail="five inner steps"),
+        in_bath(substeps=3).at(9, **HEAVY, detail=", five inner steps"),
         trials.METHODS[trials.SHORT],
     ]
 
@@ -61,12 +55,12 @@ def around_a_solute() -> list[Contestant]:
 def methods(has_solute: bool) -> list[Contestant]:
     """Return all methods for a box; the bath of LangevinMiddle at 4 fs is that of OpenMM's benchmark."""
     return [
-        Contestant("Verlet", 2, verlet, has_bath=False),
-        Contestant("LangevinMiddle", 4, middle, friction=1.0),
-        Contestant("LangevinMiddle", 1, middle, hydrogens=4.0, prepared=True),
+        VERLET.at(2),
+        MIDDLE.at(4, friction=1.0),
+        MIDDLE.at(1, **HEAVY),
         *(around_a_solute() if has_solute else in_water()),
         LONG_STEPS,
-        replace(LONG_STEPS, make=partial(in_bath, countsHeat=True), detail="heat counted"),
+        in_bath(countsHeat=True).at(9, **HEAVY, detail=", heat counted"),
         EXACT_ENGINE,
         STEADY,
     ]
@@ -74,16 +68,16 @@ def methods(has_solute: bool) -> list[Contestant]:
 
 def averaged(has_solute: bool, wanted: Collection[str]) -> list[Contestant]:
     """Return those of `methods` whose averages are compared, if their names are wanted."""
-    found = [method for method in methods(has_solute) if method.has_bath and method != EXACT_ENGINE]
+    found = [method for method in methods(has_solute) if method.method.has_bath and method != EXACT_ENGINE]
     return [method for method in found if method.name in wanted]
 
 
 def at_constant_energies() -> list[Contestant]:
     """Return the methods whose energies are followed: Verlet with as many forces as SIER4G, and at its usual step."""
     return [
-        Contestant("Verlet", 2, verlet, has_bath=False),
-        Contestant("Verlet", 1, verlet, has_bath=False),
-        Contestant("Verlet", 1, verlet, has_bath=False, prepared=True, detail="prepared"),
+        VERLET.at(2),
+        VERLET.at(1),
+        VERLET.at(1, prepared=True, detail=", prepared"),
         STEADY,
         replace(STEADY, step=3),
     ]

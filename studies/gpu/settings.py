@@ -8,7 +8,7 @@ from pathlib import Path
 from studies.command import Settings
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GpuSettings(Settings):
     """Choose what is measured.
 

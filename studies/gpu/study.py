@@ -10,15 +10,15 @@ import pandas as pd
 
 from openmm_sier.inputs.starts import make_context
 from studies import text
+from studies.boxes import BoxSystem
 from studies.command import chosen
-from studies.contestants import Bath, Contestant
 from studies.gpu import boxes, domains
 from studies.gpu.averages import averages
-from studies.gpu.boxes import GpuBox
 from studies.gpu.energies import conservation
 from studies.gpu.methods import REFERENCE, SHORT_STEPS, at_constant_energies, averaged, methods
 from studies.gpu.settings import GpuSettings
 from studies.gpu.speed import speeds
+from studies.methods import Bath, Contestant
 from studies.records import Record
 from studies.report import SILENT, Report
 
@@ -58,7 +58,7 @@ class Started:
         box: what is moved.
     """
 
-    def __init__(self, box: GpuBox, settings: GpuSettings):
+    def __init__(self, box: BoxSystem, settings: GpuSettings):
         self.box = box
         self._settings = settings
         self._systems: dict[tuple[bool, float | None], openmm.System] = {}

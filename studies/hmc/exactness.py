@@ -38,7 +38,7 @@ KT = GAS_CONSTANT * TEMPERATURE
 COLUMNS = text.columns("name", "mean", "error", "exact", "off")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExactnessSettings(Settings):
     """Choose how much is done.
 

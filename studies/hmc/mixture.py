@@ -58,7 +58,7 @@ COLUMNS = text.columns("label", "time", "accepted", "potential", "density", "tra
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MixtureSettings(RunsSettings):
     """Choose what is run.
 

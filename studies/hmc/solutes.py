@@ -1,6 +1,6 @@
 """Solutes in water for the studies of hybrid Monte Carlo: read, prepared, in part frozen, and equilibrated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -23,7 +23,7 @@ HYDROGEN, WATER = 1.008, 18.0154
 Moving = Literal["all", "water", "solute"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SoluteSettings(BoxSettings, RunsSettings):
     """Hold what studies of a solvated molecule take.
 
@@ -37,15 +37,13 @@ class SoluteSettings(BoxSettings, RunsSettings):
         equilibrate: ps with LangevinMiddle before the first run of a box, whose end `--out` keeps.
     """
 
-    box: Path = boxes.DHFR
+    box: Path = field(default=boxes.DHFR, kw_only=False)
     cutoff: float = 0.9
     tolerance: float = 1e-4
     hydrogen_mass: float = 3.0
     heavy_water: bool = False
     moving: Moving = "all"
     equilibrate: float = 1.0
-
-    FIRST = "box"
 
 
 class Solution(NamedTuple):

@@ -14,6 +14,7 @@ equilibrated start of each box, which `--out` keeps.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from time import process_time
@@ -25,7 +26,6 @@ import pandas as pd
 from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.acceptance import spread_at
 from studies import records, text
-from studies.acceptance import expected_acceptance, pooled_spread, statistics
 from studies.command import chosen, command
 from studies.hmc import solutes
 from studies.hmc.solutes import SoluteSettings
@@ -42,7 +42,7 @@ COLUMNS = text.columns(
 LAWS = text.columns("moving", "scheme", "masses", "per_force", "boxes", "one", "of", "atoms_80", "atoms_50")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SolvatedSettings(SoluteSettings):
     """Choose what is run.
 
@@ -96,7 +96,7 @@ def integrator_of(settings: SolvatedSettings, scheme: str, per_force: float) -> 
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Return what trials tell, see `studies.acceptance.statistics`, and the acceptance that the spread predicts."""
+    """Return what trials tell, see `statistics`, and the acceptance that the spread predicts."""
     settings = task.settings
     solution = solutes.read(settings)
     integrator = integrator_of(settings, task.point["scheme"], task.point["per_force"])
@@ -123,6 +123,45 @@ def run(task: Task) -> dict[str, Any]:
     }
 
 
+def statistics(errors: Sequence[float]) -> dict[str, Any]:
+    """Return what energy errors of trials in kT tell; an error is NaN where a trajectory could not be followed.
+
+    Returns:
+        The number of `trials`; `acceptance`, the mean of min(1, exp(-error)); `spread`, the standard deviation of the
+        energy error; `mean` of the error, half the square of the spread if errors are normal; each with its standard
+        error, and NaN where there are too few trials.
+    """
+    of_all = np.array(errors, dtype=float)
+    followed = of_all[np.isfinite(of_all)]
+    chances = np.exp(-np.maximum(np.where(np.isfinite(of_all), of_all, math.inf), 0))
+    n, m = len(of_all), len(followed)
+    sd = float(followed.std(ddof=1)) if m > 1 else math.nan
+    return {
+        "trials": n,
+        "acceptance": chances.mean() if n else math.nan,
+        "acceptance_error": chances.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan,
+        "spread": sd,
+        "spread_error": sd / math.sqrt(2 * (m - 1)) if m > 1 else math.nan,
+        "mean": followed.mean() if m else math.nan,
+        "mean_error": sd / math.sqrt(m) if m > 1 else math.nan,
+    }
+
+
+def expected_acceptance(spread: float) -> float:
+    """Return the mean of min(1, exp(-error)) for normal energy errors with this standard deviation in kT."""
+    return math.erfc(spread / math.sqrt(8))
+
+
+def pooled_spread(spreads: pd.Series, parts: pd.Series, trials: pd.Series) -> tuple[float, float]:
+    """Return the spread for one of the parts of a box and its standard error, from boxes weighted by their trials.
+
+    For n parts it is sqrt(n) times as large.
+    """
+    freedom = trials - 1
+    value = math.sqrt((freedom * spreads**2 / parts).sum() / freedom.sum())
+    return value, value / math.sqrt(2 * freedom.sum())
+
+
 def laws(rows: pd.DataFrame) -> pd.DataFrame:
     """The spread of energy errors for one atom, or one molecule of water where water moves alone, from all boxes.
 
@@ -133,7 +172,7 @@ def laws(rows: pd.DataFrame) -> pd.DataFrame:
     found = []
     for (moving, scheme, masses, step), mine in rows.groupby(["moving", "scheme", "masses", "per_force"], sort=False):
         column, of = units[moving]
-        one, error = pooled_spread(mine.assign(molecules=mine[column]))
+        one, error = pooled_spread(mine["spread"], mine[column], mine["trials"])
         row = {"moving": moving, "scheme": scheme, "masses": masses, "per_force": step, "boxes": len(mine), "of": of}
         row |= {"one": one, "one_error": error, "atoms_80": math.nan, "atoms_50": math.nan}
         if moving == "all":

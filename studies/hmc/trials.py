@@ -16,22 +16,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import openmm
 import pandas as pd
 
-from openmm_sier import SIERHMCIntegrator
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
-from studies import heat_bath, records, text
+from studies import heat_bath, methods, records, text
 from studies.command import SYSTEMS, chosen, command
-from studies.contestants import Bath, Contestant, middle
 from studies.heat_bath import AVERAGED, BathSettings
+from studies.methods import MIDDLE, Contestant
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
@@ -54,36 +51,19 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
-class TrialContestant(Contestant):
-    """Hybrid Monte Carlo, whose name has the number of steps in a trial."""
-
-    @property
-    def name(self) -> str:
-        return f"{self.method}, {self.step:g} fs x {self.steps}{', ' if self.detail else ''}{self.detail}"
-
-
-def _draw(
-    bath: Bath, step: float, scheme: Scheme, steps: int, friction: float | None, chances: int | None
-) -> openmm.Integrator:
-    return SIERHMCIntegrator(bath.temperature, step, scheme, steps, friction, bath.pressure, extraChances=chances)
-
-
 def _contestant(
     scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None, chances: int | None = None
-) -> TrialContestant:
-    details = ([] if friction is None else [f"{friction:g}/ps"]) + (["light"] if mass is None else [])
-    details += [] if chances is None else [f"{chances} extra chances"]
-    return TrialContestant(
-        f"{scheme.name} HMC",
-        step,
-        partial(_draw, scheme=scheme, steps=steps, friction=friction, chances=chances),
-        scheme.force_evaluations,
-        mass,
-        prepared=True,
-        detail=", ".join(details),
-        steps=steps,
-    )
+) -> Contestant:
+    """Return trials whose name has what they differ by."""
+    detail = f" x {steps}"
+    if friction is not None:
+        detail += f", {friction:g}/ps"
+    if mass is None:
+        detail += ", light"
+    if chances is not None:
+        detail += f", {chances} extra chances"
+    method = methods.trials(scheme, steps, frictionCoeff=friction, extraChances=chances)
+    return method.at(step, hydrogens=mass, prepared=True, detail=detail, steps=steps)
 
 
 #: Mass of heavy hydrogens, dalton.
@@ -116,7 +96,7 @@ LONGER = "SIER2V2 HMC, 12 fs x 6, 1/ps"
 REFERENCE = "LangevinMiddle, 4 fs"
 
 #: The same with a weaker bath, in which the energy may be forgotten sooner or later.
-WEAK = Contestant("LangevinMiddle", 4, middle, hydrogens=3.0, detail="1/ps", friction=1.0)
+WEAK = MIDDLE.at(4, hydrogens=3.0, detail=", 1/ps", friction=1.0)
 
 METHODS = {
     WEAK.name: WEAK,
@@ -125,7 +105,7 @@ METHODS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrialSettings(BathSettings):
     """Settings of the runs; those of `heat_bath`, with shorter ones.
 
@@ -134,12 +114,10 @@ class TrialSettings(BathSettings):
         time: of each run, ps.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     time: float = 500.0
 
     SHARED = ("temperature", "tolerance", "friction")
-
-    FIRST = "box"
 
 
 def tasks(settings: TrialSettings) -> Iterator[Task]:

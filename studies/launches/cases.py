@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import openmm
 from openmm import app
 
-from openmm_sier import (
-    SIER2P3,
-    SIER4G,
-    SIER4GIntegrator,
-    SIERHMCIntegrator,
-    SIERIntegrator,
-    SIERLangevinIntegrator,
-    prepare_system,
-)
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
+from openmm_sier.dynamics.schemes import SIER2P3, SIER4G
 from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
+from studies.methods import HEAVY, MIDDLE, SEVERAL_STEPS, VERLET, Bath, Contestant, in_bath, of_scheme, trials
 
 #: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
 BOXES = ("tip3p-512", "tip4p-512", "peptide")
@@ -26,64 +19,46 @@ BOXES = ("tip3p-512", "tip4p-512", "peptide")
 #: nm.
 CUTOFF = 0.9
 
-#: Dalton. Hydrogens of prepared Systems, with which SIER2 takes 9 fs.
-HYDROGEN = 4
-
-#: K, and 1/ps.
-TEMPERATURE, FRICTION = 300.0, 5.0
+#: K and 1/ps.
+BATH = Bath(300.0, 5.0)
 
 
-class Method(NamedTuple):
-    """An integrator at its usual step.
+class Case(NamedTuple):
+    """An integrator whose commands are counted.
 
     Attributes:
-        name: with the step.
-        make: its function.
+        integrator: at its usual step.
         kind: OpenMM's class that it is of.
-        is_prepared: whether its System is.
         calls: of one step that are counted.
         steps: in a call of many, as `Simulation` has ten.
     """
 
-    name: str
-    make: Callable[[], openmm.Integrator]
+    integrator: Contestant
     kind: str = "CustomIntegrator"
-    is_prepared: bool = True
     calls: int = 6
     steps: int = 10
 
 
-def _middle() -> openmm.Integrator:
-    return openmm.LangevinMiddleIntegrator(TEMPERATURE, 1.0, 0.004)
-
-
-def _several() -> openmm.Integrator:
-    return openmm.MTSLangevinIntegrator(TEMPERATURE, 1.0, 0.008, [(0, 1), (1, 4)])
-
-
-def _sier2(**options: Any) -> openmm.Integrator:
-    return SIERLangevinIntegrator(TEMPERATURE, FRICTION, 0.009, engine="native", **options)
+def _native_trials() -> Contestant:
+    """Return hybrid Monte Carlo with the usual friction, whose trials all have as many steps."""
+    method = trials(SIER4G, 10, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
+    return method.at(9, **HEAVY, detail=" x 10", steps=10)
 
 
 #: By the names that the command takes.
-METHODS = {
-    "verlet": Method("Verlet, 4 fs", lambda: openmm.VerletIntegrator(0.004), "VerletIntegrator", False),
-    "langevinmiddle": Method("LangevinMiddle, 4 fs", _middle, "LangevinMiddleIntegrator", False),
-    "mtslangevin": Method("MTSLangevin, 8 fs", _several),
-    "sier2": Method("SIER2, 9 fs", _sier2),
-    "sier2-heat": Method("SIER2, 9 fs, heat counted", lambda: _sier2(countsHeat=True)),
-    "sier2p3": Method("SIER2P3, 9 fs", lambda: SIERIntegrator(0.009, SIER2P3, engine="native")),
-    "sier4g": Method("SIER4G, 4 fs", lambda: SIER4GIntegrator(0.004, engine="native")),
-    "hmc": Method(
-        "hybrid Monte Carlo, a trial of 10 steps of 9 fs",
-        lambda: SIERHMCIntegrator(TEMPERATURE, 0.009, SIER4G, 10, engine="native", extraChances=0),
-        calls=3,
-        steps=2,
-    ),
+CASES = {
+    "verlet": Case(VERLET.at(4), "VerletIntegrator"),
+    "langevinmiddle": Case(MIDDLE.at(4, friction=1.0), "LangevinMiddleIntegrator"),
+    "mtslangevin": Case(SEVERAL_STEPS.at(8, **HEAVY, friction=1.0)),
+    "sier2": Case(in_bath(engine="native").at(9, **HEAVY)),
+    "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
+    "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
+    "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
+    "hmc": Case(_native_trials(), calls=3, steps=2),
 }
 
 
-def context(box: str, method: Method, precision: str, seed: int) -> openmm.Context:
+def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.Context:
     """Return a Context on the OpenCL platform, with velocities.
 
     Args:
@@ -97,14 +72,13 @@ def context(box: str, method: Method, precision: str, seed: int) -> openmm.Conte
     field = forcefields.load(forcefields.pick(path)[0], SYSTEMS)
     topology, positions = forcefields.add_virtual_sites(pdb.topology, pdb.positions, field)
     system = field.createSystem(topology, nonbondedMethod=app.PME, nonbondedCutoff=CUTOFF, constraints=app.HBonds)
-    if method.is_prepared:
-        prepare_system(system, hydrogenMass=HYDROGEN)
-    integrator = method.make()
+    method.fit(system)
+    integrator = method.integrator(BATH)
     if hasattr(integrator, "setRandomNumberSeed"):
         integrator.setRandomNumberSeed(seed)
     platform = openmm.Platform.getPlatformByName("OpenCL")
     made = openmm.Context(system, integrator, platform, {"Precision": precision})
     made.setPositions(positions)
     made.applyConstraints(1e-6)
-    made.setVelocitiesToTemperature(TEMPERATURE, seed)
+    made.setVelocitiesToTemperature(BATH.temperature, seed)
     return made

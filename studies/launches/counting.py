@@ -109,8 +109,8 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
     For a call that is the time of one with a single step, for a step that of a call of many, divided. Of several calls
     the shortest time counts, which no other work on the machine has made longer.
     """
-    method, shim = cases.METHODS[name], Shim()
-    context = cases.context(box, method, precision, seed)
+    case, shim = cases.CASES[name], Shim()
+    context = cases.context(box, case.integrator, precision, seed)
     step = context.getIntegrator().step
     step(FIRST)
 
@@ -119,14 +119,14 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
 
         def make() -> None:
             for _ in range(number):
-                times.append(shim.python_time(partial(step, steps), method.kind))
+                times.append(shim.python_time(partial(step, steps), case.kind))
 
         found = numbers(shim.counted(make))
         return {name: count / number for name, count in found.items()}, 1e6 * min(times)
 
-    (one, of_one), (many, of_many) = calls(1, method.calls), calls(method.steps, LONG_CALLS)
-    per_step, per_call = divided(one, many, method.steps)
-    return {"step": per_step | {"python": of_many / method.steps}, "call": per_call | {"python": of_one}}
+    (one, of_one), (many, of_many) = calls(1, case.calls), calls(case.steps, LONG_CALLS)
+    per_step, per_call = divided(one, many, case.steps)
+    return {"step": per_step | {"python": of_many / case.steps}, "call": per_call | {"python": of_one}}
 
 
 def run(box: str, name: str, precision: str, seed: int, library: Path) -> dict[str, Any]:

@@ -34,7 +34,7 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LaunchesSettings(RunsSettings):
     """What is counted.
 
@@ -59,8 +59,8 @@ def tasks(settings: LaunchesSettings) -> Iterator[Task]:
     Raises:
         ValueError: a box or a method is unknown.
     """
-    names = settings.methods or tuple(cases.METHODS)
-    chosen(names, cases.METHODS, "method")
+    names = settings.methods or tuple(cases.CASES)
+    chosen(names, cases.CASES, "method")
     chosen(settings.boxes, dict.fromkeys(cases.BOXES), "box")
     for precision, box, name in product(settings.precisions, settings.boxes, names):
         yield Task(settings, {"box": box, "precision": precision, "name": name})
@@ -76,7 +76,7 @@ def run(task: Task) -> dict[str, Any]:
 
 def rows_of(run: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of a case: one for a step, one for a call."""
-    place = {"box": run["box"], "precision": run["precision"], "method": cases.METHODS[run["name"]].name}
+    place = {"box": run["box"], "precision": run["precision"], "method": cases.CASES[run["name"]].integrator.name}
     return [
         place | {"per": per} | {name: round(run[per].get(name, 0.0), 4) for name in (*counting.COUNTS, "python")}
         for per in ("step", "call")
@@ -85,7 +85,7 @@ def rows_of(run: dict[str, Any]) -> list[dict[str, Any]]:
 
 def kernels_of(run: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of the kernels of a step, by what they do."""
-    place = {"box": run["box"], "precision": run["precision"], "method": cases.METHODS[run["name"]].name}
+    place = {"box": run["box"], "precision": run["precision"], "method": cases.CASES[run["name"]].integrator.name}
     kinds = (*counting.KINDS, counting.OTHERS)
     return [place | {"kind": kind, "launches": round(run["step"][kind], 4)} for kind in kinds if kind in run["step"]]
 

@@ -35,7 +35,7 @@ INTERVAL = 4.0
 COLUMNS = text.columns("scheme", "engine", "platform", "substeps", "fs_per_force", "percent", "ratio", "drift")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NativeSettings(BoxSettings):
     """What is compared.
 

@@ -31,7 +31,7 @@ STEP, EVALUATIONS = 0.002, 12
 VERLET = "Verlet"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CostSettings(BoxSettings):
     """What takes turns.
 

@@ -11,8 +11,7 @@ seeds add to the same averages. Writes native-substeps.json.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,9 @@ import pandas as pd
 
 from studies import heat_bath, records, text
 from studies.command import SYSTEMS, command
-from studies.contestants import Contestant, in_bath
 from studies.heat_bath import BathSettings
 from studies.hmc import trials
+from studies.methods import HEAVY, in_bath
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
@@ -46,7 +45,7 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SubstepSettings(BathSettings):
     """Choose what is compared; the seeds of runs follow `seed`.
 
@@ -56,7 +55,7 @@ class SubstepSettings(BathSettings):
         steps: of SIER2, fs.
     """
 
-    box: Path = SYSTEMS / "tip3p-512.pdb"
+    box: Path = field(default=SYSTEMS / "tip3p-512.pdb", kw_only=False)
     time: float = 100.0
     starts: int = 2
     substeps: tuple[int, ...] = (1, 2, 3)
@@ -72,18 +71,16 @@ def tasks(settings: SubstepSettings) -> Iterator[Task]:
         {"method": "SIER2", "step": step, "engine": engine, "substeps": number}
         for step, (engine, number) in product(settings.steps, engines)
     ]
-    points.append({"method": EXACT.method, "step": EXACT.step, "engine": "exact", "substeps": ""})
+    points.append({"method": EXACT.method.name, "step": EXACT.step, "engine": "exact", "substeps": ""})
     for seed, point in product(range(settings.seed, settings.seed + settings.starts), points):
         yield Task(settings, point | {"seed": seed})
 
 
 def run(task: Task) -> dict[str, Any]:
     """Return what is kept of a run."""
-    point, settings = task.point, task.settings
-    method: Contestant = EXACT
+    point, settings, method = task.point, task.settings, EXACT
     if point["method"] == "SIER2":
-        make = partial(in_bath, engine=point["engine"], substeps=point["substeps"] or None)
-        method = Contestant("SIER2", point["step"], make, hydrogens=4.0, prepared=True)
+        method = in_bath(engine=point["engine"], substeps=point["substeps"] or None).at(point["step"], **HEAVY)
     return point | {"time": settings.time} | heat_bath.measure(settings, method, point["seed"], at_ends=True)
 
 

@@ -9,7 +9,7 @@ and are not repeated. All take two minutes on two cores with --quick, and about 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Literal, NamedTuple
@@ -25,7 +25,7 @@ from studies.records import Record
 from studies.report import SILENT, Report
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PaperSettings(RunsSettings):
     """What is repeated.
 
@@ -34,12 +34,10 @@ class PaperSettings(RunsSettings):
         quick: less of everything, to see it work.
     """
 
-    experiment: Literal["free-rotation", "dipole", "water", "all"] = "all"
+    experiment: Literal["free-rotation", "dipole", "water", "all"] = field(default="all", kw_only=False)
     quick: bool = False
     processes: int = cores()
     out: Path = Path("sier-paper")
-
-    FIRST = "experiment"
 
 
 def study(settings: PaperSettings, report: Report = SILENT) -> dict[str, Record]:

@@ -62,8 +62,8 @@ class Water(NamedTuple):
 
 def water_box(n: int) -> Water:
     """Liquid TIP4P water: the project's box, or molecules of it in a smaller box of the same density."""
-    _, positions, system = boxes.of_size(forcefields.read_box(SYSTEMS / BOX), SYSTEMS, n)
-    return Water(system, positions, md(system.getDefaultPeriodicBoxVectors()[0][0]))
+    box = boxes.of_size(forcefields.read_box(SYSTEMS / BOX), SYSTEMS, n)
+    return Water(box.system, box.positions, md(box.system.getDefaultPeriodicBoxVectors()[0][0]))
 
 
 def build(kind: str, water: Water, cutoffs: Cutoffs) -> openmm.System:

@@ -6,7 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from studies import STUDIES, pages, sources
+from studies import pages, records
+from studies.__main__ import modules
 
 ROOT = Path(__file__).parents[2]
 MEASUREMENTS = sorted((ROOT / "docs" / "measurements").glob("*.md"))
@@ -35,24 +36,25 @@ def test_no_table_of_a_page_is_typed(page):
 
 
 def test_every_record_has_its_command():
-    assert set(sources.COMMANDS) == {path.name for path in sources.DATA.iterdir()}
-    named = {name for each in sources.COMMANDS.values() for name in re.findall(r"-m (studies[\w.]*)", " ".join(each))}
-    assert named <= set(STUDIES)
+    for path in records.DATA.iterdir():
+        commands = records.read(path).commands
+        assert commands, path.name
+        assert set(re.findall(r"-m (studies[\w.]*)", " ".join(commands))) <= set(modules())
 
 
 def test_every_record_is_shown_or_claimed():
     """By a page, a figure or a claim."""
     readers = *EXECUTED, ROOT / "studies" / "figures.py", ROOT / "studies" / "claims.py"
     read = "".join(path.read_text() for path in readers)
-    assert [name for name in sources.COMMANDS if name not in read] == []
+    assert [path.name for path in records.DATA.iterdir() if path.name not in read] == []
 
 
 def test_a_table_has_the_command_under_it():
-    shown = pages.show("frames.json", pages.table(pages.read("frames.json", "moments"), {"body": "{body}"}))
-    assert "| body |\n| --- |\n" in shown
-    assert shown.endswith("`studies/data/frames.json`: `OPENMM_CPU_THREADS=1 python -m studies.frames`\n")
-    with pytest.raises(ValueError, match=r"frames\.json has no rows for this table"):
-        pages.show("frames.json", pd.DataFrame())
+    shown = pages.show("exactness.json", pages.table(pages.read("exactness.json"), {"model": "{model}"}))
+    assert "| model |\n| --- |\n" in shown
+    assert shown.endswith("`studies/data/exactness.json`: `python -m studies.hmc.exactness`\n")
+    with pytest.raises(ValueError, match=r"exactness\.json has no rows for this table"):
+        pages.show("exactness.json", pd.DataFrame())
 
 
 def test_numbers_in_sentences():

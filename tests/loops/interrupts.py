@@ -73,7 +73,7 @@ class Broken(ValueError):
     """An interrupt left something that is not a completed step."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class InterruptSettings(Settings):
     """What is interrupted, and how often.
 

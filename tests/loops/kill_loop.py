@@ -135,7 +135,7 @@ def compare(directory: Path, one: str, two: str, steps: int) -> None:
         raise Lost(f"after {steps} steps {one} has {frames} frames and {rows} rows")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopSettings(Settings):
     """How often and how a run is killed.
 

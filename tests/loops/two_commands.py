@@ -138,7 +138,7 @@ def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
     return "second refused" if two[0] == 1 else "first refused"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TwoSettings(Settings):
     """What is started, and how often.
 

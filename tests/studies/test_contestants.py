@@ -5,8 +5,8 @@ import pytest
 
 from studies import boxes, heat_bath, speed
 from studies.command import SYSTEMS
-from studies.contestants import Bath
 from studies.gpu.methods import methods as on_gpus
+from studies.methods import Bath
 from tests.support.waters import periodic_system
 
 NAMES = {

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from openmm_sier import RigidBodies
-from studies.hmc import lengths, solutes, trials
+from studies.hmc import solutes, trials
 from studies.hmc.curvature import Curvature
 from studies.hmc.samples import dihedral
 from tests.support.commands import SYSTEMS
@@ -84,13 +84,3 @@ def test_costs_beside_those_of_langevin_middle():
     assert row["relative_error"] == pytest.approx(0.65 * error)
     assert row["seconds"] == pytest.approx(130 * 0.045)
     assert math.isnan(row["dipole_cost"])
-
-
-def test_acceptance_by_length():
-    """Of two trajectories one gains as much as 1 kT in its second step, and one fails there."""
-    heat = lengths.GAS_CONSTANT * 300
-    run = {"box": "b", "hydrogens": "heavy", "scheme": "sier2v2", "per_force": 9.0, "step": 18.0, "starts": 2}
-    rows = list(lengths.by_length(run | {"total": [[0, -heat, heat], [0, 0, None]]}, 300))
-    assert [row["length"] for row in rows] == [18, 36]
-    assert [row["acceptance"] for row in rows] == pytest.approx([1, math.exp(-1) / 2])
-    assert [row["about"] for row in lengths.shown_lengths(run | {"total": [[0, 0], [0, 0]]}, 300)] == [36, 72, 144]

@@ -107,4 +107,4 @@ def test_launches_of_a_step(rows_of_step, box, method):
     # Each full force waits for the number of interacting tiles. The watch for runaways reads velocities now and then.
     forces = 3 if method == "sier4g" else 1
     assert forces <= step["waits"] < forces + 0.2
-    assert step["method"] == cases.METHODS[method].name
+    assert step["method"] == cases.CASES[method].integrator.name

@@ -14,13 +14,9 @@ from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import Interactions
 from studies import (
-    acceptance,
     defaults,
     equipartition,
-    frames,
     heat_bath,
-    processed,
-    reciprocal,
     records,
     schemes,
     speed,
@@ -34,7 +30,7 @@ from studies.gpu import averages as gpu_averages
 from studies.gpu import calls as gpu_calls
 from studies.gpu import methods as gpu_methods
 from studies.gpu import study as gpu_study
-from studies.hmc import exactness, lengths, mixture, solvated, trial_cost, trials
+from studies.hmc import exactness, mixture, solvated, trials
 from studies.native import substeps as native_substeps
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -57,11 +53,10 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"acceptance", "bench", "domains", "equipartition", "water", "whole-run"}
+DRAWN = {"bench", "domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "frames", "free-rotation", "gpu", "speed"}
-MADE_AT_ONCE |= {"reciprocal", "trial-cost", "water"}
+MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
 
 
 def miniature(record, study, *lines, patches=()):
@@ -104,24 +99,6 @@ SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1
 @miniature("free-rotation", paper_command, "free-rotation --quick", patches=((free_rotation, "QUICK", FREE),))
 def any_tables(found):
     assert found
-
-
-@miniature(
-    "acceptance",
-    acceptance,
-    "{box} --sizes 27 --schemes verlet sier4g --trials 3 --time 0.012 --equilibrate 0.03 --platform CPU",
-)
-def acceptances(found):
-    verlet, sier4g = found["rows"].to_dict("records")
-    assert [(row["method"], row["step"], row["length"], row["trials"]) for row in (verlet, sier4g)] == [
-        ("Verlet, RATTLE", 2.0, 12.0, 3),
-        ("SIER4G", 6.0, 12.0, 3),
-    ]
-    for row in (verlet, sier4g):
-        assert row["spread"] > 0
-        assert 0 < row["acceptance"] <= 1
-    # Forces of single precision on 27 molecules: 1e-7 of energies of 1000 kJ/mol, several times.
-    assert 0 < verlet["noise"] < 1e-2
 
 
 @miniature(
@@ -175,19 +152,6 @@ def known_averages(found):
     # Standard errors are 2 %, 7 % and 3 %. A wrong ensemble is off by the mean itself.
     exact = rows[rows["name"].isin(["cosine", "volume of the gas", "p^2 / m kT"])]
     assert (exact["mean"] / exact["exact"]).between(0.5, 1.5).all()
-
-
-@miniature("frames", frames, "--verlet 10 --sier4g 30 --time 0.3")
-def framed(found):
-    moments, energies = found["moments"], found["energies"]
-    assert list(moments["atoms"]) == [12, 60, 36, 200]
-    # Rounding beside large errors, in per cent; the script bears no planes.
-    assert (moments["frame"] < 1e-10).all()
-    assert (moments["script"].dropna() > 1).all()
-    assert list(moments["script"].isna()) == [True, True, False, False]
-    verlet, sier4g = energies["percent"]
-    # In 0.3 ps of eight bodies, which no chaos has parted yet, it is a hundredth.
-    assert 0 < sier4g < 0.2 * verlet
 
 
 @miniature(
@@ -305,30 +269,6 @@ def bath_averages(found):
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
 
 
-@miniature("reciprocal", reciprocal, "--box {lattice_64} --copies 1 2 --tolerance 1e-4 --rounds 5 --steps 2")
-def reciprocal_sums(found):
-    assert found["shares"]["molecules"].tolist() == [64, 512]
-    rows = found["speeds"]
-    assert (rows.loc[rows["name"] == reciprocal.REFERENCE, "over"] == 1).all()
-    assert rows["gain"].notna().sum() == 2 * len(reciprocal.WITHOUT)
-
-
-@miniature(
-    "trial-lengths",
-    lengths,
-    "{dipeptide} --schemes sier2v2 sier4g --steps 3 7 --starts 3 --longest 42",
-    patches=((lengths, "EQUILIBRATION", 0.3), (lengths, "SHOWN", (42.0,))),
-)
-def trajectories_by_length(found):
-    rows = found["rows"].set_index(["scheme", "per_force"])
-    assert len(rows) == 4
-    assert 0 < rows.loc[("SIER2V2", 3.0), "acceptance"] <= 1
-    # At 7 fs per force SIER4G has steps of 21 fs, which are refused.
-    assert not rows.loc[("SIER4G", 7.0), "acceptance"] > 0
-    # In whole steps.
-    assert rows["length"].tolist() == pytest.approx((rows["steps"] * rows["step"]).tolist())
-
-
 @miniature(
     "trials",
     trials,
@@ -349,26 +289,6 @@ def averages_of_both_engines(found):
     # Of 192 degrees of freedom, 25 samples over 5 ps: each scatters by 30 K. If only four are independent, 150 K are
     # ten times the error of their mean.
     assert rows[["translation", "rotation"]].stack().between(150, 450).all()
-
-
-@miniature("trial-cost", trial_cost, "--schemes sier2v2 sier2p3 --trials 4 --length 36")
-def what_trials_ask_for(found):
-    rows = found["rows"].set_index(["scheme", "how"])
-    # A scheme that ends with a kick has the energy with its last force, the others ask for it alone.
-    assert rows.loc[("SIER2V2", "one call"), ["both", "energies"]].tolist() == [1, 0]
-    assert rows.loc[("SIER2P3", "one call"), ["both", "energies"]].tolist() == [0, 1]
-    # The list of neighbours is forgotten after checkpoints alone, of which the last is followed by no trial.
-    assert rows["forgotten"].tolist() == 2 * [0, 0, 0.75]
-
-
-@miniature("processed", processed, "--starts 1 --steps 2 --time 0.3 --equilibrate 0.1")
-def processed_state(found):
-    """Takahashi and Imada's step is of second order and of fourth in the processed state: 0.6 % and 0.02 % at 2 fs.
-
-    Both are sums over 64 molecules, and known to some tenths.
-    """
-    row = found["rows"].iloc[0]
-    assert row["processed"] < row["percent"] / 2
 
 
 @miniature("solvated", solvated, *(SOLVATED + moving for moving in ("all", "solute", "water")))
@@ -414,7 +334,6 @@ def boxes(tmp_path_factory):
     (place / "lattice").mkdir()
     return {
         "box": write_lattice(place / "lattice" / "box.pdb"),
-        "lattice_64": write_lattice(place / "lattice" / "64.pdb", 64),
         "liquid_64": place / "box.pdb",
         "tip3p_64": named,
         "dipeptide": DIPEPTIDE,

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from studies import command, records
-from studies.command import Settings
+from studies.command import BoxSettings, Settings
 from studies.records import Record
 
 ROWS = pd.DataFrame(
@@ -32,7 +32,26 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
         records.read(tmp_path / "b.json")
 
 
-@dataclass(frozen=True)
+def test_a_record_has_the_commands_that_made_it(tmp_path, monkeypatch):
+    """Those of the same settings, which add to the same runs."""
+    path = tmp_path / "a.json"
+
+    def commands_after(command, settings):
+        monkeypatch.setattr(records, "COMMAND", command)
+        Record(settings, {"rows": ROWS}, {}).write(path)
+        return list(records.read(path).commands)
+
+    settings = {"box": Path("box.pdb"), "dt": (1.0, 2.0)}
+    # One that was written before records had commands.
+    path.write_text(json.dumps({"settings": {}, "notes": {}, "tables": {}}))
+    assert commands_after("first", settings) == ["first"]
+    assert commands_after("second", settings) == ["first", "second"]
+    assert commands_after("first", settings) == ["first", "second"]
+    assert commands_after("third", settings | {"dt": (1.0,)}) == ["third"]
+    assert records.read(path).commands["third"].endswith((" s", " min", " h"))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Files(Settings):
     boxes: tuple[Path, ...] = (Path("/here/a.pdb"), Path("/there/b.pdb"))
 
@@ -41,7 +60,7 @@ def test_files_are_recorded_by_their_names():
     assert Files().recorded() == {"seed": 1, "boxes": ("a.pdb", "b.pdb")}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Numbers(Settings):
     """Of a study.
 
@@ -60,8 +79,23 @@ def test_fields_are_options(tmp_path):
     found = []
     arguments = ["--dt", "2", "3", "--pressure", "-5", "--out", str(tmp_path / "new" / "out")]
     assert command.command(Numbers, lambda settings, report: found.append(settings), "what", "")(arguments) == 0
-    assert found == [Numbers(tmp_path / "new" / "out", 1, (2.0, 3.0), -5.0)]
+    assert found == [Numbers(out=tmp_path / "new" / "out", seed=1, dt=(2.0, 3.0), pressure=-5.0)]
     assert (tmp_path / "new" / "out").is_dir()
+
+
+def test_a_box_may_stand_first(tmp_path):
+    found = []
+    main = command.command(BoxSettings, lambda settings, report: found.append(settings.box), "what", "")
+    assert main(["a.pdb", "--out", str(tmp_path)]) == main(["--out", str(tmp_path), "--box", "b.pdb"]) == 0
+    assert found == [Path("a.pdb"), Path("b.pdb")]
+
+
+def test_help_explains_the_options_of_all_studies(capsys):
+    assert command.command(Numbers, lambda settings, report: None, "What it does.", "")(["--help"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "What it does." in said
+    assert "bar." in said
+    assert "directory for numbers and figures" in said
 
 
 def test_errors_are_one_line(tmp_path, capsys):

@@ -7,7 +7,7 @@ from matplotlib.colors import to_rgb
 from studies import figures, methods, records, style
 
 COMPARED = {method.name for method in (*methods.CONSTANT_ENERGY.values(), *methods.PAPER, *methods.REVERSIBLE.values())}
-COMPARED |= {method.name for method in methods.with_bath(300, 1, 1).values()}
+COMPARED |= {method.name for method in methods.with_bath(methods.Bath(300, 1), 1).values()}
 
 
 @pytest.mark.parametrize("name", sorted(COMPARED))

@@ -6,49 +6,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from openmm_sier.dynamics.schemes import SIER2V2
-from studies import acceptance, equipartition, schemes, speed, step_study, whole_run
+from studies import equipartition, schemes, speed, step_study, whole_run
 from studies.bench import accuracy, timing
 from studies.equipartition import MEASURED
 from studies.hmc import solvated
-from studies.methods import CONSTANT_ENERGY
 from studies.speed import Turn
 
 # --- acceptance -------------------------------------------------------------------------------------------------------
 
 
-def trials_of(molecules, errors, method="SIER2", broken=""):
-    """What `acceptance.run` gives."""
-    place = {"molecules": molecules, "method": method, "fs_per_force": 2.0, "step": 2.0, "length": 60.0}
-    return place | {"errors": list(errors), "reversal": 1e-8, "noise": 1e-3, "broken": broken}
-
-
-def normal(molecules, spread, trials=200):
-    errors = 0.5 * spread**2 + spread * np.random.default_rng(4).normal(size=trials)
-    return trials_of(molecules, errors)
-
-
 def test_a_trajectory_that_could_not_be_followed_is_rejected():
-    row = acceptance.row_of(trials_of(27, (0.1, None)))
+    row = solvated.statistics([0.1, math.nan])
     assert row["acceptance"] == pytest.approx(0.5 * math.exp(-0.1))
     assert math.isnan(row["spread"])
-
-
-def test_limits():
-    """Spreads of boxes of 512 molecules and more are pooled; what was measured is told from what was not."""
-    members = [normal(64, 5.0), *(normal(n, 0.02 * n**0.5) for n in (512, 4096, 32768))]
-    refused = trials_of(512, (), "SIER4", broken="too long")
-    rows = pd.DataFrame([acceptance.row_of(member) for member in (*members, refused)])
-    (limit,) = acceptance.limits(rows).to_dict("records")
-    assert limit["method"] == "SIER2"
-    assert limit["spread"] == pytest.approx(0.02, abs=4 * limit["spread_error"])
-    # (1.349/0.02)^2 = 4549.
-    assert limit["measured"] == 4096
-    assert limit["largest"] == pytest.approx(4549, abs=4 * limit["largest_error"])
-    assert acceptance.expected_acceptance(limit["spread"] * limit["largest"] ** 0.5) == pytest.approx(0.5)
-    # A spread that is larger by its error makes the box smaller by about as much as is said.
-    smaller = limit["largest"] / (1 + limit["spread_error"] / limit["spread"]) ** 2
-    assert limit["largest"] - smaller == pytest.approx(limit["largest_error"], rel=0.1)
 
 
 def test_the_law_of_acceptance_by_size():
@@ -109,15 +79,6 @@ def test_points_are_means_over_starts_with_their_errors():
     # One start has no error, and a liquid without Verlet nothing to be divided by.
     assert math.isnan(rows.loc[("B", "X"), "percent_error"])
     assert math.isnan(rows.loc[("B", "X"), "relative"])
-
-
-def test_palindromes_by_their_fractions():
-    first, verlet, second = schemes.methods_of(["kick:0.1931833275037836,0.5", "verlet", "drift:0.5"])
-    assert first.scheme.stages == SIER2V2.stages
-    assert verlet is CONSTANT_ENERGY["verlet"]
-    assert [stage.fraction for stage in second.scheme.stages] == [0.5, 1.0, 0.5]
-    with pytest.raises(ValueError, match="'drift' must sum to 1"):
-        schemes.methods_of(["kick:0.2,0.6"])
 
 
 # --- steps and costs --------------------------------------------------------------------------------------------------
