@@ -264,7 +264,8 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
             raise RunError(
                 f"{run.path} is {_described(run)}, but {first.path} is {_described(first)}: give runs of one kind"
             )
-    longest_first = sorted(found, key=lambda run: -len(run.log["Step"]))
+    # Of logs of one length, one with its checkpoint tells more.
+    longest_first = sorted(found, key=lambda run: (-len(run.log["Step"]), run.plan is None))
     copies = _groups(longest_first, _is_log_of)
     left_out = {path for _, *others in copies for path in others}
     runs = Runs([run for run in found if run.path not in left_out], copies=copies)

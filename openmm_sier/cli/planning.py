@@ -154,6 +154,10 @@ def noted_settings(checkpoint: Path, saved: Mapping[str, object]) -> RunSettings
         settings = RunSettings.model_validate_json(json.dumps(saved), strict=True)
     except ValidationError as error:
         raise RunError(f"{checkpoint} has a wrong setting: {': '.join(refusal(error, RunSettings))}") from None
+    try:
+        _check(settings)
+    except Misused as error:
+        raise RunError(f"{checkpoint} has settings that no run has: {error}") from None
     here = os.path.dirname(checkpoint)
     files = {name: path for name in FILES if (path := getattr(settings, name)) is not None}
     beside = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}

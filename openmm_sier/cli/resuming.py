@@ -122,7 +122,8 @@ def _restored(simulated: Simulated, checkpoint: Path, notes: Mapping[str, Any]) 
     context = simulated.context(notes["step"])
     context.setState(state)
     energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    if abs(energy - notes["potential_energy"]) > ENERGY_TOLERANCE * (abs(energy) + 1):
+    # An energy that is not a number differs too.
+    if not abs(energy - notes["potential_energy"]) <= ENERGY_TOLERANCE * (abs(energy) + 1):
         raise RunError(
             f"the positions of {checkpoint} have the energy {energy:.6g} kJ/mol in the system of "
             f"{simulated.settings.box}, but had {notes['potential_energy']:.6g} in the run: the molecules or the force "

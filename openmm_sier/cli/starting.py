@@ -1,5 +1,6 @@
 """Start a new run: from coordinates, or from the checkpoint of another run."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -117,8 +118,11 @@ def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, cont
         else:
             context.setVelocities(state.getVelocities())
         context.getIntegrator().getBodyState()
+        energy = context.getState(energy=True).getPotentialEnergy()
     except (RigidityError, openmm.OpenMMException) as error:
         raise RunError(f"{start} does not fit {settings.box}: {first_line(error)}") from error
+    if not math.isfinite(energy._value):
+        raise RunError(f"{start} does not fit {settings.box}: the energy of its positions is not finite")
     if redraws:
         note(f"starts from the positions and box of {start}; hydrogens had another mass: velocities are drawn anew")
         return

@@ -203,10 +203,10 @@ def _in_file(path: Path) -> Iterator[tuple[str | None, Any]]:
 def named_words(words: str) -> tuple[str | None, str]:
     """Return the name that a line has before "=", or None, and what it describes.
 
-    A selection may have comparisons, such as "mass >= 2" or "name == CA".
+    A selection may have comparisons, such as "mass >= 2", "name == CA" or "name =~ 'C.*'".
     """
     name, separator, what = words.partition("=")
-    if not separator or what.startswith("=") or name.rstrip().endswith(("<", ">", "!")):
+    if not separator or what.startswith(("=", "~")) or name.rstrip().endswith(("<", ">", "!")):
         return None, words
     return name.strip(), what.strip()
 

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import shutil
 import zipfile
 from pathlib import Path
@@ -267,6 +268,39 @@ def test_notes_are_read_up_to_their_bound(here, capsys):
         assert f"it holds more than {checkpoints.MOST_NOTES} bytes" in refused(capsys, *command)
     # A log needs no checkpoint beside it.
     run("summary", "box.csv")
+
+
+def test_notes_have_a_bounded_number_of_values(here, capsys):
+    """Fifteen megabytes of empty lists took more than four gigabytes."""
+    values = [[]] * checkpoints.MOST_VALUES
+    rewrite_notes("box.chk", lambda notes: notes["plan"].update(rigid=values))
+    for command in (RESTART, START):
+        assert f"its notes have more than {checkpoints.MOST_VALUES} values" in refused(capsys, *command)
+    run("summary", "box.csv")
+
+
+@pytest.mark.parametrize("use", [RESTART, START, TUNE], ids=["restart", "start", "tune"])
+def test_a_state_that_no_run_writes(here, capsys, use):
+    """OpenMM ends the process where positions are not finite, and goes on without velocities."""
+    with zipfile.ZipFile("box.chk") as archive:
+        state = archive.read("state.xml").decode()
+    lost = re.sub(r"<Position [^>]*/>", '<Position x="nan" y="0" z="0"/>', state, count=1)
+    without = re.sub("<Velocities>.*</Velocities>", "", state, flags=re.DOTALL)
+    for xml, reason in ((lost, "has numbers that are not finite"), (without, "lacks positions or velocities")):
+        assert xml != state
+        rewrite_state("box.chk", xml)
+        assert f"box.chk is damaged, or is not a checkpoint of openmm-sier run: its State {reason}" in refused(
+            capsys, *use
+        )
+
+
+def test_a_start_in_a_box_that_is_too_small(here, capsys):
+    with zipfile.ZipFile("box.chk") as archive:
+        state = archive.read("state.xml").decode()
+    rewrite_state("box.chk", re.sub(r"<A [^>]*/>", '<A x="0.01" y="0" z="0"/>', state))
+    Path("new.csv").write_text("an earlier log")
+    message = refused(capsys, *START, "--overwrite")
+    assert "box.chk does not fit box.pdb: The periodic box size" in message
 
 
 @pytest.mark.parametrize("use", [RESTART, START], ids=["restart", "start"])

@@ -148,6 +148,13 @@ def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
         refuse(capsys, copied, "box.chk ", f"setting {name}", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
 
 
+@pytest.mark.parametrize("plan", [{"scheme": "langevinmiddle"}, {"scheme": "verlet", "ensemble": "hmc"}])
+def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan):
+    rewrite_notes("box.chk", lambda notes: notes["plan"].update({"ensemble": "nve", **plan}))
+    for use in (["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]):
+        refuse(capsys, copied, "box.chk has settings that no run has", "supports the ensembles", "run", "box.pdb", *use)
+
+
 ESCAPE = "\x1b]0;owned\x07"
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Annotated, Any
 
+import numpy as np
 import openmm
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
@@ -23,6 +24,9 @@ FORMAT = 1
 
 #: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
 MOST_NOTES = 2**24
+
+#: Most values in them, counted by what is before each; as objects of Python they take much more room than as text.
+MOST_VALUES = 2**20
 
 #: First bytes of a zip archive that holds a file.
 LOCAL_HEADER = b"PK\x03\x04"
@@ -107,7 +111,19 @@ def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.St
     notes = _checked(path, noted)
     if (step := state.getStepCount()) != notes["step"]:
         raise _damaged(path, f"its State is of step {step}, and its note step says {notes['step']}")
+    _check_numbers(path, state)
     return state, notes
+
+
+def _check_numbers(path: Path, state: openmm.State) -> None:
+    """Refuse a State that no run writes; forces at positions that are not finite can end the process."""
+    try:
+        numbers = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True)
+    except openmm.OpenMMException:
+        raise _damaged(path, "its State lacks positions or velocities") from None
+    for array in (*numbers, state.getPeriodicBoxVectors(asNumpy=True)):
+        if not np.isfinite(array._value).all():
+            raise _damaged(path, "its State has numbers that are not finite")
 
 
 def read_notes(path: Path) -> dict[str, Any]:
@@ -156,7 +172,10 @@ def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
 
 def _notes(archive: zipfile.ZipFile) -> Any:
     with _part(archive, "notes.json") as content:
-        return json.loads(read_within(content, MOST_NOTES))
+        text = read_within(content, MOST_NOTES)
+    if sum(map(text.count, (b",", b"[", b"{"))) > MOST_VALUES:
+        raise ContentError(f"its notes have more than {MOST_VALUES} values")
+    return json.loads(text)
 
 
 def _checked(path: Path, noted: Any) -> dict[str, Any]:
