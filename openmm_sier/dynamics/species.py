@@ -41,8 +41,8 @@ OTHER_MOMENT = 1e-6
 def _direction(coordinates: np.ndarray) -> float:
     """Return 1 or -1, by which the first of the outermost atoms along an axis comes onto its positive side.
 
-    An eigenvector is known up to its sign, for which rounding decides. The noise of a heat bath is drawn along the axes,
-    so a run with a seed would be another one on another processor.
+    An eigenvector is known up to its sign, which rounding decides. The noise of a heat bath is drawn along the axes, so
+    a run with a seed would be another one on another processor.
     """
     distances = np.abs(coordinates)
     # Symmetric atoms are equally far out to rounding.
