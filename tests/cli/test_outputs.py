@@ -16,7 +16,7 @@ from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.settings import OUTPUTS, SETTINGS
 from openmm_sier.inputs import starts
-from tests.support.commands import SMALL, complaint, frames, write_lattice
+from tests.support.commands import SMALL, complaint, contents, frames, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +131,15 @@ def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration,
     assert f"{name} exists: give another name with {option}" in complaint(capsys, *command)
     assert "is no earlier file of openmm-sier" in complaint(capsys, *command, "--overwrite")
     assert Path(name).read_bytes() == before
+
+
+@pytest.mark.parametrize("option", ["--rigid", "--config"])
+def test_lists_of_bodies_and_settings_are_inputs_too(box, capsys, no_equilibration, option):
+    Path("a.csv").write_text({"--rigid": "HOH\n", "--config": 'ensemble = "nve"\n'}[option])
+    before = contents(Path())
+    message = complaint(capsys, "run", box, *SMALL, option, "a.csv", "--out", "a.dcd", "--overwrite")
+    assert "a.csv would overwrite the input a.csv: give another name" in message
+    assert contents(Path()) == before
 
 
 def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypatch, no_equilibration):

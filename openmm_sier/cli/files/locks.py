@@ -82,7 +82,8 @@ def _refuse_other_file(path: Path, place: Path) -> None:
         RunError: naming the file.
     """
     try:
-        is_other = place.is_symlink() or (place.is_file() and not CONTENT.fullmatch(place.read_bytes()))
+        is_ours = place.is_file() and not place.is_symlink() and CONTENT.fullmatch(place.read_bytes())
+        is_other = os.path.lexists(place) and not is_ours
     except OSError:
         # What makes the lock says why it cannot.
         return
