@@ -171,6 +171,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (2, ["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
         (2, ["--cutoff", "0.4", "--switch", "0.4"], "--switch 0.4 must be below --cutoff 0.4"),
         (2, ["--platform", "Abacus"], "--platform: expected one of those that OpenMM has here, Reference, "),
+        (2, ["--platform", "Abacus", "--seeds", "1-2"], "openmm-sier: argument --platform: expected one of "),
     ):
         message = complaint(capsys, "run", box, *options, code=code)
         assert expected in message
