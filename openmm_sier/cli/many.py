@@ -15,6 +15,7 @@ from openmm_sier.cli.logged_runs import FEWEST_ROWS
 from openmm_sier.cli.many_table import watching
 from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.seeds import shown
 from openmm_sier.cli.settings import RunSettings, flag
 from openmm_sier.cli.stopping import Stopped, StopRequests
@@ -49,6 +50,8 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
     options = {name: value for name, value in given.items() if not _is_usual(name, value)}
     picture = options.pop("plot", None)
     _check(options, workers, scheduler)
+    if scheduler is None:
+        check_platform(options.get("platform"))
     settings = new_settings(options)
     members = [named(settings.out, seed) for seed in seeds]
     if picture:

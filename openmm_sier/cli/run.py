@@ -51,7 +51,7 @@ def execute(
     with FileLocks() as locks, StopRequests() as requests:
         checkpoint = checkpoint_to_resume(given, locks)
         try:
-            run = resume(given, checkpoint, locks, requests) if checkpoint else start(given, locks, requests)
+            run = resume(given, checkpoint, locks, requests) if checkpoint else start(given, locks, requests, config)
         except Complete as done:
             if not given.get("resume"):
                 raise

@@ -1,6 +1,7 @@
 """Start a new run: from coordinates, or from the checkpoint of another run."""
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,13 +44,14 @@ def read_origin(checkpoint: Path | None) -> Origin | None:
     return Origin(checkpoint, noted_settings(checkpoint, notes["plan"]))
 
 
-def start(given: Mapping[str, Any], locks: FileLocks, requests: StopRequests) -> Run:
+def start(given: Mapping[str, Any], locks: FileLocks, requests: StopRequests, config: Path | None = None) -> Run:
     """Return a new run at its first step, with its files open.
 
     Args:
         given: settings by name.
         locks: that take the locks of its files.
         requests: for signals, which wait from when files are replaced.
+        config: the file from which some of the settings are.
 
     Raises:
         RunError: settings contradict each other, or a file is in the way or cannot be written.
@@ -62,7 +64,10 @@ def start(given: Mapping[str, Any], locks: FileLocks, requests: StopRequests) ->
     check_extras(settings, outputs, may_replace=settings.overwrite)
     tell_of_settings(settings)
     simulated = Simulated(settings)
-    outputs.check(simulated.box.sources.values())
+    # Settings may take the place of those that they are from.
+    read = [config] if config and config != settings.save_config else []
+    read += [Path(words) for words in given.get("rigid") or () if os.path.isfile(words)]
+    outputs.check([*simulated.box.sources.values(), *read])
     locks.hold(outputs.paths)
     if not settings.overwrite:
         outputs.refuse_existing(settings.resume)

@@ -106,12 +106,14 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
             mine.hold([Path(name)])
 
 
-@pytest.mark.parametrize("make", ["file", "link", "broken link"])
+@pytest.mark.parametrize("make", ["file", "link", "broken link", "pipe"])
 def test_a_file_with_the_name_of_a_lock_is_somebodys(make):
     Path("mine").write_text("mine")
     place = Path(".a.dcd.lock")
     if make == "file":
         place.write_text("process of science")
+    elif make == "pipe":
+        os.mkfifo(place)
     else:
         place.symlink_to("mine" if make == "link" else "none")
     before = contents(Path())

@@ -16,7 +16,7 @@ from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.settings import OUTPUTS, SETTINGS
 from openmm_sier.inputs import starts
-from tests.support.commands import SMALL, complaint, frames, write_lattice
+from tests.support.commands import SMALL, complaint, contents, frames, write_lattice
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +133,15 @@ def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration,
     assert Path(name).read_bytes() == before
 
 
+@pytest.mark.parametrize("option", ["--rigid", "--config"])
+def test_lists_of_bodies_and_settings_are_inputs_too(box, capsys, no_equilibration, option):
+    Path("a.csv").write_text({"--rigid": "HOH\n", "--config": 'ensemble = "nve"\n'}[option])
+    before = contents(Path())
+    message = complaint(capsys, "run", box, *SMALL, option, "a.csv", "--out", "a.dcd", "--overwrite")
+    assert "a.csv would overwrite the input a.csv: give another name" in message
+    assert contents(Path()) == before
+
+
 def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypatch, no_equilibration):
     """It would name the coordinates by their way from another directory."""
     Path("there").mkdir()
@@ -162,6 +171,7 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (2, ["--report", "x.XTC", "--out", "y.XTC"], "x.XTC will be a table: give a name that ends in .csv"),
         (2, ["--cutoff", "0.4", "--switch", "0.4"], "--switch 0.4 must be below --cutoff 0.4"),
         (2, ["--platform", "Abacus"], "--platform: expected one of those that OpenMM has here, Reference, "),
+        (2, ["--platform", "Abacus", "--seeds", "1-2"], "openmm-sier: argument --platform: expected one of "),
     ):
         message = complaint(capsys, "run", box, *options, code=code)
         assert expected in message

@@ -84,7 +84,8 @@ def _refuse_other_file(path: Path, place: Path) -> None:
         RunError: naming the file.
     """
     try:
-        is_other = place.is_symlink() or not CONTENT.fullmatch(_content(place))
+        is_ours = place.is_file() and not place.is_symlink() and CONTENT.fullmatch(_content(place))
+        is_other = os.path.lexists(place) and not is_ours
     except OSError:
         # There is none, or the lock cannot be made, which `FileLock` tells.
         return
