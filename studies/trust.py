@@ -76,12 +76,14 @@ def in_words(name: str, bound: Bound) -> str:
 
 
 def listed(claims: Iterable[Claim]) -> str:
-    """Return claims as a page lists them, each with its bounds, its record and the commands that make it."""
-    parts = []
+    """Return claims as a page lists them, each with its bounds and its record, and then the commands of the records."""
+    lines, files = [], []
     for claim in claims:
         bounds = "; ".join(in_words(name, bound) for name, bound in claim.bounds.items())
-        parts.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. {records.source(claim.record)}\n")
-    return "\n".join(parts)
+        lines.append(f"- {claim.sentence()}\\\n  Bounds: {bounds}. Record: `{claim.record}`\n")
+        files.append(claim.record)
+    made_by = [f"- {records.source(file)}\n" for file in dict.fromkeys(files)]
+    return "\n".join([*lines, "The records were made by these commands:\n", *made_by])
 
 
 def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:
