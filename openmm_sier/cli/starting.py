@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import openmm
+from openmm import unit
 
 from openmm_sier.cli import run_checks
 from openmm_sier.cli.beginning import Simulated
@@ -123,10 +124,10 @@ def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, cont
         else:
             context.setVelocities(state.getVelocities())
         context.getIntegrator().getBodyState()
-        energy = context.getState(energy=True).getPotentialEnergy()
+        energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     except (RigidityError, openmm.OpenMMException) as error:
         raise RunError(f"{start} does not fit {settings.box}: {first_line(error)}") from error
-    if not math.isfinite(energy._value):
+    if not math.isfinite(energy):
         raise RunError(f"{start} does not fit {settings.box}: the energy of its positions is not finite")
     if redraws:
         note(f"starts from the positions and box of {start}; hydrogens had another mass: velocities are drawn anew")

@@ -11,6 +11,7 @@ from typing import IO, Annotated, Any
 
 import numpy as np
 import openmm
+from openmm import unit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from openmm_sier.cli import platforms
@@ -122,7 +123,7 @@ def _check_numbers(path: Path, state: openmm.State) -> None:
     except openmm.OpenMMException:
         raise _damaged(path, "its State lacks positions or velocities") from None
     for array in (*numbers, state.getPeriodicBoxVectors(asNumpy=True)):
-        if not np.isfinite(array._value).all():
+        if not np.isfinite(array.value_in_unit_system(unit.md_unit_system)).all():
             raise _damaged(path, "its State has numbers that are not finite")
 
 
