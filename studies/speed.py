@@ -176,6 +176,8 @@ def _context(method: Contestant, box: BoxSystem, state: openmm.State, settings: 
     method.fit(system)
     context = make_context(system, method.integrator(Bath(settings.temperature, FRICTION)), settings.platform)
     context.setState(state)
+    # Hydrogens that became heavy would be far too hot, and long steps would break the run.
+    context.setVelocitiesToTemperature(settings.temperature, settings.seed)
     return context
 
 
