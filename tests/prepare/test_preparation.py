@@ -50,7 +50,9 @@ def named(system, name):
 
 
 def context_of(system, positions, integrator=None, name="Reference"):
-    context = openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform(name))
+    # Threads add forces up in another order each time.
+    properties = {"Threads": "1", "DeterministicForces": "true"} if name == "CPU" else {}
+    context = openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform(name), properties)
     context.setPositions(positions)
     return context
 
