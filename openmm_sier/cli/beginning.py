@@ -47,7 +47,9 @@ class Simulated:
         hint = "" if box.system.usesPeriodicBoundaryConditions() else " (--edges gives a box)"
         note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings = settings
-        self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
+        whole, bodies = with_rigid_bodies(box, settings.rigid)
+        self.box = whole
+        self.bodies = bodies
         prepared = prepare_system(box.system, self.bodies)
         self.fast = prepared.fastForceGroups
         if settings.rigid:

@@ -144,7 +144,7 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
         positions: (N, 3), nm.
 
     Raises:
-        ForceFieldError: they are no numbers, two atoms are in one place, or the box cannot hold the atoms.
+        ForceFieldError: they are not finite, two atoms are in one place, or the box cannot hold the atoms.
     """
     atoms = [atom for atom in topology.atoms() if atom.element is not None]
     places = positions[[atom.index for atom in atoms]]

@@ -19,7 +19,7 @@ ENGINES = ("exact", "native")
 
 @pytest.mark.slow
 def test_a_runaway_stops_with_an_error(box, monkeypatch):
-    """With the exact engine: in the native one OpenMM's constraints fail first, and positions are no numbers then.
+    """With the exact engine: on the native one OpenMM's constraints fail first, and positions are not finite then.
 
     The watch looks after each step, before numbers of single precision overflow.
     """

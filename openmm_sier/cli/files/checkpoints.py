@@ -32,6 +32,10 @@ MOST_VALUES = 2**20
 #: First bytes of a zip archive that holds a file.
 LOCAL_HEADER = b"PK\x03\x04"
 
+#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords and for lists that
+#: are nested too deeply.
+_UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
+
 
 class Notes(BaseModel):
     """Hold what a checkpoint notes of its run.
@@ -157,11 +161,6 @@ def _complaint(path: Path) -> str:
             "the whole file"
         )
     return f"{path} is not a checkpoint of openmm-sier run"
-
-
-#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords and for lists that
-#: are nested too deeply.
-_UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
 
 
 def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
