@@ -98,6 +98,9 @@ def _dask_in_silence() -> Iterator[None]:
     try:
         yield
     finally:
+        # Threads of Dask end later, and report connections that closed.
+        for name in ("distributed", "distributed.client"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         logging.disable(logging.NOTSET)
 
 
