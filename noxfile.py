@@ -28,7 +28,7 @@ def tests(session: nox.Session, dependencies: str) -> None:
     )
     session.install("-r", str(wanted))
     session.install("--no-deps", "-e", ".")
-    session.run("python", "-m", "pytest", *(session.posargs or ["-m", "not slow", "-n", "auto", "--dist", "worksteal"]))
+    session.run("python", "-m", "pytest", *(session.posargs or ["-n", "auto", "--dist", "worksteal"]))
 
 
 @nox.session

@@ -20,7 +20,7 @@ def output(directory, name, *arguments):
     return done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_free_body_turns_over_and_conserves(tmp_path):
     text = output(tmp_path, "free_body.py", "--time", "40")
     assert "turned over 3 times" in text
@@ -31,7 +31,7 @@ def test_free_body_turns_over_and_conserves(tmp_path):
     assert attitude < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_water_box_conserves_energy(tmp_path):
     text = output(tmp_path, "water_box.py", "--steps", "20")
     share = float(re.search(r"([\d.]+)% of it", text).group(1))
@@ -39,7 +39,7 @@ def test_water_box_conserves_energy(tmp_path):
     assert share < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
     text = output(tmp_path, "pdb_setup.py", "--steps", "10")
     assert re.search(r"494 x HOH +18\.015 dalton, 6 degrees of freedom", text)
@@ -50,7 +50,7 @@ def test_pdb_setup_names_the_bodies_and_writes_a_trajectory(tmp_path):
     assert read.n_frames == 10
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_peptide_has_three_temperatures(tmp_path):
     text = output(tmp_path, "peptide.py", "--steps", "3")
     assert "Force group 1 has the fast forces now: HarmonicBondForce, PeriodicTorsionForce, HarmonicAngleForce" in text

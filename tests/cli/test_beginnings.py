@@ -31,7 +31,7 @@ def momentum(rows):
 # --- from a checkpoint ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("ensemble", ["nve", "nvt"])
 def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, ensemble):
     """Potential energy and volume are those of the end of the other run; step and clock begin anew."""
@@ -61,7 +61,7 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
     assert after["Conserved Energy (kJ/mole)"][0] == after["Total Energy (kJ/mole)"][0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_start_tells_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")

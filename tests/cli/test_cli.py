@@ -38,7 +38,7 @@ def frames_in_header(path):
 # --- a run ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2", "--dt", "1"]) == 0
     out = capsys.readouterr().out
@@ -58,7 +58,7 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert Path("box.chk").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
     short = [*SMALL, "--steps", "1", "--platform", "CPU"]
     assert main.main(["run", str(box), *short, "--out", "first.dcd"]) == 0
@@ -73,7 +73,7 @@ def test_start_with_overlaps_is_minimized_and_others_are_not(box, capsys):
     assert "kJ/mol: the largest force on a molecule was" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_trajectory_has_the_atoms_of_the_pdb_file_for_a_model_with_virtual_sites(capsys):
     box = write_lattice(Path("four.pdb"), forcefield="tip4p.xml")
     assert main.main(["run", str(box), *SMALL, "--time", "0.04"]) == 0
@@ -130,7 +130,7 @@ sys.exit(main.main(arguments))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("suffix", "place", "after", "checkpoint", "left"),
     [
@@ -218,7 +218,7 @@ def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
     assert "the molecules or the force field are not those of the run" in complaint(capsys, *command)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")

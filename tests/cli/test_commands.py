@@ -26,7 +26,7 @@ PARTS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", PARTS)
 def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
     """Every file of it; what a killed run wrote after its checkpoint is cut off."""

@@ -155,7 +155,7 @@ def test_all_formats_hold_one_system():
 # --- runs ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @EACH
 @pytest.mark.parametrize("ensemble", ["nve", "npt"])
 def test_restarts_are_bit_for_bit_alike(given, ensemble):
@@ -167,7 +167,7 @@ def test_restarts_are_bit_for_bit_alike(given, ensemble):
     assert_same_runs("cut", "whole")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_named_residues_stay_rigid_and_a_restart_knows_them(capsys):
     command = ["run", *AMBER.arguments, *SMALL, "--rigid", "HPO", "--checkpoint-every", "0.04"]
     run(*command, "--steps", "20", "--out", "whole.dcd")
@@ -195,7 +195,7 @@ def assert_same_runs(one, two):
     assert first == second
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_run_that_starts_from_a_checkpoint_has_its_topology():
     run("run", *CHARMM.arguments, *SMALL, "--steps", "2")
     run("run", CHARMM.coordinates, "--start", "charmm.chk", "--steps", "1", "--platform", "Reference", "--out", "b.dcd")
@@ -205,7 +205,7 @@ def test_run_that_starts_from_a_checkpoint_has_its_topology():
 
 
 @pytest.mark.parametrize("name", ["amber.prmtop", "molecules.itp", "charmm.prm", "amber.inpcrd"])
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_input_that_was_edited_since_is_refused(capsys, name):
     """The notes hold fingerprints of all files, those too that others include."""
     given = {"molecules.itp": GROMACS, "charmm.prm": CHARMM}.get(name, AMBER)
@@ -222,7 +222,7 @@ def test_input_that_was_edited_since_is_refused(capsys, name):
     assert contents(Path()) == before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_files_may_be_moved_before_a_restart():
     run("run", *AMBER.arguments, *SMALL, "--steps", "20", "--out", "a.dcd")
     Path("moved").mkdir()

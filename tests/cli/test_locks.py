@@ -53,7 +53,7 @@ def names():
     return sorted(contents(Path()))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_second_holder_is_refused_and_told_of_the_first(holder):
     first = holder("a.dcd", "a.csv")
     with FileLocks() as mine, pytest.raises(RunError) as refusal:
@@ -94,7 +94,7 @@ def test_a_lock_that_cannot_be_made_is_nobodys(place, reason):
     assert str(refusal.value) == f"{expected}{reason}. Name a file in a directory where files can be made"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_file_has_one_lock_by_all_its_names(holder):
     Path("there").mkdir()
     Path("link.dcd").symlink_to("there/a.dcd")
@@ -134,7 +134,7 @@ def test_no_output_has_the_name_of_a_lock(box, capsys):
 OUTPUTS = ["--out", "a.dcd", "--pressure-tensor", "p.csv"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("taken", ["a.chk", "a.dcd", "a.csv", "p.csv"])
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     first = holder(taken)
@@ -145,7 +145,7 @@ def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     assert contents(Path()) == before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     run("run", box, *SMALL, "--steps", "5")
     capsys.readouterr()
@@ -162,7 +162,7 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     assert "box.chk is being written by" in complaint(capsys, *again)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_commands_started_one_after_the_other(tmp_path):
     """What `python -m tests.loops.two_commands` does a hundred times for each pair."""
     program = [sys.executable, "-m", "tests.loops.two_commands", "--times", "2", "--out", str(tmp_path)]

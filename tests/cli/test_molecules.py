@@ -22,7 +22,7 @@ def box(tmp_path_factory):
 FILES = ["--forcefield", "amber14-all.xml", "amber14/tip3p.xml"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("constraints", ["hbonds", "none"])
 def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
     """From the start on: without constraints the equilibration's usual step of 6 fs would be refused."""
@@ -39,7 +39,7 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
     assert ("equilibrates in steps of" in out) == (constraints == "none")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
     """Steps of 6 fs resonate with bonds to hydrogen, which only a user who asks for it has."""
     monkeypatch.chdir(tmp_path)

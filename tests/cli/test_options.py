@@ -127,7 +127,7 @@ def refuse(capsys, place, file, field, *command):
     assert contents(place) == before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", NOTED)
 def test_wrong_options_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()

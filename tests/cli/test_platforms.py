@@ -8,7 +8,7 @@ import pytest
 from openmm_sier.cli.main import MISUSED
 from tests.support.commands import SMALL, complaint, rewrite_notes, run
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope="module")

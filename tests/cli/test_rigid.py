@@ -38,7 +38,7 @@ def stretched(trajectory):
     return max(spread[1:13, 1:13].max(), spread[23:37, 23:37].max()), spread.max()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_from_coordinates_to_a_trajectory(capsys):
     run("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--steps", "20", "--out", "whole.dcd")
     out = capsys.readouterr().out
@@ -53,7 +53,7 @@ def test_from_coordinates_to_a_trajectory(capsys):
     assert among > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_restart_needs_no_file(capsys):
     """The checkpoint has the words of the file, which may have been changed since."""
     given = ("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--checkpoint-every", "0.1")

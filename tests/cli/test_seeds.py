@@ -192,7 +192,7 @@ def test_without_dask(box, capsys, monkeypatch):
     assert "pip install 'openmm-sier[many]'" in complaint(capsys, "run", box, *MANY, "--seeds", "1-2")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_killed_member_is_begun_again(box, single_runs):
     process = started(box, "--seeds", "1-3", "--workers", "2", "--time", str(FOR_EVER))
     wait_for(lambda: rows(2) > 6, process, LIMIT)
@@ -206,7 +206,7 @@ def test_a_killed_member_is_begun_again(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_runs_that_are_complete_are_drawn(box, single_runs):
     for path in single_runs(4).iterdir():
         shutil.copy(path, ".")
@@ -220,7 +220,7 @@ def test_runs_that_are_complete_are_drawn(box, single_runs):
     assert after == before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
     process = started(box, "--seeds", "1-3", "--workers", "3", "--time", str(FOR_EVER))
     wait_for(lambda: max(map(rows, (1, 2, 3))) > 3, process, LIMIT)
@@ -229,7 +229,7 @@ def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_stop_before_the_first_step_begins_nothing_again(box):
     """One member equilibrates for ever, which a signal ends at once, and the other waits."""
     options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": FOR_EVER, "time": 0.4}
@@ -239,7 +239,7 @@ def test_a_stop_before_the_first_step_begins_nothing_again(box):
     assert not Path("a-seed2.csv").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_process_that_has_computed_may_begin_runs(box, monkeypatch):
     """A forked child would hang in its first Context. A member is a new program, for which nothing calls `os.fork`."""
     system = openmm.System()
@@ -252,7 +252,7 @@ def test_a_process_that_has_computed_may_begin_runs(box, monkeypatch):
     assert (member.state, member.error) == ("complete", "")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
     Path("a-seed2.csv").write_text("mine\n")
     code, _, err = ended(started(box, "--seeds", "1-3", "--workers", "3", *until(4)))
@@ -287,7 +287,7 @@ def scheduler():
         program.wait()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_workers_and_the_scheduler_are_killed(box, single_runs, scheduler):
     address, first, workers = scheduler
     process = started(box, "--seeds", "1-3", "--scheduler", address, "--time", str(FOR_EVER))

@@ -81,7 +81,7 @@ def signal_after_rows(monkeypatch, number, rows):
     monkeypatch.setattr(records.Log, "write", write_and_signal)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsys):
     options = ["run", str(box), *SMALL]
     with monkeypatch.context() as patch:
@@ -99,7 +99,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     assert signal.getsignal(signum).__module__ == __name__
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_ignored_signals_stay_ignored(box, monkeypatch):
     """`nohup` and the background jobs of a script ask for it."""
     for number in (signal.SIGHUP, signal.SIGINT):
@@ -111,7 +111,7 @@ def test_ignored_signals_stay_ignored(box, monkeypatch):
         signal.signal(number, previous)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_signal_before_the_first_step_ends_at_once(box):
     """Also in a minimization that takes long, from which OpenMM returns to Python only when it is done."""
     process = started(box, patch=f"{BUSY}\nstarting.prepare = busy")
@@ -123,7 +123,7 @@ def test_signal_before_the_first_step_ends_at_once(box):
     assert [path.name for path in Path().iterdir() if path.suffix != ".lock"] == ["busy"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_closed_terminal(box):
     """Hanging up sends SIGHUP, and whatever is written to the terminal afterwards fails; the cursor stays visible."""
     child, terminal = pty.fork()

@@ -18,7 +18,7 @@ from tests.support.commands import log, run
 FOUND = Tuning(SIER2P3, 0.0080234, 4, (), (), 100)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatch):
     """Times are numbers of forces. Which step and length win is a matter of chance; they are those of the run."""
     monkeypatch.setattr(tuning, "_seconds", lambda context: float(context.getIntegrator().forceEvaluations))

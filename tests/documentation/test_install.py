@@ -85,7 +85,7 @@ def environment(tmp_path):
     return Environment(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_installs_of_either_kind_follow_each_other_and_leave_nothing(environment):
     """The second install takes the place of the first, and what is imported is its package."""
     for options in ([], ["--editable"], []):
@@ -98,7 +98,7 @@ def test_installs_of_either_kind_follow_each_other_and_leave_nothing(environment
     assert not list(environment.sources.rglob("*.nb?"))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_folder_that_is_left_does_not_hide_an_editable_install(environment):
     left = environment.packages / "openmm_sier" / "dynamics" / "backend" / "__pycache__"
     left.mkdir(parents=True)

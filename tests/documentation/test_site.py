@@ -84,7 +84,7 @@ def resize(browser, width):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_page_in_a_browser(browser, address, pages):
     """No image is missing, no script fails or comes from elsewhere, no link is broken, nothing sticks out at 375 px."""
     faults, links, names = [], {}, {}
@@ -113,7 +113,7 @@ def test_every_page_in_a_browser(browser, address, pages):
     assert not faults, "\n".join(faults)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_questions_are_answered_by_a_page_that_the_search_finds(browser, address):
     """The page is among the first three results of the site's own search."""
     from selenium.webdriver.support.ui import WebDriverWait
@@ -135,7 +135,7 @@ def test_questions_are_answered_by_a_page_that_the_search_finds(browser, address
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_public_name_is_in_the_reference(site):
     text = "".join(path.read_text() for path in (site / "api").glob("*.html"))
     names = [name for name in openmm_sier.__all__ if name != "__version__"]

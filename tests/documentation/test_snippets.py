@@ -100,7 +100,7 @@ def one_thread():
     cpu.setPropertyDefaultValue("Threads", usual)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("page", [page for page in PAGES if code(page)])
 def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
@@ -116,7 +116,7 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
         run(fewer, page, names)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
     """With 60 trials, of which one of 36 bins of the dihedral has two."""
     monkeypatch.chdir(ROOT / "docs" / "notebooks")
@@ -132,7 +132,7 @@ def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
     assert np.isfinite(names["free"]).any()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("of", ["systems of this project", "openmmtools"])
 def test_code_of_the_gallery_runs(of, monkeypatch):
     """With a few steps, and without pictures; the protein is the one section that needs openmmtools."""
@@ -153,7 +153,7 @@ def test_code_of_the_gallery_runs(of, monkeypatch):
     assert len(shown) == (1 if of == "openmmtools" else 6)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypatch, capsys):
     """Six runs of 20 ps with stresses of 500 bar, whose molecules walk 0.01 nm in each direction in 0.1 ps."""
     monkeypatch.chdir(tmp_path)

@@ -4,16 +4,14 @@ import doctest
 import importlib
 import pkgutil
 
-import pytest
-
 from openmm_sier import dynamics
 
-MODULES = [found.name for found in pkgutil.walk_packages(dynamics.__path__, "openmm_sier.dynamics.")]
+MODULES = [module.name for module in pkgutil.walk_packages(dynamics.__path__, "openmm_sier.dynamics.")]
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_examples(name):
-    assert doctest.testmod(importlib.import_module(name)).failed == 0
+def test_examples():
+    failures = {name: doctest.testmod(importlib.import_module(name)).failed for name in MODULES}
+    assert [name for name in MODULES if failures[name]] == []
 
 
 def test_every_free_rotation_map_has_an_example():

@@ -28,7 +28,7 @@ def energy_at(cluster, state, q, A):
     return cluster.potential_energy(type(state)(q, state.p, A, state.L))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_it_ends_at_a_minimum(cluster):
     """Another minimizer, in rotation vectors about the attitudes found, finds no lower energy nearby."""
     found, state = cluster

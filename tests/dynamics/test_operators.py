@@ -26,7 +26,7 @@ def mixture():
 # --- order ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "steps", "order", "tolerance"),
     [
@@ -64,7 +64,7 @@ def test_a_step_of_two_waters_is_symplectic(rng, pair, scheme, h):
 # --- reversal and conservation ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "h"), [(SIER2, 0.002), (SIER2V2, 0.006), (SIER2P3, 0.012), (SIER4, 0.006), (SIER4G, 0.006)]
 )
@@ -78,7 +78,7 @@ def test_time_reversal(rng, mixture, scheme, h):
     assert distance(run(mixture, scheme, there, -h, 50), start) < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G])
 def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
     start = mixture.start(rng)

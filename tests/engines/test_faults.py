@@ -61,7 +61,7 @@ def assert_at(context, trajectory):
     return step
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("make", "error"),
     [
@@ -99,7 +99,7 @@ def box():
     return settled("box-27-cut-off", topology, positions, system)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_fault_at_any_line_at_constant_pressure(box, monkeypatch):
     """The box is that of the completed step too, though each step changes it, or tries to.
 
@@ -116,7 +116,7 @@ def test_a_fault_at_any_line_at_constant_pressure(box, monkeypatch):
     test_a_fault_at_any_line_leaves_a_completed_step(box, make, Fault)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     """Three threads place atoms and sum forces: none may write any more when the last completed step is written."""
     shared = []
@@ -129,7 +129,7 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     assert set(shared) == {3}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_fault_at_any_line_with_a_barostat(box):
     """With a fixed particle of no body, which barostats move too."""
     system = with_forces(box[1], seeded(openmm.MonteCarloBarostat(1.0, 297.0, 1), 5))
@@ -237,7 +237,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     """In a scheme that ends with a drift no force would show it."""
     _, system, point = cluster

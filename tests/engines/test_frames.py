@@ -130,7 +130,7 @@ def oscillators():
     return system, positions, bodies
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "make",
     [
@@ -239,7 +239,7 @@ def test_barostats_of_openmm_move_bodies_as_wholes(barostat):
         assert np.abs(shapes[0] - shapes[1]).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_volume_of_an_ideal_gas_of_bodies():
     """<V> = (n + 1) kT/p for n bodies, each of which is one molecule although no bond joins its atoms."""
     system, positions, bodies = system_of(*(8 * ["benzene"]))

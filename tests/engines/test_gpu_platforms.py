@@ -14,7 +14,7 @@ SUITE = Path(__file__).with_name("on_gpu_platforms.py")
 LIMIT = 3000
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(LIMIT + 60)
 def test_on_gpu_platforms():
     if not opencl.gpu_platforms():

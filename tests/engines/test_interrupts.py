@@ -57,7 +57,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
     assert deferring()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("run", loop.RUNS)
 def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
     """Each leaves a completed step of the run that nothing disturbed. `python -m tests.loops.interrupts` makes 2000."""

@@ -65,7 +65,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("bath", [False, True], ids=["NVE", "NVT"])
 @pytest.mark.parametrize("case", CASES)
 def test_runs_conserves_and_restarts(case, bath):

@@ -27,7 +27,7 @@ def trajectory(system, point, steps=6, h=0.004, **settings):
     return phase_point(context)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
 def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     system, point = cluster
@@ -43,7 +43,7 @@ def test_approaches_the_exact_engine_as_substeps_grow(scheme, cluster):
     assert errors[5] < 1e-7 + errors[1] / 1000
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_barostat_and_motion_remover_count_whole_steps():
     _, system, point = settled("box-59", *periodic_system())
     for force in system.getForces():
@@ -137,7 +137,7 @@ def test_cold_bath_slows_bodies_exactly():
 # --- what XML carries ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
 def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     system, point = cluster

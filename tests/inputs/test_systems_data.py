@@ -71,7 +71,7 @@ def test_dipole_moment_is_that_of_the_literature(model, dipole):
 # --- the boxes ---
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("model", PURE)
 def test_box_holds_512_whole_molecules_at_the_density_of_experiment(model):
     box = liquid(model)
@@ -101,7 +101,7 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
     assert abs(found - energy * KCAL) < 0.75
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_salt_solution_has_its_ions_and_its_density():
     box = forcefields.read_box(SYSTEMS / SALT)
     assert box.files == ("amber14/tip3p.xml",)
@@ -152,7 +152,7 @@ def test_densities_are_those_of_the_tables():
         make.salt_water_density(297, 8)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_made_box_is_read_back(tmp_path, capsys):
     out = tmp_path / "made.pdb"
     command = ["--model", "spce", "--salt", "2", "--molecules", "40", "--melt", "0.02", "--equilibrate", "0.02"]

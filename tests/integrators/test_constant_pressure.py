@@ -73,7 +73,7 @@ def test_molecules_that_a_body_joins_move_as_one():
     np.testing.assert_allclose(centres(q).T, chains[chain.astype(int)], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_volume_is_that_of_openmms_barostat():
     """A dense fluid at 150 K and 800 bar, less than half as dense without its energy.
 
@@ -245,7 +245,7 @@ MAKERS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def test_chunks_of_steps_do_not_matter(box, make):
@@ -295,7 +295,7 @@ def test_a_barostat_of_the_system_is_refused(box):
         openmm.Context(system, integrator(), platform())
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_box_too_small_for_the_cutoff(box):
     _, system, point = box
     made = integrator(pressure=1e6, interval=1)

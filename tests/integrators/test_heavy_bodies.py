@@ -61,7 +61,7 @@ def liquid(kind):
     return system, np.concatenate(positions), bodies
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "expected"), [("benzene", 12), ("hexafluorobenzene", 49), ("cage of carbon", 288)])
 def test_steps_grow_as_the_root_of_the_smallest_effective_mass(kind, expected):
     system, positions, bodies = liquid(kind)

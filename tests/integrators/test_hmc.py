@@ -115,7 +115,7 @@ def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
     assert (other.trials, later.getStepCount()) == (3, 3)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures("coin")
 @ENGINES
 def test_constant_pressure_moves_the_volume_between_trials(engine):
@@ -187,7 +187,7 @@ def test_trials_that_are_long_do_not_go_on():
         SIERHMCIntegrator(300, 0.009, extraChances=-1)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @ENGINES
 @pytest.mark.parametrize("at_rest", [False, True])
 @pytest.mark.parametrize("chances", [0, 2])
@@ -245,7 +245,7 @@ def assert_means(rows, expected, errors):
     assert (np.abs(blocks.mean(axis=0) - expected) < 4 * found).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_dipoles_in_a_field_at_constant_pressure():
     """Langevin function and its derivative for the orientation, and the volume of an ideal gas."""
     n, x = 12, 10.0

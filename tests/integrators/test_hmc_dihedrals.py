@@ -92,7 +92,7 @@ def unchecked(monkeypatch):
     monkeypatch.setattr(Scheme, "__post_init__", keep)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures("unchecked")
 def test_the_rule_mends_a_wrong_scheme(dipeptide, expected):
     """Trajectories with weak kicks are reversible and keep the volume of phase space; the rule needs no more.

@@ -72,7 +72,7 @@ def test_andersen_thermostat_acts(box):
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
 def test_stock_simulation_with_stock_reporters(tmp_path, model):
     mdtraj = pytest.importorskip("mdtraj")
@@ -144,7 +144,7 @@ def test_a_step_of_zero_moves_nothing(cluster, make):
     assert (context.getStepCount(), context.getTime()) == (3, 0 * unit.picosecond)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "barostat",
     [

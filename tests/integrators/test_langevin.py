@@ -88,7 +88,7 @@ def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(clus
     assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("remover", [False, True])
 def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remover):
@@ -114,7 +114,7 @@ def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remove
     assert after == pytest.approx(before, abs=3.0)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
     """Rotations of water with heavy hydrogens at 9 fs, whose kicks along constraints are large.
 

@@ -32,7 +32,7 @@ def shape_of(context, atoms):
     return np.linalg.norm(found[:, None] - found[None], axis=2)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("barostat", ["pressure=", "MonteCarloBarostat"])
 def test_a_large_body_in_water_at_constant_pressure(barostat):
     """The box changes, the body keeps its shape, and what the bath and the volume moves give is counted.

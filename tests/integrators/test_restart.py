@@ -98,7 +98,7 @@ def cluster():
     return settled("cluster-6-tip4pew", *cluster_system(6, "tip4pew"))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize(("way", "where", "name", "make"), MATRIX)
 def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
@@ -135,7 +135,7 @@ def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
         assert 0 < whole.integrator.accepted < whole.integrator.trials
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_positions_from_outside_end_the_past(box):
     """What follows depends on nothing but what the Context holds."""
     _, system, point = box
@@ -160,7 +160,7 @@ def with_barostat(system, frequency):
     return with_forces(system, seeded(openmm.MonteCarloBarostat(1e5, 297.0, frequency), 5))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @every_integrator
 def test_restart_beside_a_barostat_of_openmm(box, make):
     """A checkpoint brings the random numbers of the barostat.
@@ -316,7 +316,7 @@ def momentum(system, velocities):
 # --- bodies whose geometry is taken from positions --------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()

@@ -56,7 +56,7 @@ def means_are_right(found):
         assert abs(blocks.mean() - expected) < 4 * error
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @KINDS
 def test_expanded_ensemble(simulation):
     random.seed(4)

@@ -32,7 +32,7 @@ def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20, **options):
     return context_at(system, integrator, np.zeros((2, particles, 3)))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("h", "scheme"), [(0.002, SIER2), (0.03, SIER2), (0.01, SIER4G)])
 def test_the_acceptance_that_was_asked_for(monkeypatch, h, scheme):
     """From steps that are too short and too long, the wells being unstable from 0.032 ps on."""

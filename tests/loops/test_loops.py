@@ -9,7 +9,7 @@ from tests.loops.kill_loop import LoopSettings, kill_loop
 from tests.loops.two_commands import TwoSettings
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_killed_at_random_moments_again_and_again(tmp_path):
     """What the command does fifty times: not a bit may differ from a run that nothing disturbed."""
     met = kill_loop(LoopSettings(out=tmp_path, kills=3, signals=("KILL", "TERM")))
@@ -17,14 +17,14 @@ def test_killed_at_random_moments_again_and_again(tmp_path):
     assert met["steps"] >= 30
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_one_command_line_goes_on_after_every_kill(tmp_path):
     """Four kills, so that one comes early, before there is a checkpoint or while the command reads it."""
     met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
     assert met["steps"] >= 30
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_damaged_and_crafted_files(tmp_path):
     """The same files in every run; `python -m tests.loops.hostile_files` tries others."""
     counts = hostile_files.search(tmp_path, 300)

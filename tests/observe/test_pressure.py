@@ -75,7 +75,7 @@ def pair_tensor(positions, velocities, masses, owners, q, edge, cutoff):
     return (tensor + tensor.T) / 2
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_water_with_virtual_sites_against_pairs():
     cutoff = 0.4
     system, positions, owners, q = water_of_smooth_pairs(cutoff)
@@ -190,7 +190,7 @@ def trials():
     return seeded(SIERHMCIntegrator(297, 0.002, SIER2, stepsPerTrial=4), 1)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*trial")
 @pytest.mark.parametrize(("make", "name"), [(bath, "Reference"), (trials, "Reference"), (bath, "CPU")])
 def test_runs_are_the_same_to_the_bit(tmp_path, box, make, name):

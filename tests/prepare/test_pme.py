@@ -92,7 +92,7 @@ def test_the_step_at_the_cutoff_is_smaller(tolerance):
     assert 235 < step[0] / step[1] < 275
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_net_force_on_the_box_grows():
     """It should be zero. Threefold and more over 20 states; one state scatters by a third about that mean."""
     box = forcefields.read_box(SYSTEMS / "spce-512.pdb", interactions=Interactions(0.9, 0.75, 5e-4))

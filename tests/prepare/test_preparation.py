@@ -215,7 +215,7 @@ def test_parameter_offsets(peptide):
         assert one.getBondParameters(i)[2] == pytest.approx(other.getBondParameters(i)[2], rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_alchemical_factory(peptide, prepared):
     alchemy = pytest.importorskip("openmmtools.alchemy", reason="pip install openmm-sier[validation]")
     region = alchemy.AlchemicalRegion(alchemical_atoms=range(SOLUTE), annihilate_electrostatics=True)

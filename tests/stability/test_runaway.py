@@ -17,7 +17,7 @@ from tests.support.waters import context_at, platform
 ENGINES = ("exact", "native")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_runaway_stops_with_an_error(box, monkeypatch):
     """With the exact engine: on the native one OpenMM's constraints fail first, and positions are not finite then.
 
@@ -53,7 +53,7 @@ def looks(integrator, calls=3):
         integrator.step(runaway.INTERVAL)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("engine", ENGINES)
 def test_hot_starts_and_hot_baths_are_the_users_own(engine):
@@ -84,7 +84,7 @@ def test_hot_starts_and_hot_baths_are_the_users_own(engine):
     assert bath.computeTemperatures().in_kelvin().total > runaway.HOTTEST
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error")
 def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
     _, system, (positions, _) = box

@@ -163,7 +163,7 @@ def test_lammps_has_the_same_energies(tmp_path):
     assert lammps.KCAL * made.samples["PotEng"][0] == pytest.approx(ours, abs=0.5 + 1e-5 * abs(ours))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_command_of_the_how_to_goes_from_coordinates_to_a_trajectory(tmp_path, monkeypatch):
     """With less time, and every fifth step."""
     page = (SYSTEMS.parent / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()

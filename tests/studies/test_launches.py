@@ -92,7 +92,7 @@ def rows_of_step(tmp_path_factory):
     return count
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.timeout(LIMIT)
 @pytest.mark.parametrize(("box", "method"), HELD)
 def test_launches_of_a_step(rows_of_step, box, method):

@@ -342,7 +342,7 @@ def boxes(tmp_path_factory):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", MINIATURES)
 def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
     if name == "mixture":

@@ -66,7 +66,7 @@ def taus():
     return miniature().tables["taus"].set_index(["method", "step_fs"])
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["MRDL", "SEJ4"])
 def test_tau_is_that_of_the_paper(method):
     """Within 1.5. With 1500 bodies the standard error is 10 % for MRDL and 20 % for SEJ4, whose tail is heavier.
@@ -78,7 +78,7 @@ def test_tau_is_that_of_the_paper(method):
     assert found.tau_error < 0.3 * found.tau
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("method", "order"), [("MRDL", 2), ("SEJ4", 4)])
 def test_tau_scales_with_the_order(method, order):
     """Of the median body, which is not near the separatrix; higher orders change the slope by less than 0.2."""
@@ -88,7 +88,7 @@ def test_tau_scales_with_the_order(method, order):
     assert taus().exponent["SEJ4", 8.0] == pytest.approx(1, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["SIER2", "SIER4"])
 def test_sier_has_the_error_of_rounding(method):
     """The paper's tau is reached by linear extrapolation, and the first marks are at rounding of a few steps."""

@@ -30,7 +30,7 @@ def settings(box, tmp_path, *methods, **more):
     return StepSettings(out=tmp_path, boxes=(box,), methods=methods, **points)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_runs_become_a_table_and_a_figure(box, tmp_path):
     """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
     step_study.study(settings(box, tmp_path, "sier2", starts=2))
@@ -49,7 +49,7 @@ def test_runs_become_a_table_and_a_figure(box, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} >= {"step-study.json", "step-study.png"}
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
     first, second = (settings(box, tmp_path, "sier2", times=(time,)) for time in (0.12, 0.24))
     rows = [step_study.study(each).tables["rows"].iloc[0] for each in (first, second)]
@@ -57,7 +57,7 @@ def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
     assert [row["runs"] for row in rows] == [1, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
     wanted = settings(box, tmp_path, "hmc", per_force=(2.0,), times=(0.24,))
     found = step_study.run(next(step_study.tasks(wanted)))
@@ -67,7 +67,7 @@ def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
     assert "diffusion" not in found
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_run_that_fails_is_told(box, tmp_path):
     with pytest.raises(RunFailed, match=r"verlet-0.01fs-seed1 failed: .*expected a number from 0.05 to 1000 fs"):
         step_study.study(settings(box, tmp_path, "verlet", per_force=(0.01,)))

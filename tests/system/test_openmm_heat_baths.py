@@ -37,7 +37,7 @@ def mean_potential(wh, integrator, andersen):
     return np.mean(found)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("wh", [0.4, 0.8])
 def test_andersen_thermostat_heats_positions_of_verlet(wh):
     """It draws velocities at whole steps, and the leapfrog takes them as those of half a step before.

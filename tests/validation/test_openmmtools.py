@@ -67,7 +67,7 @@ def box():
     return settled("box-59", *periodic_system(removeCMMotion=False))[1:]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_cache_gives_what_it_is_asked_for(box):
     """In every order of two of them: each has a Context of its own, and is found again."""
     state = state_at(box)
@@ -166,7 +166,7 @@ def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
 LADDER, ITERATIONS, STEPS = (250, 300, 350), 130, 25
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_replica_exchange(drop, tmp_path):
     """Replicas change places, and each state has its temperature.
 

@@ -82,7 +82,7 @@ def distances(found):
     return np.array([total, *parts])
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("scheme", "step"), STEPS.items(), ids=[scheme.name for scheme in STEPS])
 def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step):
     found = sampled(drop, scheme, step)
@@ -94,7 +94,7 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step
     assert min(parts) > 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_too_long_a_step_of_second_order_is_found_out(drop):
     """With a kick after the bath the rotation is colder by 2.8 K * 4.5^2 = 57 K, 20 standard errors."""
     half = Stage(DRIFT, 0.5)

@@ -177,7 +177,7 @@ print("numba" in sys.modules)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_no_compiled_code_is_called_where_numpy_is_in_use():
     """A step of a mixture with constraints does not so much as import Numba; without `using` it does."""
     assert run_python(STEP_OF_EVERYTHING).split() == ["False", "True"]
@@ -202,7 +202,7 @@ def test_a_backend_is_in_use_until_the_end_or_an_error():
     assert backend.active() is before
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("value", "name"), [("0", "NumPy"), ("1", "Numba")])
 def test_the_environment_keeps_numba_out(value, name):
     code = "from openmm_sier.dynamics import backend; print(backend.active().name)"

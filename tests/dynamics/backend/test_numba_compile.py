@@ -87,7 +87,7 @@ def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monke
     assert numba.core.config.CACHE_DIR == ""
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_another_process_finds_the_code_on_disk(tmp_path):
     """Names on disk tell of the code alone, not of the process or its hashes; and it does what it did."""
     found = []

@@ -36,7 +36,7 @@ def check(A, L, moments, angle, h):
 # --- accuracy ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("family", FAMILIES)
 def test_many_bodies_of_each_family(rng, family):
     """20 families of 20 000 bodies, each body with its own moments."""
@@ -45,7 +45,7 @@ def test_many_bodies_of_each_family(rng, family):
         check(A, L, moments, angle, h)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("families", [*([family] for family in FAMILIES), STATES], ids=[*FAMILIES, "all states"])
 def test_bodies_that_share_their_moments(rng, executed_by, families):
     for h in times(rng, 6):

@@ -27,7 +27,7 @@ def bodies_at(rng, n, phase, decades, dtype=float):
     return rates, u, np.sqrt(phase / squared_phase(u, rates))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("factor", [1 - 1e-9, 1 + 1e-9, 4.0])
 @pytest.mark.parametrize("limit", [SHORT, LONGEST])
 def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
@@ -44,7 +44,7 @@ def test_rounding_is_the_only_error_at_the_limits(rng, limit, factor):
 # --- ends of the range ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("exponents", [(-300, -20), (1, 6), (6, 15), (15, 100)])
 def test_any_angle_gives_a_rotation(rng, exponents):
     """Steps far beyond any accuracy: finite, orthogonal and, as long as a period is resolved, the same energy."""
@@ -65,7 +65,7 @@ def test_any_angle_gives_a_rotation(rng, exponents):
         assert (np.abs(after - before) <= 1e-13 * rates.max(axis=0)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle", [1.0, -1e3, 1e5])
 def test_uniform_rotation_lasts(axis, angle):
@@ -87,7 +87,7 @@ def test_no_scale_is_preferred(rng):
         assert np.abs(rotation.exact(A, L * scale, moments * scale, 0.9)[0] - expected).max() < 1e-13
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("size", "h"), [(1e300, -1e300), (1e-300, 1e300), (1e300, 1e-300), (1e-300, 0.0)])
 def test_the_largest_and_smallest_numbers(rng, size, h):
     A, L = random_attitudes(rng, 80), size * rng.uniform(-1, 1, (3, 80))
