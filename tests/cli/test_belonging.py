@@ -32,7 +32,6 @@ def one(two_runs, monkeypatch):
     monkeypatch.chdir("here")
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["box.chk", "box.dcd", "box.csv", "p.csv"])
 def test_file_of_another_run_is_refused(one, two_runs, capsys, name):
     """The lengths are those of this run, except that of the log."""

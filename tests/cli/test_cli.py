@@ -18,6 +18,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.inputs import forcefields
 from openmm_sier.version import __version__
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, rewrite_notes, write_lattice
+from tests.support.matrices import thorough
 
 #: Frames and rows of a run of 0.4 ps with the options of SMALL: every 5th step of 4 fs, every 10th, and the start.
 STEPS, FRAMES, ROWS = 100, 20, 11
@@ -38,7 +39,6 @@ def frames_in_header(path):
 # --- a run ---
 
 
-@pytest.mark.thorough
 def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2", "--dt", "1"]) == 0
     out = capsys.readouterr().out
@@ -130,16 +130,15 @@ sys.exit(main.main(arguments))
 """
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("suffix", "place", "after", "checkpoint", "left"),
     [
         # Checkpoints at steps 0, 25, 50 and 75. Frames every 5 steps, so that 13 of them are there at step 65; rows at
         # step 0 and every 10 steps, so that the eighth is for step 70, when the frame of that step is there.
         (".dcd", "frame", 13, 50, 13),
-        (".xtc", "frame", 13, 50, 13),
-        (".dcd", "row", 7, 50, 14),
-        (".dcd", "checkpoint", 2, 25, 10),
+        thorough((".xtc", "frame", 13, 50, 13)),
+        thorough((".dcd", "row", 7, 50, 14)),
+        thorough((".dcd", "checkpoint", 2, 25, 10)),
     ],
 )
 def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
@@ -218,7 +217,6 @@ def test_continuation_with_other_energies_is_refused(whole_run, box, capsys):
     assert "the molecules or the force field are not those of the run" in complaint(capsys, *command)
 
 
-@pytest.mark.thorough
 def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "none.pdb: No such file or directory" in complaint(capsys, "run", "none.pdb")
     Path("text.pdb").write_text("this is no structure\n")

@@ -14,6 +14,7 @@ from openmm_sier.cli.planning import new_settings
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, log, rewrite_notes, run
+from tests.support.matrices import representatives
 
 PARTS = {
     "NVT": ["--ensemble", "nvt", "--dt", "2", "--friction", "5"],
@@ -26,8 +27,7 @@ PARTS = {
 }
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", representatives(PARTS, "NPT", "HMC"))
 def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
     """Every file of it; what a killed run wrote after its checkpoint is cut off."""
     monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)

@@ -2,6 +2,7 @@
 
 import shutil
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs
 from tests.support.commands import SMALL, complaint, contents, run, write_lattice
 from tests.support.inputs import EDGE
+from tests.support.matrices import representatives
 from tests.support.waters import force_of, plain_context
 
 EDGES = "--edges 0.96 0.96 0.96"
@@ -155,10 +157,11 @@ def test_all_formats_hold_one_system():
 # --- runs ---
 
 
-@pytest.mark.thorough
-@EACH
-@pytest.mark.parametrize("ensemble", ["nve", "npt"])
-def test_restarts_are_bit_for_bit_alike(given, ensemble):
+@pytest.mark.parametrize(
+    ("name", "ensemble"), representatives(product(ALL, ["nve", "npt"]), ("gromacs", "npt"), ("charmm", "nve"))
+)
+def test_restarts_are_bit_for_bit_alike(name, ensemble):
+    given = ALL[name]
     command = ["run", *given.arguments, *SMALL, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
     run(*command, "--steps", "20", "--out", "whole.dcd")
     run(*command, "--steps", "10", "--out", "cut.dcd")
@@ -195,7 +198,6 @@ def assert_same_runs(one, two):
     assert first == second
 
 
-@pytest.mark.thorough
 def test_run_that_starts_from_a_checkpoint_has_its_topology():
     run("run", *CHARMM.arguments, *SMALL, "--steps", "2")
     run("run", CHARMM.coordinates, "--start", "charmm.chk", "--steps", "1", "--platform", "Reference", "--out", "b.dcd")

@@ -11,6 +11,7 @@ import pytest
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.locks import FileLocks
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
+from tests.support.matrices import representatives
 
 #: Seconds after which a test fails rather than wait.
 LIMIT = 300
@@ -53,7 +54,6 @@ def names():
     return sorted(contents(Path()))
 
 
-@pytest.mark.thorough
 def test_second_holder_is_refused_and_told_of_the_first(holder):
     first = holder("a.dcd", "a.csv")
     with FileLocks() as mine, pytest.raises(RunError) as refusal:
@@ -134,8 +134,7 @@ def test_no_output_has_the_name_of_a_lock(box, capsys):
 OUTPUTS = ["--out", "a.dcd", "--pressure-tensor", "p.csv"]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("taken", ["a.chk", "a.dcd", "a.csv", "p.csv"])
+@pytest.mark.parametrize("taken", representatives(["a.chk", "a.dcd", "a.csv", "p.csv"], "a.csv"))
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
     first = holder(taken)
     Path("a.csv").write_text("mine\n")

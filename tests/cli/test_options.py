@@ -17,6 +17,7 @@ from openmm_sier.cli.settings import FILES, NOTED, OUTPUTS, RECOMMENDED, RunSett
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.inputs import forcefields
 from tests.support.commands import complaint, contents, rewrite_notes, write_lattice
+from tests.support.matrices import representatives
 
 SHORT = ["--platform", "Reference", "--equilibrate", "0.006", "--every", "0.006", "--pressure-tensor", "tensor.csv"]
 
@@ -127,8 +128,7 @@ def refuse(capsys, place, file, field, *command):
     assert contents(place) == before
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", NOTED)
+@pytest.mark.parametrize("name", representatives(NOTED, "dt", "ensemble"))
 def test_wrong_options_in_a_checkpoint(copied, capsys, name):
     original = (copied / "box.chk").read_bytes()
     may_lack = type(None) in get_args(RunSettings.model_fields[name].annotation)

@@ -179,7 +179,6 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
     assert sorted(path.name for path in Path().iterdir()) == ["box.pdb", "full.csv", "there.dcd"]
 
 
-@pytest.mark.thorough
 def test_files_that_are_missing_at_a_restart(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--steps", "10", "--out", "box.DCD"]) == 0
     capsys.readouterr()
@@ -243,7 +242,6 @@ def file_size_limit():
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@pytest.mark.thorough
 def test_file_that_cannot_grow(box, capsys, file_size_limit):
     """The run ends with the file's name, keeps its last checkpoint, and goes on when there is room."""
     options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02"]
@@ -265,7 +263,6 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit):
     assert frames(Path("box.dcd"), box).n_frames == more
 
 
-@pytest.mark.thorough
 def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert main.main(["run", str(box), *SMALL, "--steps", "20"]) == 0
     before = Path("box.chk").read_bytes()
@@ -281,7 +278,6 @@ def test_checkpoint_that_does_not_fit(box, capsys, file_size_limit):
     assert frames(Path("box.dcd"), box).n_frames == 8
 
 
-@pytest.mark.thorough
 def test_xtc_frame_that_is_cut_off_stops_the_run(box, capsys, monkeypatch):
     """As OpenMM leaves it, without an error, where the temporary directory is full."""
     write = app.XTCFile.writeModel

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from openmm_sier.cli.pictures import drawing, series
 from openmm_sier.inputs import starts
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 from tests.support.logs import NOISE, write_log
+from tests.support.matrices import representatives
 from tests.support.series import correlated
 
 pytest.importorskip("matplotlib")
@@ -200,8 +202,10 @@ def runs_of_four(runs):
 # --- files ---
 
 
-@pytest.mark.parametrize("ensemble", ["nve", "nvt", "npt", "hmc"])
-@pytest.mark.parametrize("ending", [".png", ".svg"])
+@pytest.mark.parametrize(
+    ("ensemble", "ending"),
+    representatives(product(["nve", "nvt", "npt", "hmc"], [".png", ".svg"]), ("npt", ".png"), ("hmc", ".svg")),
+)
 def test_pictures_of_one_and_of_eight(ensemble, ending, capsys):
     names = eight(ensemble, rows=101)
     logs = contents(Path())
@@ -335,6 +339,7 @@ def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):
     assert contents(Path()) == before
 
 
+@pytest.mark.thorough
 def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys, monkeypatch):
     # Whatever a lattice of water does in 0.1 ps, it is not equilibrated.
     monkeypatch.setattr(starts, "_are_within_bounds", lambda *_: False)

@@ -1,6 +1,7 @@
 """`run --resume`: one command line that begins, goes on and ends well, as an array of jobs needs it."""
 
 import shutil
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from openmm_sier.cli import main
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from tests.support.commands import SMALL, complaint, contents, frames, run
+from tests.support.matrices import representatives
 
 WHOLE, PART = ["--time", "0.2"], ["--time", "0.1"]
 
@@ -89,8 +91,10 @@ def test_a_complete_run_needs_its_force_field(box, capsys):
     assert "mine.xml, which the run of a.chk read, is missing: put it back" in complaint(capsys, *line)
 
 
-@pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
-@pytest.mark.parametrize("kept", [0, 1, 20, None])
+@pytest.mark.parametrize(
+    ("suffix", "kept"),
+    representatives(product([".dcd", ".xtc"], [0, 1, 20, None]), (".dcd", 20), (".xtc", 0)),
+)
 def test_what_a_run_left_before_its_first_checkpoint_is_replaced(box, capsys, suffix, kept):
     """Of a log the heading and one row, of a trajectory the header, of a tensor's table the heading; or less."""
     tensors = ["--pressure-tensor", "p.csv"]

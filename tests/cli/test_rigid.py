@@ -38,7 +38,6 @@ def stretched(trajectory):
     return max(spread[1:13, 1:13].max(), spread[23:37, 23:37].max()), spread.max()
 
 
-@pytest.mark.thorough
 def test_from_coordinates_to_a_trajectory(capsys):
     run("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--steps", "20", "--out", "whole.dcd")
     out = capsys.readouterr().out

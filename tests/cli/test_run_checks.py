@@ -40,7 +40,6 @@ def test_temperatures_that_stop():
             looked_at(DegreesOfFreedom(1500, 1500), T, 297, math.nan)
 
 
-@pytest.mark.thorough
 def test_few_degrees_of_freedom_may_be_hot_by_chance():
     """Of 3 degrees of freedom at 297 K, 10^7 samples; the bound's own claim is a chance of e^-50."""
     hottest = 297 * np.random.default_rng(2).chisquare(3, 10**7).max() / 3
@@ -87,7 +86,6 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
     run("run", box, "--start", "box.chk", "--out", "again.dcd", "--steps", "2", "--platform", "Reference")
 
 
-@pytest.mark.thorough
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
     monkeypatch.setattr(starts, "STEP", 0.034)
     monkeypatch.setattr(starts, "SHARE_OF_LONGEST", 10.0)

@@ -81,7 +81,6 @@ def signal_after_rows(monkeypatch, number, rows):
     monkeypatch.setattr(records.Log, "write", write_and_signal)
 
 
-@pytest.mark.thorough
 def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsys):
     options = ["run", str(box), *SMALL]
     with monkeypatch.context() as patch:

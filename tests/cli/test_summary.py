@@ -115,6 +115,7 @@ def test_logs_of_one_run_count_once(capsys):
     assert len(written()[1]["runs"]) == 3
 
 
+@pytest.mark.thorough
 def test_runs_of_one_seed_are_told_by_their_checkpoints(box, capsys):
     """The same command twice; with more rows; from another start; with a log that a GPU would round otherwise."""
     command = ["run", box, *SMALL, "--ensemble", "nvt", "--time", "0.2"]

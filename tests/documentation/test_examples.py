@@ -11,6 +11,7 @@ from openmm import app, unit
 
 import openmm_sier
 from openmm_sier.observe import conservation, reporters
+from tests.support.matrices import representatives
 from tests.support.waters import periodic_system, platform, relaxed
 
 #: Classes whose objects users get and never make.
@@ -58,6 +59,10 @@ def named(place):
 CALLED = [*(name for name in openmm_sier.__all__ if name not in RESULTS | DATA), *ELSEWHERE]
 
 
+#: Those whose examples take more than half a second.
+DEAR = {"check_forces", "tune", "equilibrate"}
+
+
 @pytest.fixture(scope="module")
 def water():
     """Topology, positions and System of a box of 59 molecules, in a chain A that begins at the centre of the box.
@@ -93,7 +98,7 @@ def names(water, tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:Call prepare_system", "ignore:A step of")
-@pytest.mark.parametrize("place", CALLED)
+@pytest.mark.parametrize("place", representatives(CALLED, *(name for name in CALLED if name not in DEAR)))
 def test_there_is_an_example_and_it_runs(place, names):
     """It is in the docstring of the class or function itself; those of methods run too."""
     thing = named(place)

@@ -88,7 +88,7 @@ def environment(tmp_path):
 @pytest.mark.thorough
 def test_installs_of_either_kind_follow_each_other_and_leave_nothing(environment):
     """The second install takes the place of the first, and what is imported is its package."""
-    for options in ([], ["--editable"], []):
+    for options in ([], ["--editable"]):
         environment.install(*options)
         expected = environment.sources if options else environment.packages
         assert environment.use() == expected / "openmm_sier" / "__init__.py"

@@ -49,7 +49,6 @@ def test_the_paper_cites_what_its_bibliography_has():
     assert cited == set(stated("paper/paper.bib", r"^@\w+\{(\w+),$"))
 
 
-@pytest.mark.thorough
 def test_the_noxfile_lists_a_session_for_each_python_claimed():
     classifiers = stated("pyproject.toml", r"Python :: (3\.\d+)")
     namespace = {}

@@ -14,6 +14,7 @@ import openmm
 import pytest
 
 from openmm_sier.observe.pressure import COLUMNS
+from tests.support.matrices import representatives
 from tests.support.series import stresses
 from tests.support.systems import assembled
 from tests.support.waters import platform
@@ -100,9 +101,10 @@ def one_thread():
     cpu.setPropertyDefaultValue("Threads", usual)
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("one_thread")
-@pytest.mark.parametrize("page", [page for page in PAGES if code(page)])
+@pytest.mark.parametrize(
+    "page", representatives([page for page in PAGES if code(page)], "README.md", "docs/guide/getting-started.md")
+)
 def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "systems").symlink_to(ROOT / "systems")

@@ -140,7 +140,6 @@ def test_rigid_and_constrained_molecules_together(rng, scheme):
 # --- temperature ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
 def test_projected_noise_is_thermal():
     """Each tangent direction has k_B T, constrained ones none, and the heat is what the kinetic energy gained."""
     system = cage()

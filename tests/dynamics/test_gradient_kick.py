@@ -19,7 +19,6 @@ def with_shift(shift):
 # --- order ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("shift", [-1 / 24, 0.0, 1 / 12, 1.1 / 24])
 def test_another_displacement_is_of_second_order(rng, shift):
     """Wrong sign, none, twice the size, a tenth too much: derived and seen."""
@@ -53,7 +52,6 @@ def test_a_gradient_scheme_is_of_fourth_order_at_most():
 NOISE = 3e-11
 
 
-@pytest.mark.thorough
 def test_symplecticity_defect_is_of_fifth_order(rng):
     """The finite displacement leaves a defect of h s^2 in the kick, O(h^5) a step; without it there is none."""
     pair = SoftCluster([WATER] * 2)

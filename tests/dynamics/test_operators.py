@@ -26,7 +26,6 @@ def mixture():
 # --- order ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "steps", "order", "tolerance"),
     [
@@ -64,7 +63,6 @@ def test_a_step_of_two_waters_is_symplectic(rng, pair, scheme, h):
 # --- reversal and conservation ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scheme", "h"), [(SIER2, 0.002), (SIER2V2, 0.006), (SIER2P3, 0.012), (SIER4, 0.006), (SIER4G, 0.006)]
 )
@@ -78,7 +76,6 @@ def test_time_reversal(rng, mixture, scheme, h):
     assert distance(run(mixture, scheme, there, -h, 50), start) < 1e-11
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G])
 def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
     start = mixture.start(rng)
@@ -151,9 +148,10 @@ def test_a_failed_evaluation_gives_no_force(rng, waters):
 
 def test_steps_leave_the_state_they_start_from(rng, mixture):
     state = mixture.start(rng)
-    for array in (state.q, state.p, state.A, state.L):
-        array.flags.writeable = False
+    before = [array.copy() for array in (state.q, state.p, state.A, state.L)]
     after = run(mixture, SIER4, state, 0.002, 2)
+    for array, copy in zip((state.q, state.p, state.A, state.L), before, strict=True):
+        assert np.array_equal(array, copy)
     assert after.q is not state.q
     assert not np.shares_memory(after.A, state.A)
 

@@ -236,6 +236,7 @@ def test_hydrogen_groups_bear_the_step_of_constrained_bonds(grouped):
     assert np.ptp(total) < 0.5
 
 
+@pytest.mark.thorough
 def test_what_is_not_finite_is_told(chain):
     system, bodies, point = chain
     integrator = SIERIntegrator(0.004, SIER4G, bodies=bodies)

@@ -23,6 +23,7 @@ from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.backend import threads
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from tests.support.faults import Fault, lines_run
+from tests.support.matrices import thorough
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
 from tests.support.systems import field, with_forces
@@ -61,16 +62,14 @@ def assert_at(context, trajectory):
     return step
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("make", "error"),
     [
-        (lambda: SIER2Integrator(0.001), Fault),
-        (lambda: SIER4Integrator(0.002), KeyboardInterrupt),
-        (langevin, KeyboardInterrupt),
-        (lambda: langevin(SIER4), Fault),
+        thorough((lambda: SIER2Integrator(0.001), Fault), id="SIER2"),
+        thorough((lambda: SIER4Integrator(0.002), KeyboardInterrupt), id="SIER4"),
+        pytest.param(langevin, KeyboardInterrupt, id="SIER2 NVT"),
+        thorough((lambda: langevin(SIER4), Fault), id="SIER4 NVT"),
     ],
-    ids=["SIER2", "SIER4", "SIER2 NVT", "SIER4 NVT"],
 )
 def test_a_fault_at_any_line_leaves_a_completed_step(cluster, make, error):
     _, system, point = cluster
@@ -237,7 +236,6 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
 
-@pytest.mark.thorough
 def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
     """In a scheme that ends with a drift no force would show it."""
     _, system, point = cluster

@@ -105,7 +105,6 @@ def test_frozen_atoms_hold_no_heat(frozen, engine):
     assert integrator.computeSystemTemperature()._value == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ENGINES)
 def test_baths_trials_and_minimizer_leave_them(engine):
     *water, atoms = frozen_water("tip3p")
@@ -120,7 +119,6 @@ def test_baths_trials_and_minimizer_leave_them(engine):
         assert np.abs(phase_point(context)[0] - point[0]).max() > 1e-3
 
 
-@pytest.mark.thorough
 def test_fast_forces_ignore_terms_between_frozen_atoms():
     """Two peptides in one System, the first frozen: the bonds of the second are fast."""
     topology, positions = capped_alanine_box(0)
@@ -212,7 +210,6 @@ def test_named_bodies_may_be_frozen_as_wholes():
         RigidBodies.from_system(system, rigid=[[3, 4, 5]], positions=positions)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ENGINES)
 def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
     _, system, (positions, velocities) = settled("box-59", *periodic_system())

@@ -7,6 +7,7 @@ import pytest
 
 from openmm_sier.engines import interrupts
 from tests.loops import interrupts as loop
+from tests.support.matrices import representatives
 
 
 @pytest.fixture
@@ -57,8 +58,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
     assert deferring()
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("run", loop.RUNS)
+@pytest.mark.parametrize("run", representatives(loop.RUNS, "langevin"))
 def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
     """Each leaves a completed step of the run that nothing disturbed. `python -m tests.loops.interrupts` makes 2000."""
     rows = loop.study(loop.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path))

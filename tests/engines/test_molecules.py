@@ -22,6 +22,7 @@ from openmm_sier.engines.exact import motion
 from openmm_sier.engines.exact.solute import SoluteError
 from tests.support.flexible import cage, chains, residual, ring, rotor
 from tests.support.flexible_systems import FAST, started, system_of, total_energy
+from tests.support.matrices import representatives
 from tests.support.methanols import GEOMETRY, positions_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
@@ -65,9 +66,8 @@ CASES = {
 }
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("bath", [False, True], ids=["NVE", "NVT"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", representatives(CASES, "all bonds", "redundant"))
 def test_runs_conserves_and_restarts(case, bath):
     system, positions = CASES[case]()
     # Unconstrained C-H in the model has 11 fs.

@@ -94,6 +94,7 @@ def test_run_reads_what_is_made(whole, shape, tmp_path):
     assert sum(charges) == pytest.approx(0, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_virtual_sites_are_left_to_the_reader(structure, tmp_path):
     files = ("amber14-all.xml", "amber14/tip4pew.xml")
     made = solvate(complete(structure, files), "octahedron", padding=0.6, salt=0)
@@ -104,6 +105,7 @@ def test_virtual_sites_are_left_to_the_reader(structure, tmp_path):
     assert read_input(path).system.getNumParticles() == made.topology.getNumAtoms() + waters
 
 
+@pytest.mark.thorough
 def test_templates_that_are_patched_at_ends_are_known(structure):
     """As those of CHARMM are."""
     assert complete(structure, ("charmm36.xml", "charmm36/water.xml")).files[0] == "charmm36.xml"
@@ -136,6 +138,7 @@ def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, mon
         complete(path, leave_out=["GOL"])
 
 
+@pytest.mark.thorough
 def test_force_fields_without_water_or_ions_are_refused(structure, whole):
     with pytest.raises(ForceFieldError, match=r"cannot add water with the force field amber14-all.xml: "):
         solvate(complete(structure, ("amber14-all.xml",)))

@@ -109,7 +109,6 @@ def test_half_a_liquid_is_told_without_a_warning(tmp_path, lines, recwarn):
     assert not recwarn.list
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("interactions", "cutoff", "switch", "tolerance"),
     [
@@ -128,7 +127,6 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
     assert (force.getSwitchingDistance()._value if force.getUseSwitchingFunction() else None) == pytest.approx(switch)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "interactions", "message"),
     [

@@ -24,7 +24,6 @@ def handedness(topology, x):
     return np.array(found)
 
 
-@pytest.mark.thorough
 def test_every_residue(program):
     """As a helix: hydrogens can be added, and no bond or angle of the others is far from the force field's."""
     names = sorted(program.SIDE_CHAINS)

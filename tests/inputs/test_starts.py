@@ -42,7 +42,6 @@ def tethered():
     return tethered_water(60)
 
 
-@pytest.mark.thorough
 def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     """From springs at rest: half of the energy has still to come when the bath has the temperature already."""
     told = Told()
@@ -64,7 +63,6 @@ def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     assert fractions == sorted(fractions)
 
 
-@pytest.mark.thorough
 def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
     """80 waters fall at their terminal velocity, g over the friction of 5/ps, 0.15 nm/ps.
 
@@ -78,7 +76,6 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
     assert abs(found.means.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
 
 
-@pytest.mark.thorough
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
     monkeypatch.setattr(starts, "LONGEST", 4.0)
     system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
@@ -173,7 +170,6 @@ def test_it_is_decided_by_the_seed(tethered):
     assert not np.array_equal(ends[0], ends[2])
 
 
-@pytest.mark.thorough
 def test_energy_of_a_run_at_constant_energy_is_the_mean_of_the_equilibration(tethered):
     """Mean potential energy, and kT/2 for each of the 360 degrees of freedom, which springs leave all of them."""
     context, snapshot = context_of(*tethered), context_of(*tethered)
@@ -198,7 +194,6 @@ def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
     assert np.abs(masses @ velocities).max() < 1e-10
 
 
-@pytest.mark.thorough
 def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path, monkeypatch):
     """Positions and volume at the end of the equilibration are those at the start of the run."""
     box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))

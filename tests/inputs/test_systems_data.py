@@ -101,7 +101,6 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
     assert abs(found - energy * KCAL) < 0.75
 
 
-@pytest.mark.thorough
 def test_salt_solution_has_its_ions_and_its_density():
     box = forcefields.read_box(SYSTEMS / SALT)
     assert box.files == ("amber14/tip3p.xml",)

@@ -295,7 +295,6 @@ def test_a_barostat_of_the_system_is_refused(box):
         openmm.Context(system, integrator(), platform())
 
 
-@pytest.mark.thorough
 def test_a_box_too_small_for_the_cutoff(box):
     _, system, point = box
     made = integrator(pressure=1e6, interval=1)

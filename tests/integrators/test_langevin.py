@@ -88,7 +88,6 @@ def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(clus
     assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("remover", [False, True])
 def test_energy_less_heat_is_conserved_with_and_without_a_remover(engine, remover):

@@ -28,6 +28,7 @@ from openmm_sier.engines.variables import DRAWS
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.containers import CONTAINERS, contained
 from tests.support.integrators import constrained_velocity_verlet
+from tests.support.matrices import representatives
 from tests.support.restarts import (
     WAYS,
     after_ten_steps,
@@ -79,9 +80,28 @@ AT_CONSTANT_PRESSURE = {
     "HMC native NPT": lambda: trials("native", pressure=1e3, barostatInterval=4),
 }
 
+#: Restarts of the default run, one of each ensemble and engine: all others are thorough.
+QUICK = {
+    "Checkpoint-drop-Reference-SIER4 NVT",
+    "State-drop-Reference-HMC exact kept in part",
+    "Checkpoint-drop-Reference-HMC native kept in part",
+    "State-drop-Reference-rescaled native",
+    "Checkpoint-box-Reference-SIER4 NPT",
+    "State-box-Reference-HMC native NPT",
+    "CheckpointReporter-box-CPU-SIER2",
+    "StateReporter-box-CPU-SIER2 NVT",
+}
+
+
+def restarts(way, where, name, label, make):
+    """A restart as a parameter of its test."""
+    one = f"{way}-{where}-{name}-{label}"
+    return pytest.param(way, where, name, make, id=one, marks=[] if one in QUICK else pytest.mark.thorough)
+
+
 #: Kind of restart, box, platform, integrator. Bodies are those of a box of water or, without a cut-off, of a drop.
 MATRIX = [
-    pytest.param(way, where, name, make, id=f"{way}-{where}-{name}-{label}")
+    restarts(way, where, name, label, make)
     for where, name, makers in (
         ("drop", "Reference", MAKERS | TRIALS | RESCALED),
         ("drop", "CPU", MAKERS),
@@ -98,7 +118,6 @@ def cluster():
     return settled("cluster-6-tip4pew", *cluster_system(6, "tip4pew"))
 
 
-@pytest.mark.thorough
 @pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize(("way", "where", "name", "make"), MATRIX)
 def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
@@ -135,7 +154,6 @@ def test_restart_is_exact(tmp_path, cluster, box, way, where, name, make):
         assert 0 < whole.integrator.accepted < whole.integrator.trials
 
 
-@pytest.mark.thorough
 def test_positions_from_outside_end_the_past(box):
     """What follows depends on nothing but what the Context holds."""
     _, system, point = box
@@ -160,9 +178,8 @@ def with_barostat(system, frequency):
     return with_forces(system, seeded(openmm.MonteCarloBarostat(1e5, 297.0, frequency), 5))
 
 
-@pytest.mark.thorough
-@every_integrator
-def test_restart_beside_a_barostat_of_openmm(box, make):
+@pytest.mark.parametrize("label", representatives(MAKERS, "SIER2 NVT"))
+def test_restart_beside_a_barostat_of_openmm(box, label):
     """A checkpoint brings the random numbers of the barostat.
 
     It does not bring the count of steps since its last move nor the acceptance ratio of its last ten, with integrators
@@ -171,9 +188,9 @@ def test_restart_beside_a_barostat_of_openmm(box, make):
     _, system, point = box
     system = with_barostat(system, 2)
     # On Reference all random numbers come from one generator, which the integrator's seed starts.
-    context = context_at(system, seeded(make()), point, steps=4)
+    context = context_at(system, seeded(MAKERS[label]()), point, steps=4)
     volume = context.getState().getPeriodicBoxVolume()
-    assert_restart_is_the_same(system, context, seeded(make()), 9)
+    assert_restart_is_the_same(system, context, seeded(MAKERS[label]()), 9)
     assert context.getState().getPeriodicBoxVolume() != volume
 
 
@@ -316,7 +333,6 @@ def momentum(system, velocities):
 # --- bodies whose geometry is taken from positions --------------------------------------------------------------
 
 
-@pytest.mark.thorough
 def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()
@@ -340,7 +356,7 @@ def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-@pytest.mark.parametrize("name", CONTAINERS)
+@pytest.mark.parametrize("name", representatives(CONTAINERS, "CustomCVForce"))
 def test_forces_within_forces_have_neighbour_lists_of_their_own(box, name, engine):
     """Positions were 2e-7 nm apart when these lists had a past, after the lists were made anew at least once."""
     _, system, point = box

@@ -10,6 +10,7 @@ from openmm import unit
 from openmm_sier import SIER4GIntegrator, check_forces
 from openmm_sier.observe.work import BATCH
 from tests.support.containers import CONTAINERS, contained
+from tests.support.matrices import representatives
 from tests.support.peptides import capped_alanine
 from tests.support.silence import silence
 from tests.support.systems import field, with_forces
@@ -40,8 +41,13 @@ def resting(state):
 # --- what is sound ---
 
 
-@pytest.mark.parametrize("name", PLATFORMS)
-@pytest.mark.parametrize(("model", "tolerance"), [("tip3p", 5e-4), ("tip4pew", 1e-4)])
+@pytest.mark.parametrize(
+    ("model", "tolerance", "name"),
+    representatives(
+        [(*model, name) for model in (("tip3p", 5e-4), ("tip4pew", 1e-4)) for name in PLATFORMS],
+        ("tip3p", 5e-4, "CPU"),
+    ),
+)
 def test_water_is_sound(model, tolerance, name):
     """With PME as OpenMM splits it, and a jump of Lennard-Jones energies."""
     _, positions, system = periodic_system(model, 64)
@@ -59,7 +65,7 @@ def test_a_peptide_is_sound(name):
     assert check_forces(plain_context(system, positions, name)).faults == ()
 
 
-@pytest.mark.parametrize("name", CONTAINERS)
+@pytest.mark.parametrize("name", representatives(CONTAINERS, "CustomCVForce in ATMForce"))
 def test_forces_within_forces_are_sound(name):
     _, positions, system = periodic_system("tip3p", 64)
     assert check_forces(plain_context(contained(system, name), positions, "CPU")).faults == ()
@@ -141,6 +147,7 @@ def test_a_force_on_one_atom_is_found_among_many(wrong, name):
         assert LOWEST * WRONG / 3**0.5 < fault.size < HIGHEST * WRONG / 3**0.5
 
 
+@pytest.mark.thorough
 def test_more_forces_than_groups():
     """The wrong one is the last of them, behind as many as OpenMM has groups."""
     _, positions, system = cluster_system(4)

@@ -23,7 +23,6 @@ def simulation_at(box, integrator):
     return simulation_of(topology, system, integrator, "CPU", point)
 
 
-@pytest.mark.thorough
 def test_conservation_report(tmp_path, box):
     integrator = seeded(SIERLangevinIntegrator(297, 5, 0.001, scheme=SIER2), 1)
     simulation = simulation_at(box, integrator)
@@ -48,7 +47,6 @@ def test_conservation_report(tmp_path, box):
     assert last["Momentum x (dalton nm/ps)"] == motion.p[0].sum()
 
 
-@pytest.mark.thorough
 def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
     columns = ["step", "time", "potentialEnergy", "kineticEnergy", "totalEnergy", "temperature", "volume", "density"]
     theirs = app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, **dict.fromkeys(columns, True))
@@ -223,7 +221,6 @@ def test_body_states_have_the_names_of_domains(tmp_path):
         assert sum(map(bool, found)) == 2 - number
 
 
-@pytest.mark.thorough
 def test_body_states_tell_where_the_atoms_are(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)

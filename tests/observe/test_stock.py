@@ -28,7 +28,6 @@ def openmm_kinetic(context):
     return context.getState(energy=True).getKineticEnergy().value_in_unit(unit.kilojoule_per_mole)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "around"), [("verlet", NVE), ("langevinmiddle", NVT)])
 def test_kinetic_energies_are_openmms_own(box, name, around):
     """Which for Verlet are those of velocities half a step on; rounding of SETTLE is left.

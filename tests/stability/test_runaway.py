@@ -17,7 +17,6 @@ from tests.support.waters import context_at, platform
 ENGINES = ("exact", "native")
 
 
-@pytest.mark.thorough
 def test_a_runaway_stops_with_an_error(box, monkeypatch):
     """With the exact engine: on the native one OpenMM's constraints fail first, and positions are not finite then.
 

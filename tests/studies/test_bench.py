@@ -25,6 +25,7 @@ def liquid():
     return found.system, state, peers.liquid_of(found.system, state)
 
 
+@pytest.mark.thorough
 def test_what_gromacs_gets_has_the_same_energy(liquid, tmp_path):
     """OpenMM's own reader of GROMACS files builds the System again."""
     system, state, told = liquid

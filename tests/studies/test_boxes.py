@@ -8,6 +8,7 @@ import pytest
 from openmm_sier.inputs import forcefields
 from studies import boxes
 from tests.support.commands import SYSTEMS
+from tests.support.matrices import representatives
 from tests.support.waters import plain_context
 
 
@@ -16,7 +17,7 @@ def test_boxes_are_as_cubic_as_they_can_be(times, copies):
     assert boxes.copies_for(512 * times, 512) == copies
 
 
-@pytest.mark.parametrize("name", ["tip3p-512.pdb", "tip4p2005-512.pdb"])
+@pytest.mark.parametrize("name", representatives(["tip3p-512.pdb", "tip4p2005-512.pdb"], "tip3p-512.pdb"))
 def test_repeated_box_has_the_energy_of_its_copies(name):
     found = forcefields.read_box(SYSTEMS / name)
     energies = []
@@ -29,6 +30,7 @@ def test_repeated_box_has_the_energy_of_its_copies(name):
     assert energies[1] == pytest.approx(2 * energies[0], rel=1e-4)
 
 
+@pytest.mark.thorough
 def test_part_of_a_box():
     found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
     part = boxes.of_size(found, SYSTEMS, 64)

@@ -89,6 +89,7 @@ def named(system, name):
     return next(each for each in system.getForces() if each.getName() == name)
 
 
+@pytest.mark.thorough
 def test_bodies_have_no_energy_of_their_own():
     model = fullerenes.model(2)
     apart = model.positions.copy()

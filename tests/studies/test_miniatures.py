@@ -35,6 +35,7 @@ from studies.native import substeps as native_substeps
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
 from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.matrices import representatives
 from tests.support.waters import water_box
 
 DIPEPTIDE = SYSTEMS / "dipeptide.pdb"
@@ -342,8 +343,7 @@ def boxes(tmp_path_factory):
     }
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", MINIATURES)
+@pytest.mark.parametrize("name", representatives(MINIATURES, "bench", "dipole", "exactness"))
 def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
     if name == "mixture":
         pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")

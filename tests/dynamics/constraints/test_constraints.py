@@ -112,7 +112,6 @@ def test_geodesics_have_the_order_of_their_composition(make, composition, order,
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
-@pytest.mark.thorough
 def test_geodesics_conserve_and_reverse(rng, executed_by):
     system = mixture()
     constraints = system.constraints()
