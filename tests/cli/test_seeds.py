@@ -192,6 +192,7 @@ def test_without_dask(box, capsys, monkeypatch):
     assert "pip install 'openmm-sier[many]'" in complaint(capsys, "run", box, *MANY, "--seeds", "1-2")
 
 
+@pytest.mark.thorough
 def test_a_killed_member_is_begun_again(box, single_runs):
     process = started(box, "--seeds", "1-2", "--workers", "2", "--time", str(FOR_EVER))
     wait_for(lambda: rows(2) > 6, process, LIMIT)
@@ -228,7 +229,6 @@ def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs)
 
 
-@pytest.mark.thorough
 def test_a_stop_before_the_first_step_begins_nothing_again(box):
     """One member equilibrates for ever, which a signal ends at once, and the other waits."""
     options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": FOR_EVER, "time": 0.4}

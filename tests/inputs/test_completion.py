@@ -13,6 +13,7 @@ from openmm_sier.inputs.completion import FILES, SHAPES, as_pdb, complete, solva
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors
 from tests.support.archive import FIRST, LAST, kept, villin, write_incomplete
+from tests.support.matrices import representatives
 
 pytest.importorskip("pdbfixer")
 
@@ -62,13 +63,14 @@ def test_what_is_missing_is_added_and_said(whole):
     assert said["hydrogens added"].startswith(f"{hydrogens},")
 
 
+@pytest.mark.thorough
 def test_ends_are_added_where_they_are_asked_for(structure):
     longer = complete(structure, ends=True)
     assert longer.topology.getNumResidues() == 36
     assert ("residues added", "26 after VAL A 50") in longer.changes
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", representatives(SHAPES, "dodecahedron"))
 def test_run_reads_what_is_made(whole, shape, tmp_path):
     made = solvate(whole, shape, padding=0.6, salt=0.5)
     path = tmp_path / "box.pdb"
@@ -111,6 +113,7 @@ def test_templates_that_are_patched_at_ends_are_known(structure):
     assert complete(structure, ("charmm36.xml", "charmm36/water.xml")).files[0] == "charmm36.xml"
 
 
+@pytest.mark.thorough
 def test_selenomethionine_becomes_methionine(tmp_path):
     path = write_incomplete(tmp_path / "a.pdb")
     text = path.read_text().replace("MET A  41", "MSE A  41").replace(" SD  MSE", "SE   MSE")
@@ -126,6 +129,7 @@ def test_a_gap_without_a_sequence_is_refused(tmp_path):
         complete(path)
 
 
+@pytest.mark.thorough
 def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, monkeypatch):
     # PDBFixer looks for hydrogens of residues that it does not know at the archive, which tests do not ask.
     monkeypatch.setattr("pdbfixer.pdbfixer.urlopen", lambda _: (_ for _ in ()).throw(OSError("no network")))
@@ -146,6 +150,7 @@ def test_force_fields_without_water_or_ions_are_refused(structure, whole):
         complete(structure, ("tip3p.xml",))
 
 
+@pytest.mark.thorough
 def test_random_numbers_of_others_go_on(whole):
     random.seed(5)
     expected = random.random()

@@ -10,22 +10,23 @@ from tests.loops.two_commands import TwoSettings
 from tests.support.matrices import representatives
 
 
-@pytest.mark.parametrize("kills", representatives([1, 3], 1))
-def test_killed_at_random_moments_again_and_again(tmp_path, kills):
-    """What the command does fifty times: not a bit may differ from a run that nothing disturbed."""
-    met = kill_loop(LoopSettings(out=tmp_path, kills=kills, signals=("KILL", "TERM")))
-    assert met["kills by SIGKILL"] + met["kills by SIGTERM"] == kills
-    assert met["steps"] >= 10 * kills
-
-
 @pytest.mark.thorough
-def test_one_command_line_goes_on_after_every_kill(tmp_path):
-    """Four kills, so that one comes early, before there is a checkpoint or while the command reads it."""
-    met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
+def test_killed_at_random_moments_again_and_again(tmp_path):
+    """What the command does fifty times: not a bit may differ from a run that nothing disturbed."""
+    met = kill_loop(LoopSettings(out=tmp_path, kills=3, signals=("KILL", "TERM")))
+    assert (met["kills by SIGKILL"], met["kills by SIGTERM"]) == (2, 1)
     assert met["steps"] >= 30
 
 
-@pytest.mark.parametrize("files", representatives([60, 300], 60))
+@pytest.mark.parametrize("kills", representatives([1, 4], 1))
+def test_one_command_line_goes_on_after_every_kill(tmp_path, kills):
+    """The fourth kill comes early, before there is a checkpoint or while the command reads it."""
+    met = kill_loop(LoopSettings(out=tmp_path, kills=kills, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
+    # One more checkpoint after each of three kills.
+    assert met["steps"] >= 10 * min(kills, 3)
+
+
+@pytest.mark.parametrize("files", representatives([50, 200], 50))
 def test_damaged_and_crafted_files(tmp_path, files):
     """The same files in every run; `python -m tests.loops.hostile_files` tries others."""
     counts = hostile_files.search(tmp_path, files)

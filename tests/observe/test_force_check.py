@@ -1,6 +1,7 @@
 """The check of Forces against their energies: it finds those that are no gradient, and nothing in sound ones."""
 
 import copy
+from itertools import product
 
 import numpy as np
 import openmm
@@ -128,8 +129,9 @@ def test_gay_berne_with_different_well_depths_is_found(name):
     assert fault.size > 0.01 * fault.of
 
 
-@pytest.mark.parametrize("name", PLATFORMS)
-@pytest.mark.parametrize("wrong", [pushing, resting])
+@pytest.mark.parametrize(
+    ("wrong", "name"), representatives(product([pushing, resting], PLATFORMS), (pushing, "CPU"), (resting, "CPU"))
+)
 def test_a_force_on_one_atom_is_found_among_many(wrong, name):
     _, positions, system = cluster_system(24)
     force = openmm.PythonForce(wrong)

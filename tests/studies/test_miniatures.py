@@ -343,7 +343,7 @@ def boxes(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize("name", representatives(MINIATURES, "bench", "dipole", "exactness"))
+@pytest.mark.parametrize("name", representatives(MINIATURES, "exactness"))
 def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
     if name == "mixture":
         pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")

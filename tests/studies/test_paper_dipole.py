@@ -16,7 +16,6 @@ def miniature():
     return dipole.find(DipoleSettings(bodies=1500, span=1.5)).tables["rows"].set_index(["method", "force_step_fs"])
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("step", [4.2, 11.0, 21.0])
 def test_energies_are_those_of_table_1(step):
     """Within the factor 2 that the paper's unknown ensemble leaves; the order of the methods is the paper's.
