@@ -24,6 +24,9 @@ DENSEST = 30.0
 #: nm between opposite faces of a box, below which no cut-off reaches a neighbour: half of it is less than a bond.
 NARROWEST = 0.3
 
+#: nm, the longest edge of a box, in which any liquid fits.
+LONGEST = 1e4
+
 #: The last column of the coordinates of an atom in a PDB file.
 COORDINATES_END = 54
 
@@ -157,6 +160,9 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
         raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
     if (vectors := box_vectors(topology)) is None:
         return
+    longest = float(np.abs(vectors).max())
+    if not longest <= LONGEST:
+        raise ForceFieldError(f"{path}: the box has an edge of {longest:.3g} nm, expected {LONGEST:g} or less")
     volume = abs(float(np.linalg.det(vectors)))
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
