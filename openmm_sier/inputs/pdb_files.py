@@ -85,12 +85,17 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     """Return the periodic box of a file: its own or, if it has none, a rectangular one with given edges in nm.
 
     Raises:
-        ForceFieldError: both are given.
+        ForceFieldError: both are given, or its own is longer than `LONGEST`.
     """
-    if edges is None:
-        return box
     if box is not None:
-        raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+        if edges is not None:
+            raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+        longest = float(np.abs(box.value_in_unit(unit.nanometer)).max())
+        if not longest <= LONGEST:
+            raise ForceFieldError(f"{path}: the box has an edge of {longest:.3g} nm, expected {LONGEST:g} or less")
+        return box
+    if edges is None:
+        return None
     return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 
@@ -160,9 +165,6 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
         raise ForceFieldError(f"{path}: {one} and {two} are in the same place: is a molecule listed twice?")
     if (vectors := box_vectors(topology)) is None:
         return
-    longest = float(np.abs(vectors).max())
-    if not longest <= LONGEST:
-        raise ForceFieldError(f"{path}: the box has an edge of {longest:.3g} nm, expected {LONGEST:g} or less")
     volume = abs(float(np.linalg.det(vectors)))
     mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
