@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from openmm_sier.analysis.many_runs import argument, arguments
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import refusal
+from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.methods import METHODS
 from openmm_sier.cli.settings import (
     CONTINUED,
@@ -132,6 +133,11 @@ def _check(settings: RunSettings) -> None:
             f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {settings.method.name} keeps "
             "molecules rigid only by constraints"
         )
+    if settings.out.suffix.lower() not in FORMATS:
+        raise Misused(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {settings.out}")
+    for table in (settings.report, settings.pressure_tensor):
+        if table is not None and table.suffix.lower() in FORMATS:
+            raise Misused(f"{table} will be a table: give a name that ends in .csv")
 
 
 # --- from a checkpoint ---

@@ -23,6 +23,7 @@ from openmm_sier.cli.methods import (
 )
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_steps
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
+from openmm_sier.inputs.pdb_files import LONGEST
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
@@ -39,7 +40,7 @@ DEFAULT_TEMPERATURE = 297.0
 DEFAULT_TIME = 10.0
 
 #: nm; the shortest and the longest edge of a box.
-EDGES = 0.1, 1e4
+EDGES = 0.1, LONGEST
 
 
 def _listed(meanings: Mapping[str, str]) -> str:

@@ -24,6 +24,9 @@ DENSEST = 30.0
 #: nm between opposite faces of a box, below which no cut-off reaches a neighbour: half of it is less than a bond.
 NARROWEST = 0.3
 
+#: nm, the longest edge of a box, in which any liquid fits.
+LONGEST = 1e4
+
 #: The last column of the coordinates of an atom in a PDB file.
 COORDINATES_END = 54
 
@@ -82,12 +85,17 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     """Return the periodic box of a file: its own or, if it has none, a rectangular one with given edges in nm.
 
     Raises:
-        ForceFieldError: both are given.
+        ForceFieldError: both are given, or its own is longer than `LONGEST`.
     """
-    if edges is None:
-        return box
     if box is not None:
-        raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+        if edges is not None:
+            raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+        longest = float(np.abs(box.value_in_unit(unit.nanometer)).max())
+        if not longest <= LONGEST:
+            raise ForceFieldError(f"{path}: the box has an edge of {longest:.3g} nm, expected {LONGEST:g} or less")
+        return box
+    if edges is None:
+        return None
     return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 

@@ -19,7 +19,7 @@ from openmm_sier.engines.choice import engine_for, is_on_host, usual_platform
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
-from openmm_sier.engines.native.writing import general_program, program_for
+from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
 from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Engine, Task
@@ -121,7 +121,7 @@ class Binding:
     @property
     def native_steps(self) -> int:
         """Return the number of OpenMM steps in one step of the scheme."""
-        return int(self._integrator.getGlobalVariableByName(installation.PARTS)) or 1
+        return len(self.program.parts) or 1 if self._own_computations else 1
 
     def flow(self) -> Flow:
         """Return what an engine is to follow now, the same object until settings change."""
@@ -141,6 +141,8 @@ class Binding:
         """Set the program's variables to the values that they must have, whatever was loaded."""
         flow = self.flow()
         does_less = self.ensemble.needs_package or self.settings.bodies is not None
+        # A State that was written on another platform may have those of another program.
+        self._integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
         installation.set_bath(self._integrator, flow.bath)
         installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
 
@@ -186,9 +188,11 @@ class Binding:
         integrator, given = self._integrator, self.settings
         # There is one already where a Context could not be created.
         installation.uninstall(integrator)
-        on_gpu = not is_on_host(platform or usual_platform())
+        platform = platform or usual_platform()
+        on_gpu = not is_on_host(platform)
         groups = integrator.getIntegrationForceGroups()
-        self.program = program_for(self._whole_flow(), system, groups, counts_heat=not on_gpu)
+        checks_positions = given.engine == "native" and needs_finite_positions(system, platform)
+        self.program = program_for(self._whole_flow(), system, groups, not on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
         vectors = self.program.vectors if on_gpu and given.engine != "exact" else installation.ALL_VECTORS
         installation.install(self.program, integrator, vectors)

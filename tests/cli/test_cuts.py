@@ -1,5 +1,6 @@
 """A restart cuts off what a killed run wrote after its checkpoint, and refuses to cut a run that went on."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
+from openmm_sier.cli.files.checkpoints import read_notes
 from openmm_sier.cli.files.records import Log
 from openmm_sier.cli.files.trajectories import DCDTrajectory, XTCTrajectory
 from tests.support.commands import SMALL, complaint, contents, frames, run, write_lattice
@@ -75,6 +77,12 @@ def test_without_a_later_checkpoint_what_no_killed_run_leaves_is_kept(there, cap
     assert "a killed run writes less after its last checkpoint" in message
     assert "Give the last checkpoint of the run to --restart" in message
     assert contents(Path()) == before
+    notes = read_notes(Path("old.chk"))
+    for path, name in (("box.dcd", "trajectory"), ("p.csv", "tensors")):
+        os.truncate(path, notes[name].size)
+    message = complaint(capsys, *AGAIN, "--restart", "old.chk", "--steps", FIRST + 5)
+    assert f"box.csv goes on to {BEYOND * 0.004:g} ps" in message
+    assert "would cut this file" in message
 
 
 @pytest.mark.parametrize("kind", ["dcd", "xtc"])

@@ -286,7 +286,13 @@ def test_a_state_that_no_run_writes(here, capsys, use):
         state = archive.read("state.xml").decode()
     lost = re.sub(r"<Position [^>]*/>", '<Position x="nan" y="0" z="0"/>', state, count=1)
     without = re.sub("<Velocities>.*</Velocities>", "", state, flags=re.DOTALL)
-    for xml, reason in ((lost, "has numbers that are not finite"), (without, "lacks positions or velocities")):
+    wide, nowhere = (re.sub("<A [^>]*/>", f'<A x="{edge}" y="0" z="0"/>', state) for edge in ("1e300", "nan"))
+    for xml, reason in (
+        (lost, "has numbers that are not finite"),
+        (without, "lacks positions or velocities"),
+        (wide, "has a box with an edge of 1e+300 nm"),
+        (nowhere, "has a box with an edge of nan nm"),
+    ):
         assert xml != state
         rewrite_state("box.chk", xml)
         assert f"box.chk is damaged, or is not a checkpoint of openmm-sier run: its State {reason}" in refused(

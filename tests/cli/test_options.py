@@ -148,11 +148,19 @@ def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
         refuse(capsys, copied, "box.chk ", f"setting {name}", "run", "box.pdb", "--restart", "box.chk", "--steps", "4")
 
 
-@pytest.mark.parametrize("plan", [{"scheme": "langevinmiddle"}, {"scheme": "verlet", "ensemble": "hmc"}])
-def test_options_in_a_checkpoint_that_contradict_each_other(copied, capsys, plan):
+@pytest.mark.parametrize(
+    ("plan", "reason"),
+    [
+        ({"scheme": "langevinmiddle"}, "supports the ensembles"),
+        ({"scheme": "verlet", "ensemble": "hmc"}, "supports the ensembles"),
+        ({"out": "box.csv"}, "the name of a trajectory must end in .dcd or .xtc, got box.csv"),
+        ({"report": "log.dcd"}, "log.dcd will be a table"),
+    ],
+)
+def test_options_in_a_checkpoint_that_no_run_has(copied, capsys, plan, reason):
     rewrite_notes("box.chk", lambda notes: notes["plan"].update({"ensemble": "nve", **plan}))
     for use in (["--restart", "box.chk", "--steps", "4"], ["--start", "box.chk", "--out", "new.dcd"]):
-        refuse(capsys, copied, "box.chk has settings that no run has", "supports the ensembles", "run", "box.pdb", *use)
+        refuse(capsys, copied, "box.chk has settings that no run has", reason, "run", "box.pdb", *use)
 
 
 ESCAPE = "\x1b]0;owned\x07"
@@ -200,18 +208,17 @@ def test_notes_that_are_none(copied, capsys, notes):
 
 @pytest.mark.parametrize("make", ["above", "absolute", "link"])
 def test_a_checkpoint_from_elsewhere_overwrites_nothing(copied, tmp_path, capsys, make):
-    victim = tmp_path / "victim.txt"
-    victim.write_text("mine\n" * 1000)
     place = tmp_path / "theirs"
     place.mkdir()
     for path in copied.glob("*.*"):
-        if path.name != "victim.txt":
-            shutil.copy(path, place)
-    if make == "link":
-        (place / "log.csv").symlink_to(victim)
-    name = {"above": "../victim.txt", "absolute": str(victim), "link": "log.csv"}[make]
-    for option in ("report", "out", "pressure_tensor"):
-        rewrite_notes(place / "box.chk", lambda notes, option=option: notes["plan"].update({option: name}))
+        shutil.copy(path, place)
+    for option, ending in (("report", "txt"), ("out", "dcd"), ("pressure_tensor", "txt")):
+        victim = tmp_path / f"victim.{ending}"
+        victim.write_text("mine\n" * 1000)
+        link = place / f"{option}.{ending}"
+        link.symlink_to(victim)
+        name = {"above": f"../{victim.name}", "absolute": str(victim), "link": link.name}[make]
+        rewrite_notes(place / "box.chk", lambda notes, changed={option: name}: notes["plan"].update(changed))
         command = ["run", "box.pdb", "--platform", "Reference", "--restart", "theirs/box.chk", "--steps", "4"]
         refuse(capsys, tmp_path, "theirs/box.chk", f"for --{option.replace('_', '-')}", *command)
         shutil.copy(copied / "box.chk", place)

@@ -179,6 +179,7 @@ def test_each_complaint_is_told_once():
         (["--workers", "2"], "--workers needs --seeds"),
         (["--scheduler", "tcp://a:1"], "--scheduler needs --seeds"),
         (["--seeds", "1-2", "--ensemble", "nvt", "--pressure", "1"], "--pressure needs --ensemble npt or hmc"),
+        (["--seeds", "1-2", "--out", "x.abc"], "the name of a trajectory must end in .dcd or .xtc, got x.abc"),
     ],
 )
 def test_options_that_do_not_go_together(box, capsys, options, message):

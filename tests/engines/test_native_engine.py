@@ -1,10 +1,12 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
+import copy
+
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2V2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.matrices import representatives
@@ -227,6 +229,27 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
         integrator.step(3)
     # Five substeps are exact to 1e-7 nm, see above.
     assert np.abs(phase_point(later)[0] - phase_point(context)[0]).max() < 1e-6
+
+
+@pytest.mark.parametrize(("first", "second"), [("Reference", "CPU"), ("CPU", "Reference")])
+def test_runs_go_on_on_another_platform(first, second):
+    """Whose program divides a step into another number of native steps."""
+    _, system, point = settled("box-59", *periodic_system())
+    one, other = (SIERIntegrator(0.002, SIER2V2, engine="native") for _ in range(2))
+    context, later = context_at(system, one, point, first), context_at(system, other, point, second)
+    assert len(one.program.parts) != len(other.program.parts)
+    one.step(3)
+    later.setState(full_state(context))
+    copied = copy.deepcopy(other)
+    for integrator in (one, other):
+        integrator.setStepSize(0.001)
+        integrator.step(3)
+    assert later.getStepCount() == 6
+    assert later.getTime()._value == pytest.approx(0.009, abs=1e-12)
+    assert copied.getStepSize()._value == 0.002
+    # Forces in single precision are off by 1e-5 of up to 1e4 kJ/mol/nm, which move hydrogen by 1e-6 nm in 3 fs. Steps
+    # of another length leave atoms 1e-3 nm away.
+    assert np.abs(phase_point(later)[0] - phase_point(context)[0]).max() < 1e-5
 
 
 # --- what users do to a Context ---

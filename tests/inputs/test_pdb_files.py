@@ -47,7 +47,8 @@ def with_edges(lines, a, b, c):
             lambda lines: with_edges(lines, "99.000", "99.000", "1.000"),
             r"9\.9000 x 9\.9000 x 0\.1000 nm, has opposite faces 0\.1 nm apart",
         ),
-        (lambda lines: with_edges(lines, "1000000.0", "1000000.0", "1000000.0"), "needs a mesh of"),
+        (lambda lines: with_edges(lines, "10000.00", "10000.00", "10000.00"), "needs a mesh of"),
+        (lambda lines: with_edges(lines, "1000000.0", "1000.000", "1000.000"), r"edge of 1e\+05 nm, expected 10000 or"),
         # The last number of the last atom would be 1.
         (
             lambda lines: [*lines[:-3], lines[-3][:49]],

@@ -18,6 +18,7 @@ from openmm_sier.cli import platforms
 from openmm_sier.cli.fields import Name
 from openmm_sier.cli.files import records
 from openmm_sier.cli.settings import MOST_STEPS
+from openmm_sier.inputs.pdb_files import LONGEST
 from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_within
 
 #: Version of what a checkpoint holds.
@@ -126,9 +127,12 @@ def _check_numbers(path: Path, state: openmm.State) -> None:
         numbers = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True)
     except openmm.OpenMMException:
         raise _damaged(path, "its State lacks positions or velocities") from None
-    for array in (*numbers, state.getPeriodicBoxVectors(asNumpy=True)):
+    for array in numbers:
         if not np.isfinite(array.value_in_unit_system(unit.md_unit_system)).all():
             raise _damaged(path, "its State has numbers that are not finite")
+    longest = float(np.abs(state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)).max())
+    if not longest <= LONGEST:
+        raise _damaged(path, f"its State has a box with an edge of {longest:.3g} nm")
 
 
 def read_notes(path: Path) -> dict[str, Any]:

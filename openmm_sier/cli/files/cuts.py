@@ -74,11 +74,12 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, ste
     if later is None and last <= next_checkpoint:
         return
     files = ", ".join(str(cut.path) for cut in cuts)
+    goes, these = ("goes", "this file") if len(cuts) == 1 else ("go", "these files")
     reason = f"{later} is a later checkpoint" if later else "a killed run writes less after its last checkpoint"
     raise RunError(
-        f"{checkpoint} is at {_ps(plan, step)}, but {files} go on to {_ps(plan, last)}; {reason}. A restart from here "
-        f"would cut these files. Give {later or 'the last checkpoint of the run'} to --restart; or begin a new run "
-        f"with --start {checkpoint} and another --out; or cut the files with --overwrite"
+        f"{checkpoint} is at {_ps(plan, step)}, but {files} {goes} on to {_ps(plan, last)}; {reason}. A restart from "
+        f"here would cut {these}. Give {later or 'the last checkpoint of the run'} to --restart; or begin a new run "
+        f"with --start {checkpoint} and another --out; or cut {these} with --overwrite"
     )
 
 

@@ -8,12 +8,11 @@ from typing import Any
 import openmm
 
 from openmm_sier.cli.beginning import Simulated
-from openmm_sier.cli.errors import Misused, RunError
+from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.files.locks import is_name_of_a_lock
-from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.platforms import platform_of
 from openmm_sier.cli.settings import FILES, RunSettings
 from openmm_sier.cli.streams import PROGRAM
@@ -33,10 +32,6 @@ class Outputs:
     """
 
     def __init__(self, settings: RunSettings, checkpoint: Path):
-        """
-        Raises:
-            Misused: a name has the wrong ending.
-        """
         self.checkpoint = checkpoint
         self.saved_step: int | None = None
         self._settings = settings
@@ -45,12 +40,6 @@ class Outputs:
         self.extras = [path for path in (settings.plot, settings.save_config) if path]
         self._intervals = {name: settings.interval(getattr(settings, KINDS[name].every)) for name in self._grown}
         self._intervals["checkpoint"] = settings.interval(settings.checkpoint_every)
-        for name, path in self._grown.items():
-            is_trajectory = path.suffix.lower() in FORMATS
-            if name == "trajectory" and not is_trajectory:
-                raise Misused(f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {path}")
-            if name != "trajectory" and is_trajectory:
-                raise Misused(f"{path} will be a table: give a name that ends in .csv")
 
     # --- before any is opened ---
 

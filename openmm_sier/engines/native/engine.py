@@ -23,7 +23,7 @@ from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.told_bodies import ToldBodies
-from openmm_sier.engines.native.writing import refuse_other_slow_groups
+from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
@@ -92,8 +92,7 @@ class NativeEngine(Engine):
         platform = context.getPlatform()
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
         self._known = KnownAtoms(context, is_single=precision == "single")
-        #: Whether OpenMM computes forces even at positions that are not finite, where PME writes outside of its mesh.
-        self._checks_each_step = platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
+        self._checks_positions = needs_finite_positions(system, platform)
         if precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
@@ -190,7 +189,8 @@ class NativeEngine(Engine):
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
-        count, start = min(steps, AT_ONCE), self.clock
+        count = 1 if self._checks_positions else min(steps, AT_ONCE)
+        start = self.clock
         try:
             self._native_steps(count)
         finally:
@@ -207,19 +207,21 @@ class NativeEngine(Engine):
         try:
             self._native_steps(parts)
         finally:
-            # Even after an error the clock must agree with the positions.
-            if self._context.getStepCount() == clock.steps + parts:
-                self.clock = Clock(clock.time + self.flow.step, clock.steps + 1)
-                self._completed(1)
+            # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
+            made = int(self._context.getStepCount() == clock.steps + parts)
+            self.clock = Clock(clock.time + made * self.flow.step, clock.steps + made)
+            self._completed(made)
         return 1
 
     def _native_steps(self, number: int) -> None:
-        at_once = 1 if self._checks_each_step else number
+        """Make native steps; where positions are looked at after each, they belong to one step."""
+        at_once = 1 if self._checks_positions else number
+        step = self._context.getStepCount() + 1
         try:
             for _ in range(0, number, at_once):
                 openmm.CustomIntegrator.step(self._integrator, at_once)
-                if self._checks_each_step:
-                    self._refuse_lost_atoms()
+                if self._checks_positions:
+                    self._refuse_lost_atoms(step)
         except openmm.OpenMMException as error:
             # What follows begins with the first part of a step.
             self._integrator.setGlobalVariableByName(PART, 0.0)
@@ -227,13 +229,12 @@ class NativeEngine(Engine):
                 raise TrajectoryError(str(error)) from error
             raise
 
-    def _refuse_lost_atoms(self) -> None:
-        """Raise a TrajectoryError where positions or velocities are not finite, and the next step would need forces."""
+    def _refuse_lost_atoms(self, step: int) -> None:
+        """Raise a TrajectoryError that names the step if positions or velocities are not finite."""
         now = Snapshot.of(self._context)
         if not (np.isfinite(now.positions).all() and np.isfinite(now.velocities).all()):
             raise TrajectoryError(
-                f"Positions or velocities are not finite after step {now.steps}. Is the step size too long, or do "
-                "atoms overlap?"
+                f"A position or velocity is not finite in step {step}. Is the step size too long, or do atoms overlap?"
             )
 
     def _completed(self, steps: int) -> None:

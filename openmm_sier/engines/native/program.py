@@ -6,7 +6,8 @@ The program runs where the forces run, and XML carries it to interpreters withou
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
 Where a System may have virtual sites, a step of the scheme is therefore divided into several steps of OpenMM, here
 called native steps, each of which computes forces at the positions that it starts from and nowhere else. All are h/n
-long, so that OpenMM's clock is right after every n of them.
+long, so that OpenMM's clock is right after every n of them. A step is divided, too, where positions must be looked at
+before each force.
 
 What a step costs on a GPU is the kernels that it launches and the memory that these move. So a program has no
 computation of a global variable unless its step is divided (OpenMM uploads all of them after each), takes the slow
@@ -81,7 +82,7 @@ def write(
     updates_context: bool = True,
     bath: Thermostat | None = None,
     slow_group: int | None = None,
-    has_virtual_sites: bool = True,
+    divides_step: bool = True,
     counts_heat: bool = True,
 ) -> Program:
     """Write the program of a scheme.
@@ -109,7 +110,8 @@ def write(
             counted as heat, unless that of a bath is not.
         bath: executes the scheme's bath, with whatever temperature and friction it is given later.
         slow_group: the only force group of the slow forces; None: the sum of all forces less the fast ones.
-        has_virtual_sites: whether the System may have virtual sites; without them one native step is enough.
+        divides_step: whether a native step ends before each force at positions that changed, as in a System that may
+            have virtual sites. Otherwise one native step is enough.
         counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
             the bath; the trajectory is the same without them, to rounding.
 
@@ -140,7 +142,7 @@ def write(
     ends_constrained = counts_heat or not scheme.bath_divides_drift
     if ends_constrained and not _leaves_constrained(lines[-1]):
         lines.append(Line("end", (Statement(CONSTRAIN_V),)))
-    parts = _divided(lines) if has_virtual_sites else (tuple(lines),)
+    parts = _divided(lines) if divides_step else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     fraction = scheme.inner_fraction(number) if fast else 1.0

@@ -16,7 +16,7 @@ def general_program(flow: Flow) -> Program:
     return _written(flow)
 
 
-def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool) -> Program:
+def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool, checks_positions: bool) -> Program:
     """Return the program that follows a flow in a System, and costs least there.
 
     Args:
@@ -24,18 +24,29 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
         system: openmm.System.
         groups: the integration force groups, a bit mask.
         counts_heat: whether to count the heat of a bath where the flow leaves that open.
+        checks_positions: whether the engine looks at positions before each force.
 
     Returns:
         A program, or one without parts if OpenMM cannot execute the flow.
     """
     slow = slow_groups(system, groups, flow.fast_groups)
+    has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
     return _written(
         flow,
         # By its name the force of a group is right only if no other slow force acts.
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
-        has_virtual_sites=any(map(system.isVirtualSite, range(system.getNumParticles()))),
+        divides_step=has_virtual_sites or checks_positions,
         counts_heat=counts_heat if flow.counts_heat is None else flow.counts_heat,
     )
+
+
+def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> bool:
+    """Return whether to look at positions before each force.
+
+    The Reference platform computes forces even at positions that are not finite. Its PME writes outside of its mesh
+    there, which may end the process.
+    """
+    return platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
 
 
 def _written(flow: Flow, **choices: Any) -> Program:
