@@ -13,9 +13,9 @@ from tests.support.matrices import representatives
 @pytest.mark.thorough
 def test_killed_at_random_moments_again_and_again(tmp_path):
     """What the command does fifty times: not a bit may differ from a run that nothing disturbed."""
-    met = kill_loop(LoopSettings(out=tmp_path, kills=3, signals=("KILL", "TERM")))
-    assert (met["kills by SIGKILL"], met["kills by SIGTERM"]) == (2, 1)
-    assert met["steps"] >= 30
+    met = kill_loop(LoopSettings(out=tmp_path, kills=2, signals=("KILL", "TERM")))
+    assert (met["kills by SIGKILL"], met["kills by SIGTERM"]) == (1, 1)
+    assert met["steps"] >= 20
 
 
 @pytest.mark.parametrize("kills", representatives([1, 4], 1))
