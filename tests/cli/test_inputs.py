@@ -2,7 +2,6 @@
 
 import shutil
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -158,7 +157,8 @@ def test_all_formats_hold_one_system():
 
 
 @pytest.mark.parametrize(
-    ("name", "ensemble"), representatives(product(ALL, ["nve", "npt"]), ("gromacs", "npt"), ("charmm", "nve"))
+    ("name", "ensemble"),
+    representatives([(name, "npt") for name in ALL] + [("charmm", "nve")], ("gromacs", "npt"), ("charmm", "nve")),
 )
 def test_restarts_are_bit_for_bit_alike(name, ensemble):
     given = ALL[name]

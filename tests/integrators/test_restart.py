@@ -109,7 +109,8 @@ MATRIX = [
         ("box", "CPU", MAKERS | TRIALS | AT_CONSTANT_PRESSURE),
     )
     for label, make in makers.items()
-    for way in WAYS
+    # A reporter writes what `saveCheckpoint` and `saveState` write, in the middle of a call of `step`.
+    for way in (WAYS if label in MAKERS and (where, name) == ("box", "CPU") else WAYS[:2])
 ]
 
 
