@@ -213,8 +213,7 @@ def with_frames(
     which energies and forces stay what they were. Only long-range corrections depend on the number of particles N, as
     N/(N + 1).
 
-    Call it before `prepare_system`, to which you give the copy like any other System. Interactions that
-    `prepare_system(system, bodies)` excluded in the original are excluded in the copy too.
+    Call it before `prepare_system`, to which you give the copy like any other System.
 
     Args:
         system: the System, which stays as it is.
@@ -228,8 +227,8 @@ def with_frames(
 
     Raises:
         TypeError: `system` is no System, such as a Simulation.
-        ValueError: no body needs a frame, or a Force cannot be copied: multipoles of AMOEBA and HIPPO, plugins, a
-            GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
+        ValueError: no body needs a frame, or a Force is none of the bonded ones, NonbondedForce, CustomNonbondedForce,
+            CustomCentroidBondForce, CustomExternalForce and CustomCVForce. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales the position of each atom separately.
     """
@@ -253,8 +252,8 @@ def with_frames(
     framed = _copied(system)
     _hold(framed, frames)
     held = np.concatenate([frame.atoms for frame in frames])
-    models = [int(frame.atoms[0]) for frame in frames for _ in frame.particles]
-    carry_forces(framed, Added(tables.masses(system), held, models))
+    added = sum(len(frame.particles) for frame in frames)
+    carry_forces(framed, Added(tables.masses(system), held, added))
     of_frames = [frame.particles.tolist() for frame in frames]
     named = None if topology is None else with_frame_atoms(topology, of_frames)
     found = FramedSystem(framed, named, np.empty((0, 3)), known, frames)
