@@ -293,14 +293,14 @@ def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) 
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of such a body."""
-    if len(species.masses) > MOST_HELD:
+    if len(species.masses) > MOST_HELD or checks.is_line(species.masses, species.sites.T):
         return False
     alone = openmm.System()
     for mass in species.masses.tolist():
         alone.addParticle(mass)
     for i, j in combinations(range(len(species.masses)), 2):
         alone.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
-    return SolverTrial(alone).unsolved() is None
+    return not SolverTrial(alone).unsolved(lambda: species.sites.T)
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.RigidBodies) -> dict[int, list[int]]:

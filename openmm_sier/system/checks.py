@@ -12,7 +12,7 @@ from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
-from openmm_sier.system.solver_trial import LINE_REMEDY, is_line
+from openmm_sier.system.solver_trial import LINE_REMEDY
 
 #: Whether a Force only gives forces, by positions, box and parameters: it does nothing in `updateContextState`, and
 #: does not know the time. With any other one the exact engine updates and reads the Context at each step.
@@ -213,6 +213,13 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
                 f"{temperature:g})"
             )
     return others
+
+
+def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
+    """Tell whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
+    arms = places - masses @ places / masses.sum()
+    _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
+    return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:

@@ -14,7 +14,6 @@ from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.solver_trial import LINE_REMEDY, Unsolved
 
 
 def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
@@ -62,19 +61,6 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
                     "for a body of up to four atoms, constrain each pair of them"
                 )
     return None
-
-
-def refuse_unsolved(unsolved: Unsolved | None) -> None:
-    """Refuse constraints that OpenMM's solvers cannot satisfy, if any were found.
-
-    Raises:
-        openmm.OpenMMException: the message names their atoms, and the remedy.
-    """
-    if unsolved is not None:
-        remedy = LINE_REMEDY if unsolved.is_line else "Take engine='exact', which any platform runs"
-        raise openmm.OpenMMException(
-            f"The native engine leaves constraints to OpenMM, but OpenMM cannot satisfy {unsolved}. {remedy}"
-        )
 
 
 def refuse_fast_forces(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
