@@ -14,7 +14,14 @@ import numpy as np
 from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
-from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, check_records, extent, refusing
+from openmm_sier.inputs.pdb_files import (
+    ForceFieldError,
+    box_vectors,
+    check_records,
+    extent,
+    refusing,
+    warn_of_alternates,
+)
 from openmm_sier.observe.conservation import density
 from openmm_sier.system.notices import Remedy
 
@@ -86,6 +93,7 @@ def complete(
     forcefield = load(names, Path(path).parent)
     check_records(path)
     fixer = _fixer(path)
+    warn_of_alternates(path, fixer.topology)
     changes: list[tuple[str, str]] = []
     with refusing(f"cannot complete {path}"), _seeded(seed):
         changes += _left_out(fixer, path, leave_out)

@@ -13,7 +13,6 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import PDB, kind_of
-from openmm_sier.inputs.listed_bonds import tell_stale_bonds
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -139,17 +138,10 @@ def add_virtual_sites(
         ForceFieldError: the force field has no template for a residue.
     """
 
-    def completed(topology: app.Topology) -> app.Modeller:
-        modeller = app.Modeller(topology, positions)
-        with refusing():
-            modeller.addExtraParticles(forcefield)
-        return modeller
-
-    try:
-        found = completed(topology)
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{error}{tell_stale_bonds(error, topology, positions, completed)}") from error
-    return found.topology, found.positions
+    modeller = app.Modeller(topology, positions)
+    with refusing():
+        modeller.addExtraParticles(forcefield)
+    return modeller.topology, modeller.positions
 
 
 def pme_system(
