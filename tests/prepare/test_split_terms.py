@@ -93,11 +93,13 @@ def test_prepared_again_it_stays_as_it_is(frozen):
 
 @pytest.mark.parametrize("regrouped", [False, True])
 def test_integrators_find_them(regrouped):
+    """Also in a System that was prepared again since its groups were changed."""
     system, bodies, positions = stiff_chain([HELD])
     prepare_system(system, bodies)
     if regrouped:
         for number, force in enumerate(system.getForces()):
             force.setForceGroup(number)
+        prepare_system(system, bodies)
     integrator = SIERIntegrator(0.002, "SIER4G", bodies=bodies)
     with silence():
         context = openmm.Context(system, integrator, platform())
