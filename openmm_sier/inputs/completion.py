@@ -23,7 +23,6 @@ from openmm_sier.inputs.pdb_files import (
     warn_of_alternates,
 )
 from openmm_sier.observe.conservation import density
-from openmm_sier.system.notices import Remedy
 
 if TYPE_CHECKING:
     from pdbfixer import PDBFixer
@@ -271,9 +270,9 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
             raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
         names = " ".join(dict.fromkeys(residue.name for residue in alone))
         raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(alone)}",
-            Remedy("leave out", f"leave them out with leave_out={names.split()}", names),
-            Remedy("more templates", "add to `files` a force field that has templates for them"),
+            f"{path}: the force field {files} has no template for {_listed(alone)}: leave them out with "
+            f"leave_out={names.split()} (--leave-out {names}), or add to `files` (--forcefield) a force field that has "
+            "templates for them"
         ) from error
 
 

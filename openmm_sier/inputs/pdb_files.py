@@ -12,7 +12,7 @@ from openmm.unit import Quantity
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.system.boxes import reduced
-from openmm_sier.system.notices import Advised, Remedy, notify
+from openmm_sier.system.notices import notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
@@ -29,10 +29,8 @@ COORDINATES_END = 54
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
 
-class ForceFieldError(Advised, ValueError):
+class ForceFieldError(ValueError):
     """No force field is named, found or applied, or there are no coordinates that one could be for."""
-
-    separator = ": "
 
 
 def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
@@ -98,7 +96,7 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     if edges is None:
         return box
     if box is not None:
-        raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+        raise ForceFieldError(f"{path} has a periodic box of its own: leave out `edges` (--edges)")
     return [Vec3(*row) for row in np.diag(edges).tolist()] * unit.nanometer
 
 

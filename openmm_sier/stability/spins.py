@@ -80,10 +80,11 @@ class Spins:
         )
         remedies = advice.SHORTER_STEP, advice.STRAIGHTEN
         if turned >= ALIASED:
-            raise advice.StepError(f"A step of {1000 * h:.3g} fs is too long: {described}", *remedies)
+            raise advice.StepError(advice.advised(f"A step of {1000 * h:.3g} fs is too long: {described}", *remedies))
         if not self._told:
             self._told = True
-            notify(advice.StepWarning(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies))
+            message = advice.advised(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies)
+            notify(advice.StepWarning(message))
 
 
 def _field_groups(system: openmm.System, atoms: int) -> int:

@@ -26,7 +26,7 @@ def with_edges(lines, a, b, c):
     ("change", "message"),
     [
         # Its geometry is that of several models.
-        (lambda lines: lines[1:], "no force field is named: give its `files`, such as tip3p.xml"),
+        (lambda lines: lines[1:], r"no force field is named: give its `files` \(--forcefield\), such as tip3p.xml"),
         (lambda lines: [*lines[:5], lines[4], *lines[5:]], r"has an atom twice: .*HETATM +3 +H2 +HOH A +1"),
         # A molecule once more, under a number of its own.
         (
