@@ -17,8 +17,7 @@ from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse
 from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
 from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
-from openmm_sier.system import checks, tables
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.notices import notify
@@ -192,7 +191,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
             system = read_system(file)
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
-        if isinstance(force, OF_ENSEMBLES):
+        if forces.kind_of(force).sets:
             raise ForceFieldError(
                 f"{topology} has a {force.getName()}, but the run sets the ensemble: remove this Force from the System"
             )

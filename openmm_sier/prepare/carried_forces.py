@@ -5,21 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import openmm
 
-from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
 
 #: Name of the parameter by which custom Forces tell atoms, for which it is 1, from added particles.
 IS_ATOM = "openmm_sier_is_atom"
-
-#: Forces that name their particles, or need none.
-UNCHANGED = (
-    *TERMS,
-    *WITHOUT_FORCES,
-    openmm.CustomCompoundBondForce,
-    openmm.CustomExternalForce,
-    openmm.CustomHbondForce,
-    openmm.CustomCVForce,
-)
 
 
 @dataclass(frozen=True)
@@ -59,7 +49,7 @@ def carry_forces(system: openmm.System, added: Added) -> None:
             _add_to_expression(force, added)
         elif isinstance(force, openmm.CustomCentroidBondForce):
             _keep_weights(force, added)
-        elif not isinstance(force, UNCHANGED):
+        elif kind_of(force).acts_on in ("pairs", "whole") and not isinstance(force, openmm.CustomCVForce):
             raise ValueError(
                 f"{part.name} ({type(force).__name__}) cannot be copied to a System with frames. Give the bodies to a "
                 "SIER integrator, by bodies=…, which needs no frames; or remove the Force"

@@ -9,8 +9,9 @@ from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pairs
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, working_terms
+from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import BodyPlan, linked
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
 
 
@@ -36,9 +37,7 @@ class FastForces:
         owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
         own = own_forces(system)
         self.acting = {
-            i: force
-            for i, force in enumerate(system.getForces())
-            if i not in own and not isinstance(force, WITHOUT_FORCES)
+            i: force for i, force in enumerate(system.getForces()) if i not in own and kind_of(force).exerts_forces
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
         self.owner = owner
@@ -82,10 +81,11 @@ def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
     end = names.index(NAME) if marked else 0
     known = None
     for i, force in enumerate(system.getForces() if marked else ()):
-        if isinstance(force, WITHOUT_FORCES) or names[i] in (NAME, BODIES):
+        kind = kind_of(force)
+        if not kind.exerts_forces or names[i] in (NAME, BODIES):
             continue
         is_marked = any(marked >> group & 1 for group in _groups(force))
-        if is_marked == (i < end and bonded_kind(force) is not None):
+        if is_marked == (i < end and kind.terms is not None):
             continue
         # Forces on virtual sites and frozen atoms are bonded but slow. Most often there are none, and then nobody has
         # to know the bodies.

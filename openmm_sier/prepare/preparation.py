@@ -17,8 +17,9 @@ from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
-from openmm_sier.system.bonded_terms import bonded_kind, bonded_terms, do_work
+from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
+from openmm_sier.system.forces import kind_of
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def _useless_terms(system: openmm.System, owner: np.ndarray) -> list[str]:
     """Return a sentence about bonded terms within one body, which do no work."""
     counts = []
     for force in system.getForces():
-        if bonded_kind(force) is None or force.getName() == BODIES:
+        if kind_of(force).terms is None or force.getName() == BODIES:
             continue
         works = do_work(bonded_terms(force), owner)
         if not works.all():

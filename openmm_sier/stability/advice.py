@@ -8,8 +8,9 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import DIVISIBLE, working_terms
+from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 
 _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
@@ -110,7 +111,7 @@ class Remedies:
         It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
         """
         terms = working_terms(force, self._owner)
-        if isinstance(force, DIVISIBLE):
+        if kind_of(force).is_divisible:
             return bool(self._moving[list(atoms)].all())
         return bool(len(terms) and self._moving[terms].all())
 

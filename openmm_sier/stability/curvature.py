@@ -17,9 +17,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import own_methods
 
-#: Forces whose terms are expressions of the places of a few atoms.
-EXPRESSIONS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce, openmm.CustomExternalForce)
-
 #: Displacement in nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
 DISPLACEMENT = 1e-5
 
@@ -53,7 +50,7 @@ def fastest_vibration(
     mobility: np.ndarray,
     held: Collection[tuple[int, int]],
 ) -> Vibration | None:
-    """Return the fastest motion that one term of a Force of `EXPRESSIONS` causes; None if there is none.
+    """Return the fastest motion that one term of a Force that is an expression causes; None if there is none.
 
     Args:
         force: of the Context's System, or within a Force of it.

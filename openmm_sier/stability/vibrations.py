@@ -20,11 +20,12 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.step_limits import nested_is_stable
 from openmm_sier.stability import advice
 from openmm_sier.stability.collective import fastest_motion, is_collective
-from openmm_sier.stability.curvature import EXPRESSIONS, Vibration, fastest_vibration
+from openmm_sier.stability.curvature import Vibration, fastest_vibration
 from openmm_sier.stability.surroundings import holding, slow_share
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
+from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.mobilities import COARSE, mobilities
 from openmm_sier.system.notices import notify
@@ -69,18 +70,6 @@ TOLERATED = 1.06
 
 #: ps. The fastest bonds that molecules have, those of oxygen to hydrogen.
 FASTEST_BOND = 0.009
-
-#: Forces whose stiffness is read, measured or estimated here, or that are softer than bonds.
-KNOWN = (
-    *(*TERMS, *EXPRESSIONS, *WITHOUT_FORCES, openmm.CustomVolumeForce, openmm.ConstantPotentialForce),
-    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.LCPOForce),
-    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
-    *(openmm.AmoebaVdwForce, openmm.AmoebaMultipoleForce, openmm.AmoebaGeneralizedKirkwoodForce),
-    *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
-)
-
-#: Forces whose terms of two atoms are bonds.
-BONDS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce)
 
 #: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
 STIFFENED = 0.54
@@ -136,7 +125,7 @@ class Vibrations:
         self._librations = list(swings) if _has_surroundings(system, bodies, links) else []
         self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in parts(system))
         self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
-        self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
+        self._isolated = not any(kind_of(force).sets for force in system.getForces())
         self._told: set[str] = set()
 
     def measure(self, context: openmm.Context) -> bool:
@@ -156,7 +145,7 @@ class Vibrations:
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = slow_share(self._stiffness, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
-                is_bond = isinstance(part.force, BONDS) and len(found.atoms) == 2
+                is_bond = kind_of(part.force).acts_on == "terms" and len(found.atoms) == 2
                 can_be_fast = (
                     period < COARSE and not part.within and self._remedies.can_be_fast(part.force, found.atoms)
                 )
@@ -383,7 +372,7 @@ def _percent(fraction: float) -> str:
 def _is_expression(part: Part) -> bool:
     # The close pairs of `prepare_system` are nonbonded interactions.
     is_own = part.force.getName().startswith("openmm_sier: ")
-    return isinstance(part.force, EXPRESSIONS) and not is_own and part.weight is not None
+    return kind_of(part.force).stiffness == "expression" and not is_own and part.weight is not None
 
 
 def _is_sum(force: openmm.Force) -> bool:
@@ -400,7 +389,8 @@ def _unknown(system: openmm.System) -> Iterator[Part]:
     for part in parts(system):
         if isinstance(part.force, openmm.ATMForce) or part.weight is None:
             continue
-        if not _is_sum(part.force) and not isinstance(part.force, KNOWN) and not _is_collective(part):
+        is_unknown = kind_of(part.force).stiffness in ("unknown", "collective")
+        if is_unknown and not _is_sum(part.force) and not _is_collective(part):
             yield part
 
 

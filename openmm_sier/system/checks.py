@@ -8,7 +8,6 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import parts
@@ -24,13 +23,13 @@ def acting_forces(system: openmm.System) -> list[openmm.Force]:
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
     """Return the barostats of OpenMM that a System has."""
-    return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+    return [force for force in system.getForces() if kind_of(force).sets == "pressure"]
 
 
 def gives_uncounted_heat(context: openmm.Context) -> bool:
     """Tell whether a thermostat or barostat of OpenMM acts in a Context: nobody counts the energy that it gives."""
     for force in context.getSystem().getForces():
-        if isinstance(force, BAROSTATS) and force.getFrequency() > 0:
+        if kind_of(force).sets == "pressure" and force.getFrequency() > 0:
             return True
         if isinstance(force, openmm.AndersenThermostat) and context.getParameter(force.CollisionFrequency()) > 0:
             return True
@@ -155,7 +154,7 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
         Whether there is one.
     """
     others = False
-    for force in [force for force in context.getSystem().getForces() if isinstance(force, OF_ENSEMBLES)]:
+    for force in [force for force in context.getSystem().getForces() if kind_of(force).sets]:
         theirs = context.getParameter(force.Temperature())
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             others = True

@@ -51,6 +51,16 @@ class ForceKind(NamedTuple):
     is_passive: bool = False
     is_data: bool = False
 
+    @property
+    def exerts_forces(self) -> bool:
+        """Return whether there may be forces."""
+        return self.acts_on != "nothing"
+
+    @property
+    def is_divisible(self) -> bool:
+        """Return whether its terms can be moved to another Force of the class."""
+        return self.terms is not None and bool(self.terms.strengths)
+
 
 def _known(acts_on: str, stiffness: str, is_passive: bool = True, is_data: bool = True, **others: object) -> ForceKind:
     """Return a row of the table."""

@@ -3,7 +3,7 @@
 import openmm
 
 from openmm_sier.system import own_methods
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system.forces import kind_of
 
 
 def second_context(context: openmm.Context, system: openmm.System) -> openmm.Context:
@@ -38,10 +38,10 @@ def follow_parameters(first: openmm.Context, second: openmm.Context) -> None:
 
 def _without_baths(system: openmm.System) -> openmm.System:
     """Return a System without Forces that set a temperature or a pressure: itself, or a copy."""
-    if not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces()):
+    if not any(kind_of(force).sets for force in system.getForces()):
         return system
     copied = openmm.XmlSerializer.clone(system)
     for number in reversed(range(copied.getNumForces())):
-        if isinstance(copied.getForce(number), OF_ENSEMBLES):
+        if kind_of(copied.getForce(number)).sets:
             copied.removeForce(number)
     return copied

@@ -13,7 +13,8 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
+from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.forces import kind_of
 
 
 def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
@@ -85,9 +86,10 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
         )
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
     for force in system.getForces() if sites else []:
-        if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
+        kind = kind_of(force)
+        if force.getForceGroup() not in groups or not kind.exerts_forces:
             continue
-        touched = np.intersect1d(bonded_terms(force), sites) if bonded_kind(force) is not None else np.array(sites)
+        touched = np.intersect1d(bonded_terms(force), sites) if kind.terms is not None else np.array(sites)
         if touched.size:
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "
