@@ -21,6 +21,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
+from openmm_sier.system.second_context import reference_context
 from openmm_sier.system.solver_trial import SolverTrial
 
 #: Constraints between all of more atoms are redundant.
@@ -334,8 +335,7 @@ def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
     alone = _copied(system)
     for number in reversed(range(alone.getNumForces())):
         alone.removeForce(number)
-    reference = openmm.Platform.getPlatformByName("Reference")
-    context = openmm.Context(alone, openmm.VerletIntegrator(0.001), reference)
+    context = reference_context(alone)
     context.setPositions(x)
     context.computeVirtualSites()
     return context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)

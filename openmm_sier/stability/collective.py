@@ -15,6 +15,7 @@ from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.stability.curvature import FAR, Vibration
 from openmm_sier.system import own_methods
 from openmm_sier.system.forces import kind_of
+from openmm_sier.system.second_context import follow_parameters, reference_context
 
 #: Largest displacement of an atom, nm.
 DISPLACEMENT = 1e-5
@@ -80,10 +81,9 @@ class _Alone:
         system.addForce(openmm.XmlSerializer.clone(force))
         state = own_methods.get_state(context, positions=True)
         system.setDefaultPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        reference, known = openmm.Platform.getPlatformByName("Reference"), context.getParameters()
-        self._context, self._bodies = openmm.Context(system, openmm.VerletIntegrator(0.001), reference), bodies
-        for name in self._context.getParameters():
-            self._context.setParameter(name, known[name])
+        self._context = reference_context(system)
+        self._bodies = bodies
+        follow_parameters(context, self._context)
         self._x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
         self._q, self._A = bodies.fit(self._x)
 

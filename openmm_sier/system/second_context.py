@@ -1,4 +1,4 @@
-"""Make a second Context beside that of a run."""
+"""Make Contexts beside that of a run."""
 
 import openmm
 
@@ -20,6 +20,12 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
     own_methods.set_box(made, *own_methods.get_state(context).getPeriodicBoxVectors())
     follow_parameters(context, made)
     return made
+
+
+def reference_context(system: openmm.System) -> openmm.Context:
+    """Return a Context of a System on the Reference platform, to evaluate in double precision."""
+    reference = openmm.Platform.getPlatformByName("Reference")
+    return openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
 
 
 def platform_of(context: openmm.Context) -> tuple[openmm.Platform, dict[str, str]]:

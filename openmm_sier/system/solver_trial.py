@@ -16,6 +16,7 @@ from openmm import unit
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import own_methods, tables
 from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.second_context import reference_context
 
 #: Atoms are displaced by a normal deviate of this size, nm, which solvers have to undo. It is the distance by which a
 #: step of some fs leaves the constraints of hydrogens.
@@ -136,5 +137,4 @@ class SolverTrial:
                 *_, angle, strength = force.getAngleParameters(term)
                 angles.addAngle(*np.searchsorted(self._atoms, terms[term]).tolist(), angle, strength)
         copy.addForce(angles)
-        reference = openmm.Platform.getPlatformByName("Reference")
-        return openmm.Context(copy, openmm.VerletIntegrator(0.001), reference)
+        return reference_context(copy)
