@@ -10,9 +10,7 @@ from openmm_sier.system.forces import Terms, kind_of
 
 def bonded_terms(force: openmm.Force) -> np.ndarray:
     """Return particles of each term of a bonded Force, (t, k)."""
-    attributes = _written(force).atoms
-    found = [[int(term.attrib[name]) for name in attributes] for term in _elements(force)]
-    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
+    return _atoms(force, _elements(force))
 
 
 def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
@@ -45,14 +43,23 @@ def do_work(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
 
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
-    parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in _elements(force)]
+    elements = _elements(force)
+    parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in elements]
     lengths, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
-    return bonded_terms(force), lengths, strengths
+    return _atoms(force, elements), lengths, strengths
 
 
 def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray]:
     """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
-    return bonded_terms(force), np.array([float(term.attrib["k"]) for term in _elements(force)], dtype=float)
+    elements = _elements(force)
+    return _atoms(force, elements), np.array([float(term.attrib["k"]) for term in elements], dtype=float)
+
+
+def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:
+    """Return particles of each term, (t, k)."""
+    attributes = _written(force).atoms
+    found = [[int(term.attrib[name]) for name in attributes] for term in elements]
+    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
 
 
 def _elements(force: openmm.Force) -> list[ElementTree.Element]:
