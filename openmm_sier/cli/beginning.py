@@ -3,6 +3,7 @@
 from typing import Any
 
 import openmm
+from openmm import unit
 
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused, RunError
@@ -77,7 +78,15 @@ class Simulated:
         bath = settings.temperature if settings.ensemble != "nve" else None
         piston = settings.pressure if settings.moves_volume else None
         dt = settings.dt / 1000
-        system, integrator = stock.make_stock(self.box.system, settings.scheme, dt, bath, settings.friction, piston)
+        system, integrator = stock.make_stock(
+            self.box.system,
+            self.box.positions.value_in_unit(unit.nanometer),
+            settings.scheme,
+            dt,
+            bath,
+            settings.friction,
+            piston,
+        )
         stock.seed_noise(system, integrator, settings.seed, step)
         context = make_context(system, integrator, settings.platform)
         integrator.bind(context, self.bodies)

@@ -31,7 +31,6 @@ from openmm_sier.cli.settings import (
 from openmm_sier.inputs.forcefields import foreign_files, pick
 from openmm_sier.inputs.inputs import IGNORED, topology_kind
 from openmm_sier.inputs.pdb_files import ForceFieldError
-from openmm_sier.system.body_selection import file_words
 
 
 def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) -> RunSettings:
@@ -44,11 +43,9 @@ def new_settings(given: Mapping[str, Any], origin: RunSettings | None = None) ->
     Raises:
         Misused: settings contradict each other, or the topology, or would do nothing.
         RunError: files that make the System must be named again.
-        ForceFieldError, OSError: the topology is none, or cannot be read; a file of bodies cannot be read.
-        ValueError: a file of bodies describes none.
+        ForceFieldError, OSError: the topology is none, or cannot be read.
     """
     _refuse_both_lengths(given)
-    given = _with_words_of_files(given)
     values: dict[str, Any] = {}
     if origin is not None:
         values = {name: getattr(origin, name) for name in (*OF_THE_SYSTEM, "temperature")}
@@ -107,13 +104,6 @@ def ignored_settings(topology: Path | None, given: Collection[str]) -> tuple[str
         if name in given:
             raise Misused(f"{flag(name)} has no effect with {topology}, which is {kind}: leave it out")
     return IGNORED[kind]
-
-
-def _with_words_of_files(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what was given with the words of files of bodies in place of these, which may change after the run."""
-    if not given.get("rigid"):
-        return given
-    return {**given, "rigid": [line for words in given["rigid"] for line in file_words(words)]}
 
 
 def _refuse_both_lengths(given: Mapping[str, Any]) -> None:
@@ -181,7 +171,6 @@ def continued_settings(given: Mapping[str, Any], checkpoint: Path, saved: Mappin
         OSError, ValueError: a file of bodies cannot be read, or describes none.
     """
     _refuse_both_lengths(given)
-    given = _with_words_of_files(given)
     noted = noted_settings(checkpoint, saved)
     if "start" in given and not given.get("resume"):
         raise Misused("--start begins a new run, and --restart continues an old one: give one of them")

@@ -131,8 +131,7 @@ class RunSettings(BaseModel):
     rigid: list[Name] | None = fields.several(
         "what to keep rigid besides water, with the geometry that it has in the coordinates (constrained bonds have "
         "the lengths of their constraints): names of residues; ranges of residues, such as A:1-36, one body each; "
-        "chains, such as 'chain A'; atoms, such as 'atoms 0-35'; selections of MDTraj; or a file with one of these in "
-        "each line",
+        "chains, such as A: ; or selections of MDTraj, such as 'index 0 to 35'",
         NAME,
         otherwise="none",
     )

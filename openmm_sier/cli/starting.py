@@ -1,7 +1,6 @@
 """Start a new run: from coordinates, or from the checkpoint of another run."""
 
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,7 +66,6 @@ def start(given: Mapping[str, Any], locks: FileLocks, requests: StopRequests, co
     simulated = Simulated(settings)
     # Settings may take the place of those that they are from.
     read = [config] if config and config != settings.save_config else []
-    read += [Path(words) for words in given.get("rigid") or () if os.path.isfile(words)]
     outputs.check([*simulated.box.sources.values(), *read])
     locks.hold(outputs.paths)
     if not settings.overwrite:

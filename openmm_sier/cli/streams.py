@@ -6,36 +6,10 @@ import os
 import sys
 from typing import TextIO
 
-from openmm_sier.system.notices import Advised
-
 PROGRAM = "openmm-sier"
 
 #: What the extra `cli` brings.
 LIBRARIES = ("cyclopts", "filelock", "mdtraj", "pydantic", "rich", "tomli")
-
-#: What helps by options of the command, which prepares every System, in place of what does in a script.
-AS_OPTIONS = {
-    "prepare": "take a shorter step (--dt)",
-    "shorter step": "take a shorter step (--dt)",
-    "more substeps": "take a shorter step (--dt)",
-    "step up to": "take up to {} (--dt)",
-    "unit": "",
-    "heavier hydrogens": "if you need averages but no dynamics, make all hydrogens heavy with --hydrogen-mass 4",
-    "constrain hydrogens": "constrain the bond with --constraints hbonds (bonds to hydrogen) or allbonds",
-    "constrain bonds": "constrain the bond with --constraints allbonds, or make its molecule rigid with --rigid WHAT",
-    "one body": "leave its molecule out of --rigid, and constrain the bond with --constraints allbonds",
-    "check forces": "if the energy drifts as much with half the step, call openmm_sier.check_forces in a script",
-    "this is the topology": "give coordinates, and this file with --topology {}",
-    "name the topology": "give its topology too, with --topology: {}",
-    "leave out": "leave them out with --leave-out {}",
-    "more templates": "add files that have templates for them to --forcefield",
-    "name the force field": "give its files with --forcefield, such as {}",
-    "name the parameters": "give all parameter files, such as --forcefield {}",
-    "give a box": "give coordinates with their box, or its edges in nm with --edges",
-    "one box": "leave out --edges",
-    "leave the ensemble to the run": "remove this Force from the System, and give --ensemble, --temperature and "
-    "--pressure",
-}
 
 
 def escape(stream: TextIO | None) -> None:
@@ -70,9 +44,8 @@ def complain(message: str) -> None:
 
 
 def in_one_line(message: Warning | BaseException | str) -> str:
-    """Return a message in one line, whose remedies are options of the command."""
-    text = message.told(AS_OPTIONS) if isinstance(message, Advised) else str(message)
-    return " ".join(text.split())
+    """Return a message in one line."""
+    return " ".join(str(message).split())
 
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:

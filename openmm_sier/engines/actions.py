@@ -4,26 +4,41 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import own_methods
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
+from openmm_sier.system.solver_trial import SolverTrial
 
 
 class Actions:
-    """Let OpenMM draw velocities, satisfy constraints and minimize the energy.
+    """Let OpenMM draw velocities, satisfy constraints and minimize the energy, or refuse constraints that it cannot.
 
-    An engine has a subclass where OpenMM cannot do it for all constraints. In each method `by_openmm` calls the method
-    of OpenMM that the user called.
+    An engine that can satisfy them itself has a subclass. In each method `by_openmm` calls the method of OpenMM that
+    the user called.
     """
 
-    def __init__(self, context: openmm.Context):
+    def __init__(self, context: openmm.Context, trial: SolverTrial):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
+        self._trial = trial
+
+    def _positions(self) -> np.ndarray:
+        """Return positions, (N, 3), nm; zeros if none were set yet."""
+        state = own_methods.get_state(self._context, positions=True)
+        return state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
 
     def solve(self, by_openmm: Callable[[], None]) -> None:
-        """Let OpenMM do something for which it satisfies constraints."""
+        """Let OpenMM do something for which it satisfies constraints.
+
+        Raises:
+            openmm.OpenMMException: it cannot.
+        """
+        self._trial.refuse(self._positions)
         by_openmm()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:

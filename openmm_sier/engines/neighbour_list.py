@@ -10,6 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.system import own_methods
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
@@ -44,4 +45,4 @@ def forget(context: openmm.Context) -> None:
 def _has_cutoff(force: openmm.Force) -> bool:
     # In every Force that has nonbonded methods, 0 is the one without a cut-off.
     is_cut = hasattr(force, "getNonbondedMethod") and force.getNonbondedMethod() != 0
-    return is_cut or isinstance(force, openmm.ConstantPotentialForce)
+    return is_cut or kind_of(force).meshes == ()

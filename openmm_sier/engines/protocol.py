@@ -377,7 +377,7 @@ class Engine(ABC):
     @cached_property
     def actions(self) -> Actions:
         """Return the actions that users ask of OpenMM in the Context."""
-        return Actions(self._context)
+        return Actions(self._context, self.trial)
 
     # --- news from outside; an engine may find some of it out by itself ---
 

@@ -16,7 +16,7 @@ from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.ensembles.thermal_motion import ThermalMotion
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system.forces import kind_of
 
 #: Global variables of all trials: their number, how many were accepted, the energy error at the first end of the last
 #: one in kT; and the step in ps at which reversibility was checked, with the error found, nm.
@@ -103,7 +103,7 @@ class Metropolis(ConstantTemperature):
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
-            if isinstance(force, OF_ENSEMBLES):
+            if kind_of(force).sets:
                 raise openmm.OpenMMException(
                     f"Remove the {type(force).__name__}: it acts within trajectories, which hybrid Monte Carlo does "
                     "not allow. The integrator keeps the temperature, and the pressure if you give it pressure=1*bar"

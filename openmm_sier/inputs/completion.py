@@ -14,9 +14,15 @@ import numpy as np
 from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
-from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, check_records, extent, refusing
+from openmm_sier.inputs.pdb_files import (
+    ForceFieldError,
+    box_vectors,
+    check_records,
+    extent,
+    refusing,
+    warn_of_alternates,
+)
 from openmm_sier.observe.conservation import density
-from openmm_sier.system.notices import Remedy
 
 if TYPE_CHECKING:
     from pdbfixer import PDBFixer
@@ -86,6 +92,7 @@ def complete(
     forcefield = load(names, Path(path).parent)
     check_records(path)
     fixer = _fixer(path)
+    warn_of_alternates(path, fixer.topology)
     changes: list[tuple[str, str]] = []
     with refusing(f"cannot complete {path}"), _seeded(seed):
         changes += _left_out(fixer, path, leave_out)
@@ -263,9 +270,9 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
             raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
         names = " ".join(dict.fromkeys(residue.name for residue in alone))
         raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(alone)}",
-            Remedy("leave out", f"leave them out with leave_out={names.split()}", names),
-            Remedy("more templates", "add to `files` a force field that has templates for them"),
+            f"{path}: the force field {files} has no template for {_listed(alone)}: leave them out with "
+            f"leave_out={names.split()} (--leave-out {names}), or add to `files` (--forcefield) a force field that has "
+            "templates for them"
         ) from error
 
 

@@ -13,7 +13,6 @@ from openmm import app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import PDB, kind_of
-from openmm_sier.inputs.listed_bonds import tell_stale_bonds
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -22,7 +21,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.notices import Remedy, notify
+from openmm_sier.system.notices import notify
 from openmm_sier.system.untrusted_files import open_regular
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
@@ -88,8 +87,7 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
         lines = file.read().decode(errors="replace").splitlines()
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         such = f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
-        remedy = Remedy("name the force field", f"give its `files`, such as {such}", such)
-        raise ForceFieldError("no force field is named", remedy)
+        raise ForceFieldError(f"no force field is named: give its `files` (--forcefield), such as {such}")
     return named, "named in the PDB file"
 
 
@@ -139,17 +137,10 @@ def add_virtual_sites(
         ForceFieldError: the force field has no template for a residue.
     """
 
-    def completed(topology: app.Topology) -> app.Modeller:
-        modeller = app.Modeller(topology, positions)
-        with refusing():
-            modeller.addExtraParticles(forcefield)
-        return modeller
-
-    try:
-        found = completed(topology)
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{error}{tell_stale_bonds(error, topology, positions, completed)}") from error
-    return found.topology, found.positions
+    modeller = app.Modeller(topology, positions)
+    with refusing():
+        modeller.addExtraParticles(forcefield)
+    return modeller.topology, modeller.positions
 
 
 def pme_system(
@@ -304,7 +295,7 @@ def read_box(
         system = pme_system(topology, forcefield, constraints, interactions)
         whole = make_whole(system, positions, topology)
     except ForceFieldError as error:
-        raise error.within(path) from None
+        raise ForceFieldError(f"{path}: {error}") from None
     except ValueError as error:
         raise ForceFieldError(f"{path}: {error}") from None
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])

@@ -17,11 +17,10 @@ from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse
 from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
 from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
-from openmm_sier.system import checks, tables
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.notices import Remedy, notify
+from openmm_sier.system.notices import notify
 from openmm_sier.system.untrusted_files import open_regular, read_system
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
@@ -108,12 +107,12 @@ def _refuse_half(path: str | Path) -> None:
     """Refuse files that need another one."""
     kind = kind_of(path)
     if kind in TOPOLOGIES:
-        remedy = Remedy("this is the topology", "give coordinates, and this file as `topology`", str(path))
-        raise ForceFieldError(f"{path} is {kind}, but coordinates are expected", remedy)
+        raise ForceFieldError(
+            f"{path} is {kind}, but coordinates are expected: give these, and this file as `topology` (--topology)"
+        )
     if kind in POSITIONS:
         kinds = "a prmtop, top or psf file, or a System of OpenMM in XML"
-        remedy = Remedy("name the topology", f"give its `topology` too: {kinds}", kinds)
-        raise ForceFieldError(f"{path} is {kind}, without a force field", remedy)
+        raise ForceFieldError(f"{path} is {kind}, without a force field: give its `topology` (--topology) too: {kinds}")
 
 
 def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
@@ -145,8 +144,10 @@ def _box_of_topology(
         )
     if kind == PSF and not files:
         such = "par_all36_prot.prm top_all36_prot.rtf toppar_water_ions.str"
-        remedy = Remedy("name the parameters", f"give all its parameter files as `files`, such as {such}", such)
-        raise ForceFieldError(f"{topology} is {kind}, which needs its parameters", remedy)
+        raise ForceFieldError(
+            f"{topology} is {kind}, which needs its parameters: give all its parameter files as `files` "
+            f"(--forcefield), such as {such}"
+        )
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
         file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
@@ -155,15 +156,17 @@ def _box_of_topology(
             # OpenMM's other readers add no bonds that constraints hold by themselves.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
-        remedy = Remedy("give a box", "give coordinates with their box, or its `edges`")
-        raise ForceFieldError(f"{path} has no periodic box, but {topology} was made for one", remedy)
+        raise ForceFieldError(
+            f"{path} has no periodic box, but {topology} was made for one: give coordinates with their box, or its "
+            "`edges` (--edges)"
+        )
     refuse_other_atoms(path, found, file.topology, topology)
     if kind == TOP:
         _tell_of_rigid_water(topology, file)
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)
     except ForceFieldError as error:
-        raise error.within(topology) from error
+        raise ForceFieldError(f"{topology}: {error}") from error
     return _box(source, system, file.topology, files)
 
 
@@ -188,9 +191,10 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
             system = read_system(file)
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
-        if isinstance(force, OF_ENSEMBLES):
-            remedy = Remedy("leave the ensemble to the run", "remove this Force from the System")
-            raise ForceFieldError(f"{topology} has a {force.getName()}, but the run sets the ensemble", remedy)
+        if forces.kind_of(force).sets:
+            raise ForceFieldError(
+                f"{topology} has a {force.getName()}, but the run sets the ensemble: remove this Force from the System"
+            )
     named = found.topology or _topology_of(system)
     refuse_other_atoms(path, found._replace(names=()), named, topology)
     _refuse_other_masses(path, system, named, topology)
@@ -274,7 +278,7 @@ def sources_of(
         try:
             named, _ = forcefields.pick(path)
         except ForceFieldError as error:
-            raise error.within(path) from None
+            raise ForceFieldError(f"{path}: {error}") from None
     located = {str(name): Path(forcefields.locate(str(name), Path(path).parent)) for name in named}
     return sources | {name: place for name, place in located.items() if place.is_file()}
 

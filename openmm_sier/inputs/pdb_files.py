@@ -10,10 +10,9 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.inputs.alternates import find_alternates
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.system.boxes import reduced
-from openmm_sier.system.notices import Advised, Remedy, notify
+from openmm_sier.system.notices import notify
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
@@ -33,10 +32,8 @@ COORDINATES_END = 54
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
 
-class ForceFieldError(Advised, ValueError):
+class ForceFieldError(ValueError):
     """No force field is named, found or applied, or there are no coordinates that one could be for."""
-
-    separator = ": "
 
 
 def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
@@ -47,8 +44,8 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
         edges: of its periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, the rarer of two alternate
-            places first, or a box that cannot hold its atoms.
+        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, or a box that cannot hold
+            its atoms.
         OSError: the file cannot be read.
     """
     kind = check_records(path)
@@ -60,6 +57,7 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
             file = READERS[kind](str(path))
         except UserWarning as twice:
             raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
+    warn_of_alternates(path, file.topology)
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
@@ -69,7 +67,7 @@ def check_records(path: str | Path) -> str:
     """Return the kind of a PDB or PDBx/mmCIF file, after all reasons to refuse its atoms.
 
     Raises:
-        ForceFieldError: it is none, is cut off, or has the rarer of two alternate locations first.
+        ForceFieldError: it is none, or is cut off.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -77,8 +75,19 @@ def check_records(path: str | Path) -> str:
         raise ForceFieldError(f"{path} is not a PDB file with atoms")
     if kind == PDB:
         _check_lines(path)
-    _check_alternates(path, kind)
     return kind
+
+
+def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
+    """Warn of a PDB or PDBx/mmCIF file with atoms in alternate locations; the topology is that of its first model."""
+    lines = Path(path).read_text(errors="replace").splitlines()
+    records = sum(line.startswith(("ATOM", "HETATM")) for line in lines)
+    # Models have as many atoms each.
+    if records % max(topology.getNumAtoms(), 1):
+        notify(
+            f"{path} has atoms in alternate locations, of which the first is taken. If another one is more frequent, "
+            "keep its atoms alone (by the letter in column 17 of a PDB file, label_alt_id of a PDBx/mmCIF file)"
+        )
 
 
 def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
@@ -89,7 +98,7 @@ def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None
     """
     if box is not None:
         if edges is not None:
-            raise ForceFieldError(f"{path} has a periodic box of its own", Remedy("one box", "leave out `edges`"))
+            raise ForceFieldError(f"{path} has a periodic box of its own: leave out `edges` (--edges)")
         longest = float(np.abs(box.value_in_unit(unit.nanometer)).max())
         if not longest <= LONGEST:
             raise ForceFieldError(f"{path}: the box has an edge of {longest:.3g} nm, expected {LONGEST:g} or less")
@@ -193,24 +202,6 @@ def _check_lines(path: str | Path) -> None:
                 f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
                 "file is cut off, or is not a PDB file"
             )
-
-
-def _check_alternates(path: str | Path, kind: str) -> None:
-    """Warn of atoms in alternate locations, of which OpenMM takes the first; refuse those whose first is rarer."""
-    found = find_alternates(path, kind)
-    column = "column 17" if kind == PDB else "label_alt_id"
-    for each in found:
-        if each.is_rarer:
-            raise ForceFieldError(
-                f"{path}: {each.residue} has alternate locations with the occupancies {each}. OpenMM takes the first, "
-                f"which is a rarer one: keep the atoms of one location, by the letter in {column}"
-            )
-    if found:
-        more = f" ({len(found)} residues in all)" if len(found) > 1 else ""
-        notify(
-            f"{path}: {found[0].residue} has alternate locations with the occupancies {found[0]}; the first is taken"
-            f"{more}"
-        )
 
 
 def _check_edges(path: str | Path) -> None:

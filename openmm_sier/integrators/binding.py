@@ -156,8 +156,9 @@ class Binding:
             platform: that of the Context; None leaves it to OpenMM.
 
         Raises:
-            openmm.OpenMMException: the System has Drude particles, or masses or constraints that are impossible; the
-                integrator was given computations, or its Context is gone.
+            openmm.OpenMMException: the System has Drude particles, masses or constraints that are impossible, or force
+                groups that were changed after its preparation; the integrator was given computations, or its Context
+                is gone.
             RigidityError: the System was prepared for other bodies.
         """
         # OpenMM refuses an integrator that has a Context already, and it must stay that Context's own.
@@ -174,7 +175,7 @@ class Binding:
         given = self.settings
         refuse_other_bodies(system, given.bodies)
         if given.fast_groups is None:
-            self._found_groups = find_fast_groups(system, given.bodies, says=True)
+            self._found_groups = find_fast_groups(system, given.bodies)
             self._flow = None
         self._write_program(system, platform)
         if given.scheme.without_bath().order >= 4:

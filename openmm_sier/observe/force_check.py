@@ -90,7 +90,7 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
     The Context stays as it is.
 
     It cannot see faults that are smaller than the rounding of energies in single precision, nor a jump of the energy at
-    a cut-off. `prepare_system` tells you of such jumps.
+    a cut-off. `prepare_system` names NonbondedForces that have one.
 
     Args:
         context: a Context with positions and any integrator. Without a SIER integrator, bodies are those of the

@@ -101,6 +101,7 @@ class StockLangevinMiddle(StockIntegrator, openmm.LangevinMiddleIntegrator):
 
 def make_stock(
     system: openmm.System,
+    positions: np.ndarray,
     name: str,
     step: float,
     temperature: float | None = None,
@@ -111,6 +112,7 @@ def make_stock(
 
     Args:
         system: to be simulated.
+        positions: of its particles, (N, 3), nm.
         name: "verlet" or "langevinmiddle".
         step: ps.
         temperature: K; None at constant energy, which "langevinmiddle" does not have.
@@ -120,8 +122,7 @@ def make_stock(
     Raises:
         openmm.OpenMMException: OpenMM cannot satisfy the System's constraints.
     """
-    if (unsolved := SolverTrial(system).unsolved()) is not None:
-        raise openmm.OpenMMException(f"OpenMM's integrators cannot satisfy {unsolved}: take a scheme of this package")
+    SolverTrial(system).refuse(lambda: positions)
     system = openmm.XmlSerializer.clone(system)
     integrator: Any = StockVerlet(step) if name == "verlet" else StockLangevinMiddle(temperature, friction, step)
     if name == "verlet" and temperature is not None:

@@ -13,7 +13,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.second_context import second_context
 
 #: nm. Atoms move about so far to either side of where they are. Differences of energies in single precision need as
@@ -76,7 +76,7 @@ class Motions:
         self.radii = np.sqrt(self._sums(self._arms**2).sum(axis=1) / count)
         system = context.getSystem()
         kinds = enumerate(system.getForces())
-        self.forces = [number for number, force in kinds if not isinstance(force, WITHOUT_FORCES)]
+        self.forces = [number for number, force in kinds if kind_of(force).exerts_forces]
         batches = [self.forces[i : i + BATCH] for i in range(0, len(self.forces), BATCH)]
         self._contexts = [(batch, _by_groups(context, batch)) for batch in batches]
 

@@ -17,13 +17,11 @@ import openmm
 
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
 
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
 REACH = 4
-
-#: Forces of pairs that are known here. Those of multipoles are softer at close distance, by Thole's damping.
-PAIRWISE = (openmm.NonbondedForce, openmm.ConstantPotentialForce)
 
 #: 1/(4 pi epsilon_0) in kJ/mol nm/e^2, as OpenMM has it.
 COULOMB = 138.93545764438198
@@ -63,7 +61,8 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
     Returns:
         How many pairs there are.
     """
-    pairwise = [part for part in parts(system) if isinstance(part.force, PAIRWISE)]
+    # Forces of multipoles are softer at close distance, by Thole's damping.
+    pairwise = [part for part in parts(system) if kind_of(part.force).charges == "points"]
     found = [(part, weight) for part in pairwise if (weight := part.weight)]
     close = _close(edges, owner)
     fast = _pair_force(NAME, "", group, periodic)

@@ -4,15 +4,15 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups, own_forces
+from openmm_sier.prepare.close_pairs import NAME, fast_force_groups, own_forces
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pairs
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import GROUPS, Bodies, groups_of
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, working_terms
+from openmm_sier.system.arguments import GROUPS, Bodies
+from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import BodyPlan, linked
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
-from openmm_sier.system.notices import notify
 
 
 class FastForces:
@@ -37,9 +37,7 @@ class FastForces:
         owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
         own = own_forces(system)
         self.acting = {
-            i: force
-            for i, force in enumerate(system.getForces())
-            if i not in own and not isinstance(force, WITHOUT_FORCES)
+            i: force for i, force in enumerate(system.getForces()) if i not in own and kind_of(force).exerts_forces
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
         self.owner = owner
@@ -66,35 +64,38 @@ class FastForces:
         )
 
 
-def find_fast_groups(system: openmm.System, bodies: Bodies, says: bool = False) -> int:
+def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
     """Return the bit mask of the fast force groups of a System; 0 if it is not prepared.
 
-    They are those of the preparation. If somebody has regrouped the Forces since, they are all groups that hold only
-    what the preparation made fast. Forces that were added later stay in the kicks.
+    Forces that were added after the preparation stay in the kicks.
 
     Args:
         system: openmm.System.
         bodies: those of the integrator.
-        says: whether to warn of fast forces that now share a group with others.
+
+    Raises:
+        openmm.OpenMMException: force groups were changed after the preparation.
     """
     marked = fast_force_groups(system)
     names = [force.getName() for force in system.getForces()]
-    if not marked or not _may_be_regrouped(system, marked, names.index(NAME)):
-        return marked
-    known = FastForces(system, bodies)
-    fast = {i: force for i, force in known.fast.items() if i < names.index(NAME)}
-    fast |= {i: system.getForce(i) for i, name in enumerate(names) if name == NAME}
-    taken = {force.getForceGroup() for force in system.getForces() if force.getName() == OPPOSITE}
-    taken |= {group for i, force in known.acting.items() if i not in fast for group in _groups(force)}
-    groups = {force.getForceGroup() for force in fast.values()} - taken
-    mask = sum(1 << group for group in groups)
-    if says and (left := [force.getName() for force in fast.values() if force.getForceGroup() in taken]):
-        notify(
-            f"Force groups were changed after prepare_system: {', '.join(left)} now share a group with slow forces, so "
-            f"that they act as slow forces and limit the step (fast force groups: {groups_of(mask) or 'none'}). Set "
-            "force groups before you call prepare_system(system), or give these Forces groups of their own"
-        )
-    return mask
+    end = names.index(NAME) if marked else 0
+    known = None
+    for i, force in enumerate(system.getForces() if marked else ()):
+        kind = kind_of(force)
+        if not kind.exerts_forces or names[i] in (NAME, BODIES):
+            continue
+        is_marked = any(marked >> group & 1 for group in _groups(force))
+        if is_marked == (i < end and kind.terms is not None):
+            continue
+        # Forces on virtual sites and frozen atoms are bonded but slow. Most often there are none, and then nobody has
+        # to know the bodies.
+        known = known or FastForces(system, bodies)
+        if is_marked != (i < end and i in known.fast):
+            raise openmm.OpenMMException(
+                f"The force group of {names[i]} was changed after prepare_system. Set force groups first, or call "
+                "prepare_system(system) again"
+            )
+    return marked
 
 
 def refuse_other_bodies(system: openmm.System, bodies: Bodies) -> None:
@@ -105,21 +106,6 @@ def refuse_other_bodies(system: openmm.System, bodies: Bodies) -> None:
     """
     if len(pairs := remembered_pairs(system)):
         refuse_torn_bodies(pairs, _owners(system, bodies))
-
-
-def _may_be_regrouped(system: openmm.System, marked: int, end: int) -> bool:
-    """Tell whether a Force before the number `end` is bonded and not in a marked group, or in one and not bonded.
-
-    Most often no Force is, and then nobody has to know the bodies.
-    """
-    for i, force in enumerate(system.getForces()):
-        if isinstance(force, WITHOUT_FORCES) or force.getName() == NAME:
-            continue
-        is_marked = any(marked >> group & 1 for group in _groups(force))
-        is_bonded = bonded_kind(force) is not None and force.getName() not in (OPPOSITE, BODIES)
-        if is_marked != (is_bonded and i < end):
-            return True
-    return False
 
 
 def _groups(force: openmm.Force) -> set[int]:

@@ -21,6 +21,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
+from openmm_sier.system.second_context import reference_context
 from openmm_sier.system.solver_trial import SolverTrial
 
 #: Constraints between all of more atoms are redundant.
@@ -213,8 +214,7 @@ def with_frames(
     which energies and forces stay what they were. Only long-range corrections depend on the number of particles N, as
     N/(N + 1).
 
-    Call it before `prepare_system`, to which you give the copy like any other System. Interactions that
-    `prepare_system(system, bodies)` excluded in the original are excluded in the copy too.
+    Call it before `prepare_system`, to which you give the copy like any other System.
 
     Args:
         system: the System, which stays as it is.
@@ -228,8 +228,8 @@ def with_frames(
 
     Raises:
         TypeError: `system` is no System, such as a Simulation.
-        ValueError: no body needs a frame, or a Force cannot be copied: multipoles of AMOEBA and HIPPO, plugins, a
-            GBSAOBCForce with a surface area, a DrudeForce on atoms of bodies. The message has its name.
+        ValueError: no body needs a frame, or a Force is none of the bonded ones, NonbondedForce, CustomNonbondedForce,
+            CustomCentroidBondForce, CustomExternalForce and CustomCVForce. The message has its name.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales the position of each atom separately.
     """
@@ -253,8 +253,8 @@ def with_frames(
     framed = _copied(system)
     _hold(framed, frames)
     held = np.concatenate([frame.atoms for frame in frames])
-    models = [int(frame.atoms[0]) for frame in frames for _ in frame.particles]
-    carry_forces(framed, Added(tables.masses(system), held, models))
+    added = sum(len(frame.particles) for frame in frames)
+    carry_forces(framed, Added(tables.masses(system), held, added))
     of_frames = [frame.particles.tolist() for frame in frames]
     named = None if topology is None else with_frame_atoms(topology, of_frames)
     found = FramedSystem(framed, named, np.empty((0, 3)), known, frames)
@@ -294,14 +294,14 @@ def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) 
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of such a body."""
-    if len(species.masses) > MOST_HELD:
+    if len(species.masses) > MOST_HELD or checks.is_line(species.masses, species.sites.T):
         return False
     alone = openmm.System()
     for mass in species.masses.tolist():
         alone.addParticle(mass)
     for i, j in combinations(range(len(species.masses)), 2):
         alone.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
-    return SolverTrial(alone).unsolved() is None
+    return not SolverTrial(alone).unsolved(lambda: species.sites.T)
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.RigidBodies) -> dict[int, list[int]]:
@@ -335,8 +335,7 @@ def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
     alone = _copied(system)
     for number in reversed(range(alone.getNumForces())):
         alone.removeForce(number)
-    reference = openmm.Platform.getPlatformByName("Reference")
-    context = openmm.Context(alone, openmm.VerletIntegrator(0.001), reference)
+    context = reference_context(alone)
     context.setPositions(x)
     context.computeVirtualSites()
     return context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)

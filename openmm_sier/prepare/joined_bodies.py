@@ -2,7 +2,7 @@
 
 OpenMM finds molecules by bonds, and a rigid body needs none. OpenMM's trajectories move molecules into the box, and its
 barostats scale their centres: without such bonds the atoms of a body would be scattered over the box, and its linkers
-left behind. And a System that was prepared for bodies is wrong without them: their atoms may not interact any more.
+left behind. And a System that was prepared for bodies is wrong without them: fast forces would move other bodies.
 """
 
 import numpy as np

@@ -5,6 +5,7 @@ import math
 import openmm
 from openmm import unit
 
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts, pme_parameters
 from openmm_sier.system.notices import notify
 
@@ -24,14 +25,6 @@ TOLERANCES = (1e-10, 1e-3)
 
 #: The same for Forces of multipoles: with `FINER` their forces in water would be half as exact again as OpenMM's.
 FINER_MULTIPOLES = 1.5
-
-#: Forces that can have a mesh, and the nonbonded methods with which they do; a ConstantPotentialForce always has one.
-METHODS = {
-    openmm.NonbondedForce: (openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME),
-    openmm.AmoebaMultipoleForce: (openmm.AmoebaMultipoleForce.PME,),
-    openmm.HippoNonbondedForce: (openmm.HippoNonbondedForce.PME,),
-}
-MULTIPOLES = (openmm.AmoebaMultipoleForce, openmm.HippoNonbondedForce)
 
 
 def balance_pme(system: openmm.System) -> None:
@@ -88,9 +81,8 @@ def meshed_forces(system: openmm.System) -> list[openmm.Force]:
 
 
 def _has_mesh(force: openmm.Force) -> bool:
-    if isinstance(force, openmm.ConstantPotentialForce):
-        return True
-    return any(isinstance(force, kind) and force.getNonbondedMethod() in METHODS[kind] for kind in METHODS)
+    methods = kind_of(force).meshes
+    return methods is not None and (not methods or force.getNonbondedMethod() in methods)
 
 
 def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[int]]:
@@ -104,6 +96,6 @@ def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[in
         raise ValueError(f"balance_pme needs a positive cut-off distance, got {cutoff:g} nm")
     usual = math.sqrt(-math.log(2 * tolerance)) / cutoff
     # The formulas of OpenMM's user guide, "Coulomb interaction with particle mesh Ewald".
-    finer = FINER_MULTIPOLES if isinstance(force, MULTIPOLES) else FINER
+    finer = FINER_MULTIPOLES if kind_of(force).charges == "multipoles" else FINER
     mesh = [math.ceil(finer * 2 * usual * edge / (3 * tolerance**0.2)) for edge in edges]
     return math.sqrt(-math.log(2 * tolerance / DIRECT_SHARE)) / cutoff, mesh

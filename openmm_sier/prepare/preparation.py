@@ -1,15 +1,14 @@
 """Preparation of a System for long steps: fast forces in their own group, and balanced PME sums."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
-from openmm_sier.prepare.inside_bodies import FEWEST_ATOMS, PAIRWISE, Excluded, exclude_inside_bodies, useless_terms
+from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import join_bodies
 from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
@@ -18,7 +17,9 @@ from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
+from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
+from openmm_sier.system.forces import kind_of
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,11 @@ class Preparation:
         fastForceGroups: the fast force groups, which integrators find in the System; empty if no force is fast.
         done: a sentence for each thing that was done or left as it was.
         limits: a sentence for each thing that still limits how well energy is conserved, with its remedy.
-        excludedPairs: number of pairs of atoms within rigid bodies that do not interact any more.
-        excludedEnergy: their energy, kJ/mol, a constant by which the potential energy is lower. It holds for the
-            bodies' shapes and for default values of global parameters.
     """
 
     fastForceGroups: frozenset[int]
     done: tuple[str, ...]
     limits: tuple[str, ...] = ()
-    excludedPairs: int = 0
-    excludedEnergy: unit.Quantity = field(default_factory=lambda: 0.0 * unit.kilojoule_per_mole)
 
     def __str__(self) -> str:
         return "\n".join(self.done + self.limits)
@@ -60,8 +56,7 @@ def prepare_system(
     All molecules with bonded forces are rigid, so there are no fast forces.
     ...
 
-    The forces on bodies stay what they are. The potential energy does too, apart from a constant and the accuracy of
-    PME. In detail:
+    The forces on bodies and the potential energy stay what they are, apart from the accuracy of PME. In detail:
 
     - It balances the two sums of PME, also in an ATMForce or a CustomCVForce; see `balance_pme`.
     - It puts bonds, angles and torsions of molecules that are not rigid into a force group of their own, where every
@@ -76,11 +71,9 @@ def prepare_system(
     - It counts nonbonded interactions between atoms up to four bonds apart as fast too. One CustomBondForce adds them
       to the fast group, and another one subtracts them from the group of the NonbondedForce, which stays as it is. The
       sum of all forces is that of the System without preparation, even if charges or exceptions change later.
-    - It excludes interactions between atoms of one rigid body, which do no work, where `bodies` have a shape and there
-      is no PME, with which excluded pairs would take longer. Their energy is `excludedEnergy` of the result.
 
     Args:
-        system: the System. Its force groups, PME parameters and exclusions change, and Forces may be added.
+        system: the System. Its force groups and PME parameters change, and Forces may be added.
         bodies: the bodies, as you give them to the integrator; None takes those of the System's constraints.
         fastForceGroup: you can skip this. It is the force group for the fast forces, from 0 to 31. None takes 1 or, if
             that has other forces, the first empty one.
@@ -119,11 +112,10 @@ def prepare_system(
     with tables.read_once():
         coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
         fast, said = _gather_fast_forces(system, known, group, coarse)
-        excluded = Excluded() if isinstance(found, BodyPlan) else exclude_inside_bodies(system, found)
-        done += _join(system, known) + said + _inside_bodies(system, found, excluded, known.owner)
+        done += _join(system, known) + said + _useless_terms(system, known.owner)
         limits = describe_jumps(system)
     groups = frozenset({group} if fast else ())
-    return Preparation(groups, tuple(done), limits, excluded.pairs, excluded.energy * unit.kilojoule_per_mole)
+    return Preparation(groups, tuple(done), limits)
 
 
 def _refuse_others_in(group: int, known: FastForces) -> None:
@@ -198,34 +190,21 @@ def _put_fast_forces(system: openmm.System, known: FastForces, group: int) -> li
     return fast
 
 
-def _inside_bodies(
-    system: openmm.System, bodies: RigidBodies | BodyPlan, excluded: Excluded, owner: np.ndarray
-) -> list[str]:
-    """Return what was done about interactions within rigid bodies, which do no work."""
-    done = []
-    if isinstance(bodies, BodyPlan):
-        count = sum(len(kind.clusters) for kind in bodies.kinds if len(kind.masses) >= FEWEST_ATOMS)
-        if count and any(isinstance(force, PAIRWISE) for force in system.getForces()):
-            done.append(
-                f"Interactions within {count} rigid bodies do no work but cost time. They stay, since lists of "
-                "particles have no shape. To exclude them, give prepare_system the bodies of RigidBodies.from_system("
-                "system, topology, lists, positions)."
-            )
-    elif excluded.refusal:
-        done.append(f"Interactions within rigid bodies do no work, but stay: {excluded.refusal}.")
-    elif excluded.pairs:
-        done.append(
-            f"{excluded.pairs} pairs of atoms within {excluded.bodies} rigid bodies do no work, and are excluded "
-            f"from {', '.join(excluded.forces)}. The potential energy is lower by their constant energy of "
-            f"{excluded.energy:.6g} kJ/mol now."
-        )
-    if useless := useless_terms(system, owner):
-        counts = ", ".join(f"{count} of {terms} of {name}" for name, (count, terms) in useless.items())
-        done.append(
-            f"Bonded terms within rigid bodies or between frozen atoms do no work but cost time ({counts}): leave "
-            "elastic networks out when you make the Forces. Bonds along chains are cheap, and keep molecules whole."
-        )
-    return done
+def _useless_terms(system: openmm.System, owner: np.ndarray) -> list[str]:
+    """Return a sentence about bonded terms within one body, which do no work."""
+    counts = []
+    for force in system.getForces():
+        if kind_of(force).terms is None or force.getName() == BODIES:
+            continue
+        works = do_work(bonded_terms(force), owner)
+        if not works.all():
+            counts.append(f"{np.count_nonzero(~works)} of {len(works)} of {force.getName()}")
+    if not counts:
+        return []
+    return [
+        f"Bonded terms within rigid bodies or between frozen atoms do no work but cost time ({', '.join(counts)}): "
+        "leave elastic networks out when you make the Forces. Bonds along chains are cheap, and keep molecules whole."
+    ]
 
 
 def _add_close_pairs(system: openmm.System, known: FastForces, fast: list[openmm.Force], group: int) -> list[str]:

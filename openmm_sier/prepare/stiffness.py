@@ -10,6 +10,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, working_terms
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.mobilities import COARSE, mobilities
 
 #: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
@@ -20,9 +21,6 @@ ARM = 0.2
 #: period (26 fs), 0.06 % at 1/16, 0.8 % at 1/13 and 1.8 % at 1/10; with bonds ten times as strong 0.001 % at 1/20 and
 #: 0.9 % at 1/13. In a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly any more at 60 fs.
 USUAL = {SIER4G: 1 / 20, SIER2: 1 / 13}
-
-#: Forces whose stiffness is known here. Torsions are softer than angles.
-KNOWN = (openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
 
 
 class Stiffest(NamedTuple):
@@ -58,7 +56,8 @@ def stiffest(system: openmm.System, bodies: RigidBodies | None, owner: np.ndarra
     for force in system.getForces():
         if not len(working_terms(force, owner)):
             continue
-        if not isinstance(force, KNOWN):
+        # The stiffness of expressions is not known here. Torsions are softer than angles.
+        if not kind_of(force).is_divisible:
             return None
         atoms, squares = _squares(system, force, mobility)
         found = owner[atoms]

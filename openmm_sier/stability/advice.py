@@ -8,68 +8,74 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import DIVISIBLE, working_terms
+from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
-from openmm_sier.system.notices import Advised, Remedy
 
 _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 
-#: Remedies, see `Remedy`.
-SHORTER_STEP = Remedy("shorter step", "take a shorter step")
-PREPARE = Remedy(
-    "prepare",
-    "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step",
+#: What helps, for scripts and for the command, which prepares every System.
+SHORTER_STEP = "take a shorter step (--dt)"
+PREPARE = (
+    "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step "
+    "(--dt)"
 )
-MORE_SUBSTEPS = Remedy("more substeps", "take more substeps or a shorter step")
-HEAVIER = Remedy("heavier hydrogens", f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY}")
-CONSTRAIN = Remedy(
-    "constrain hydrogens",
-    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds; or put hydrogens into rigid bodies "
-    f'with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, rigid="{HYDROGEN_GROUPS}", '
-    "positions=positions)",
+MORE_SUBSTEPS = "take more substeps or a shorter step (--dt)"
+HEAVIER = f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY} (--hydrogen-mass 4)"
+CONSTRAIN = (
+    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds (--constraints hbonds); or put "
+    "hydrogens into rigid bodies with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, "
+    f'rigid="{HYDROGEN_GROUPS}", positions=positions)'
 )
 _KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
-CONSTRAIN_AND_KEEP = CONSTRAIN._replace(words=f"{CONSTRAIN.words}; {_KEEP}")
-CONSTRAIN_HEAVY = Remedy(
-    "constrain bonds",
-    "constrain the bond: give createSystem constraints=AllBonds; or make its molecule a rigid body, by "
-    "bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions)",
+CONSTRAIN_AND_KEEP = f"{CONSTRAIN}; {_KEEP}"
+CONSTRAIN_HEAVY = (
+    "constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or make its molecule a rigid "
+    "body, by bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions) (--rigid "
+    "NAME)"
 )
-CONSTRAIN_HEAVY_AND_KEEP = CONSTRAIN_HEAVY._replace(words=f"{CONSTRAIN_HEAVY.words}; {_KEEP}")
-ONE_BODY = Remedy("one body", "put the atoms of both ends of the bond into one rigid body of `bodies`")
-STRAIGHTEN = Remedy(
-    "straighten", "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
-)
-CHECK_FORCES = Remedy(
-    "check forces", "if the energy drifts as much with half the step, call print(check_forces(context))"
-)
+CONSTRAIN_HEAVY_AND_KEEP = f"{CONSTRAIN_HEAVY}; {_KEEP}"
+ONE_BODY = "put the atoms of both ends of the bond into one rigid body of `bodies` (--rigid)"
+STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
+CHECK_FORCES = "if the energy drifts as much with half the step, call print(check_forces(context))"
 
 
-def up_to(step: float) -> Remedy:
+def up_to(step: float) -> str:
     """Return the remedy of a step up to this one, in ps. It is told in three digits, rounded down so that it helps."""
     value, unit = (1000 * step, "fs") if step < 1 else (step, "ps")
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
     # A step of 4 fs is 4.000000000000001 fs or a little less in binary numbers.
-    told = f"{math.floor(value / digit * (1 + 1e-12)) * digit:.3g} {unit}"
-    return Remedy("step up to", f"take up to {told}", told)
+    return f"take up to {math.floor(value / digit * (1 + 1e-12)) * digit:.3g} {unit} (--dt)"
 
 
-def soften(force: str) -> Remedy:
+def soften(force: str) -> str:
     """Return the remedy of a Force that is less stiff, by its name."""
-    return Remedy("soften", f"make {force} softer", force)
+    return f"make {force} softer"
 
 
-def in_femtoseconds(step: float) -> Remedy:
+def in_femtoseconds(step: float) -> str:
     """Return the remedy of a unit for a step that was meant in fs."""
-    return Remedy("unit", f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps")
+    return f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps"
 
 
-class StepError(Advised, openmm.OpenMMException):
+def advised(finding: str, *remedies: str, remark: str = "") -> str:
+    """Return a message.
+
+    Args:
+        finding: what is wrong.
+        remedies: what helps, any one of them.
+        remark: what else is to be known; may be empty.
+    """
+    advice = ", or ".join(remedies)
+    return ". ".join(filter(None, [finding, advice[:1].upper() + advice[1:], remark]))
+
+
+class StepError(openmm.OpenMMException):
     """A step is too long."""
 
 
-class StepWarning(Advised, UserWarning):
+class StepWarning(UserWarning):
     """A step is long for what moves in a System."""
 
 
@@ -105,7 +111,7 @@ class Remedies:
         It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
         """
         terms = working_terms(force, self._owner)
-        if isinstance(force, DIVISIBLE):
+        if kind_of(force).is_divisible:
             return bool(self._moving[list(atoms)].all())
         return bool(len(terms) and self._moving[terms].all())
 
@@ -113,7 +119,7 @@ class Remedies:
         """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
-    def hold(self, atoms: tuple[int, ...]) -> Remedy:
+    def hold(self, atoms: tuple[int, ...]) -> str:
         """Return how to constrain a bond."""
         if self.has_hydrogen(atoms):
             return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP

@@ -12,12 +12,10 @@ from openmm import unit
 
 from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
-from openmm_sier.stability.curvature import EXPRESSIONS, FAR, Vibration
+from openmm_sier.stability.curvature import FAR, Vibration
 from openmm_sier.system import own_methods
-from openmm_sier.system.bonded_terms import TERMS
-
-#: Forces that are measured here, besides CustomCVForces of these and of Forces with terms.
-COLLECTIVE = (openmm.CustomCentroidBondForce, openmm.RMSDForce)
+from openmm_sier.system.forces import kind_of
+from openmm_sier.system.second_context import follow_parameters, reference_context
 
 #: Largest displacement of an atom, nm.
 DISPLACEMENT = 1e-5
@@ -38,11 +36,16 @@ Direction = tuple[np.ndarray, np.ndarray]
 
 
 def is_collective(force: openmm.Force) -> bool:
-    """Tell whether a Force can be measured here: it acts on few atoms, or is cheap for all of them."""
+    """Tell whether a Force can be measured here: it acts on few atoms, or is cheap for all of them.
+
+    A CustomCVForce can if all its variables can, or are terms or fields.
+    """
     if isinstance(force, openmm.CustomCVForce):
         variables = [force.getCollectiveVariable(i) for i in range(force.getNumCollectiveVariables())]
-        return all(isinstance(each, (*TERMS, *EXPRESSIONS)) or is_collective(each) for each in variables)
-    return isinstance(force, COLLECTIVE)
+        return all(
+            kind_of(each).terms or kind_of(each).stiffness == "expression" or is_collective(each) for each in variables
+        )
+    return kind_of(force).stiffness == "collective"
 
 
 def fastest_motion(force: openmm.Force, context: openmm.Context, bodies: RigidBodies) -> Vibration | None:
@@ -78,10 +81,9 @@ class _Alone:
         system.addForce(openmm.XmlSerializer.clone(force))
         state = own_methods.get_state(context, positions=True)
         system.setDefaultPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        reference, known = openmm.Platform.getPlatformByName("Reference"), context.getParameters()
-        self._context, self._bodies = openmm.Context(system, openmm.VerletIntegrator(0.001), reference), bodies
-        for name in self._context.getParameters():
-            self._context.setParameter(name, known[name])
+        self._context = reference_context(system)
+        self._bodies = bodies
+        follow_parameters(context, self._context)
         self._x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
         self._q, self._A = bodies.fit(self._x)
 

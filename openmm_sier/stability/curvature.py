@@ -16,9 +16,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import own_methods
-
-#: Forces whose terms are expressions of the places of a few atoms.
-EXPRESSIONS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce, openmm.CustomExternalForce)
+from openmm_sier.system.second_context import follow_parameters, reference_context
 
 #: Displacement in nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
 DISPLACEMENT = 1e-5
@@ -53,7 +51,7 @@ def fastest_vibration(
     mobility: np.ndarray,
     held: Collection[tuple[int, int]],
 ) -> Vibration | None:
-    """Return the fastest motion that one term of a Force of `EXPRESSIONS` causes; None if there is none.
+    """Return the fastest motion that one term of a Force that is an expression causes; None if there is none.
 
     Args:
         force: of the Context's System, or within a Force of it.
@@ -101,10 +99,8 @@ def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarr
     system.addForce(openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode")))
     for _ in range(max(1, atoms.size)):
         system.addParticle(1.0)
-    reference = openmm.Platform.getPlatformByName("Reference")
-    alone, known = openmm.Context(system, openmm.VerletIntegrator(0.001), reference), context.getParameters()
-    for name in alone.getParameters():
-        alone.setParameter(name, known[name])
+    alone = reference_context(system)
+    follow_parameters(context, alone)
     return atoms, alone
 
 

@@ -21,7 +21,7 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.notices import notify
 
 #: K, where no heat bath tells the temperature.
@@ -80,18 +80,19 @@ class Spins:
         )
         remedies = advice.SHORTER_STEP, advice.STRAIGHTEN
         if turned >= ALIASED:
-            raise advice.StepError(f"A step of {1000 * h:.3g} fs is too long: {described}", *remedies)
+            raise advice.StepError(advice.advised(f"A step of {1000 * h:.3g} fs is too long: {described}", *remedies))
         if not self._told:
             self._told = True
-            notify(advice.StepWarning(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies))
+            message = advice.advised(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies)
+            notify(advice.StepWarning(message))
 
 
 def _field_groups(system: openmm.System, atoms: int) -> int:
     """Return a bit mask of groups that may turn a body of so many atoms; if it is alone, of external Forces."""
     particles = sum(not system.isVirtualSite(i) for i in range(system.getNumParticles()))
-    acting = [force for force in system.getForces() if not isinstance(force, WITHOUT_FORCES) and not _is_empty(force)]
+    acting = [force for force in system.getForces() if kind_of(force).exerts_forces and not _is_empty(force)]
     if particles == atoms:
-        acting = [force for force in acting if isinstance(force, openmm.CustomExternalForce)]
+        acting = [force for force in acting if kind_of(force).acts_on == "particles"]
     groups = 0
     for force in acting:
         groups |= 1 << force.getForceGroup()

@@ -10,6 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.system import tables
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import Part, parts
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
@@ -38,12 +39,6 @@ LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
 #: 0.30 in AMOEBA.
 CHARGED_MULTIPOLE = 0.18
 
-#: Forces whose atoms have charges.
-WITH_CHARGES = (
-    *(openmm.NonbondedForce, openmm.ConstantPotentialForce),
-    *(openmm.AmoebaMultipoleForce, openmm.HippoNonbondedForce),
-)
-
 
 def holding(system: openmm.System) -> Iterator[tuple[Part, np.ndarray]]:
     """Give each Force with charges, also within others, and how stiffly it is taken to hold each atom.
@@ -52,7 +47,7 @@ def holding(system: openmm.System) -> Iterator[tuple[Part, np.ndarray]]:
     Stiffnesses are in kJ/mol/nm^2, (N,).
     """
     for part in parts(system):
-        if isinstance(part.force, WITH_CHARGES) and (weight := part.weight) is not None:
+        if kind_of(part.force).charges and (weight := part.weight) is not None:
             yield part, abs(weight) * _stiffness(part.force)
 
 
@@ -72,7 +67,7 @@ def slow_share(held: np.ndarray, atoms: tuple[int, ...], strength: float, mobili
 def _stiffness(force: openmm.Force) -> np.ndarray:
     """Return the stiffness with which a Force with charges is taken to hold each atom, (N,), kJ/mol/nm^2."""
     if not isinstance(force, openmm.NonbondedForce):
-        least = CHARGED if isinstance(force, openmm.ConstantPotentialForce) else CHARGED_MULTIPOLE
+        least = CHARGED if kind_of(force).charges == "points" else CHARGED_MULTIPOLE
         return np.where(np.abs(_charges(force)) >= least, HYDROGEN_BOND, 0.0)
     charge, sigma, epsilon = tables.atom_parameters(force).T
     bonding = np.where(np.abs(charge) >= CHARGED, HYDROGEN_BOND, 0.0)

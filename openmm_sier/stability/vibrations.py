@@ -20,14 +20,15 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.step_limits import nested_is_stable
 from openmm_sier.stability import advice
 from openmm_sier.stability.collective import fastest_motion, is_collective
-from openmm_sier.stability.curvature import EXPRESSIONS, Vibration, fastest_vibration
+from openmm_sier.stability.curvature import Vibration, fastest_vibration
 from openmm_sier.stability.surroundings import holding, slow_share
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES, TERMS, WITHOUT_FORCES, harmonic_bonds
+from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.mobilities import COARSE, mobilities
-from openmm_sier.system.notices import Remedy, notify
+from openmm_sier.system.notices import notify
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
@@ -69,18 +70,6 @@ TOLERATED = 1.06
 
 #: ps. The fastest bonds that molecules have, those of oxygen to hydrogen.
 FASTEST_BOND = 0.009
-
-#: Forces whose stiffness is read, measured or estimated here, or that are softer than bonds.
-KNOWN = (
-    *(*TERMS, *EXPRESSIONS, *WITHOUT_FORCES, openmm.CustomVolumeForce, openmm.ConstantPotentialForce),
-    *(openmm.NonbondedForce, openmm.GBSAOBCForce, openmm.GayBerneForce, openmm.LCPOForce),
-    *(openmm.CustomNonbondedForce, openmm.CustomGBForce, openmm.CustomHbondForce, openmm.CustomManyParticleForce),
-    *(openmm.AmoebaVdwForce, openmm.AmoebaMultipoleForce, openmm.AmoebaGeneralizedKirkwoodForce),
-    *(openmm.AmoebaWcaDispersionForce, openmm.AmoebaTorsionTorsionForce, openmm.HippoNonbondedForce),
-)
-
-#: Forces whose terms of two atoms are bonds.
-BONDS = (openmm.CustomBondForce, openmm.CustomCompoundBondForce)
 
 #: x = pi h/T up to which x/tan(x) is 0.9 or more: slow forces stretch a bond of period T by at least that share.
 STIFFENED = 0.54
@@ -136,7 +125,7 @@ class Vibrations:
         self._librations = list(swings) if _has_surroundings(system, bodies, links) else []
         self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in parts(system))
         self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
-        self._isolated = not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces())
+        self._isolated = not any(kind_of(force).sets for force in system.getForces())
         self._told: set[str] = set()
 
     def measure(self, context: openmm.Context) -> bool:
@@ -156,7 +145,7 @@ class Vibrations:
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = slow_share(self._stiffness, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
-                is_bond = isinstance(part.force, BONDS) and len(found.atoms) == 2
+                is_bond = kind_of(part.force).acts_on == "terms" and len(found.atoms) == 2
                 can_be_fast = (
                     period < COARSE and not part.within and self._remedies.can_be_fast(part.force, found.atoms)
                 )
@@ -250,8 +239,10 @@ class Vibrations:
             stable = all(nested_is_stable(scheme.stages, x, sign * bond.share) for x in angles for sign in (-1, 1))
             if h >= (SHORTENED if is_shortened else DESTROYED) * bond.period or not stable:
                 useless = "More inner steps do not help"
-                raise advice.StepError(f"A step of {_fs(h)} is too long {message}", *remedies, remark=useless)
-            self._tell_once(advice.StepWarning(f"A step of {_fs(h)} is long {message}", *remedies))
+                raise advice.StepError(
+                    advice.advised(f"A step of {_fs(h)} is too long {message}", *remedies, remark=useless)
+                )
+            self._tell_once(advice.advised(f"A step of {_fs(h)} is long {message}", *remedies))
         if scheme.bath_divides_drift:
             self._tell_of_stiffness(h, groups)
 
@@ -270,7 +261,7 @@ class Vibrations:
             f"{_fs(bond.period)}) by only {100 * left:.0f} % of what they should"
         )
         borne = advice.up_to(STIFFENED * bond.period / math.pi)
-        self._tell_once(advice.StepWarning(wrong, borne, self._hold(bond)))
+        self._tell_once(advice.advised(wrong, borne, self._hold(bond)))
 
     def tell_of_walk(self, scheme: Scheme, h: float, groups: int) -> None:
         """Say, once, where a step at constant energy is so long that the energy walks at random over a run.
@@ -291,7 +282,7 @@ class Vibrations:
             f"{_percent(min(error, 1.0))}, and {_percent(AT_USUAL_STEP)} with {scheme.name} at {_fs(good)}"
         )
         longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
-        self._tell_once(advice.StepWarning(wanders, advice.up_to(good), remark=longer))
+        self._tell_once(advice.advised(wanders, advice.up_to(good), remark=longer))
 
     def longest_step(self, scheme: Scheme, groups: int, fast: int) -> float:
         """Return the longest step without a warning, ps, with inner steps that are short enough for the fast groups.
@@ -310,7 +301,7 @@ class Vibrations:
         bond = _fastest(self._harmonic, groups)
         return accurate_step(inner, bond.period) if bond else math.inf
 
-    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: Remedy | None = None) -> None:
+    def _check_bonds(self, what: str, scheme: Scheme, h: float, groups: int, remedy: str | None = None) -> None:
         """Judge a step by the bonds; name, once, Forces that may be too fast where the fastest bonds would be."""
         bond = _fastest(self._bonds, groups)
         if bond and h > accurate_step(scheme, bond.period):
@@ -328,18 +319,18 @@ class Vibrations:
                 "Compare a run with half the step: if the energy error shrinks, or the temperature is too high, the "
                 "step is too long"
             )
-            self._tell_once(advice.StepWarning(unknown, advice.CHECK_FORCES))
+            self._tell_once(advice.advised(unknown, advice.CHECK_FORCES))
 
-    def _refuse_or_tell(self, what: str, is_refused: bool, described: str, remedies: Sequence[Remedy]) -> None:
+    def _refuse_or_tell(self, what: str, is_refused: bool, described: str, remedies: Sequence[str]) -> None:
         if is_refused:
-            raise advice.StepError(f"{what} is too long: {described}", *remedies)
-        self._tell_once(advice.StepWarning(f"{what} is long: {described}", *remedies))
+            raise advice.StepError(advice.advised(f"{what} is too long: {described}", *remedies))
+        self._tell_once(advice.advised(f"{what} is long: {described}", *remedies))
 
     def _moves_like_hydrogen(self, bond: Motion) -> bool:
         """Tell whether an end of a bond moves like a hydrogen, which may have been made heavy."""
         return bool(self._mobility[list(bond.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def _hold(self, motion: Motion) -> Remedy:
+    def _hold(self, motion: Motion) -> str:
         return self._remedies.hold(motion.atoms) if motion.is_bond else advice.soften(motion.force)
 
     def _name(self, bond: Motion) -> str:
@@ -351,12 +342,12 @@ class Vibrations:
         plural = "s" if len(bond.atoms) > 1 else ""
         return f"the motion of atom{plural} {', '.join(map(str, bond.atoms))}{residues} by {bond.force}"
 
-    def _tell_once(self, warning: advice.StepWarning) -> None:
+    def _tell_once(self, message: str) -> None:
         # The same words with other numbers are not said again: tuning tries many steps.
-        words = re.sub(r"[\d.]+", "", str(warning))
+        words = re.sub(r"[\d.]+", "", message)
         if words not in self._told:
             self._told.add(words)
-            notify(warning)
+            notify(advice.StepWarning(message))
 
 
 def accurate_step(scheme: Scheme, period: float) -> float:
@@ -381,7 +372,7 @@ def _percent(fraction: float) -> str:
 def _is_expression(part: Part) -> bool:
     # The close pairs of `prepare_system` are nonbonded interactions.
     is_own = part.force.getName().startswith("openmm_sier: ")
-    return isinstance(part.force, EXPRESSIONS) and not is_own and part.weight is not None
+    return kind_of(part.force).stiffness == "expression" and not is_own and part.weight is not None
 
 
 def _is_sum(force: openmm.Force) -> bool:
@@ -398,7 +389,8 @@ def _unknown(system: openmm.System) -> Iterator[Part]:
     for part in parts(system):
         if isinstance(part.force, openmm.ATMForce) or part.weight is None:
             continue
-        if not _is_sum(part.force) and not isinstance(part.force, KNOWN) and not _is_collective(part):
+        is_unknown = kind_of(part.force).stiffness in ("unknown", "collective")
+        if is_unknown and not _is_sum(part.force) and not _is_collective(part):
             yield part
 
 

@@ -8,76 +8,28 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import BAROSTATS, OF_ENSEMBLES
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
-from openmm_sier.system.solver_trial import LINE_REMEDY, is_line
-
-#: Whether a Force only gives forces, by positions, box and parameters: it does nothing in `updateContextState`, and
-#: does not know the time. With any other one the exact engine updates and reads the Context at each step.
-IS_PASSIVE = {
-    openmm.ATMForce: True,
-    openmm.AmoebaGeneralizedKirkwoodForce: True,
-    openmm.AmoebaMultipoleForce: True,
-    openmm.AmoebaTorsionTorsionForce: True,
-    openmm.AmoebaVdwForce: True,
-    openmm.AmoebaWcaDispersionForce: True,
-    openmm.CMAPTorsionForce: True,
-    openmm.ConstantPotentialForce: True,
-    openmm.CustomAngleForce: True,
-    openmm.CustomBondForce: True,
-    openmm.CustomCVForce: True,
-    openmm.CustomCentroidBondForce: True,
-    openmm.CustomCompoundBondForce: True,
-    openmm.CustomExternalForce: True,
-    openmm.CustomGBForce: True,
-    openmm.CustomHbondForce: True,
-    openmm.CustomManyParticleForce: True,
-    openmm.CustomNonbondedForce: True,
-    openmm.CustomTorsionForce: True,
-    openmm.CustomVolumeForce: True,
-    openmm.DrudeForce: True,
-    openmm.GBSAOBCForce: True,
-    openmm.GayBerneForce: True,
-    openmm.HarmonicAngleForce: True,
-    openmm.HarmonicBondForce: True,
-    openmm.HippoNonbondedForce: True,
-    openmm.LCPOForce: True,
-    openmm.NonbondedForce: True,
-    openmm.OrientationRestraintForce: True,
-    openmm.PeriodicTorsionForce: True,
-    openmm.RBTorsionForce: True,
-    openmm.RGForce: True,
-    openmm.RMSDForce: True,
-    # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
-    openmm.CMMotionRemover: True,
-    # It may read the time.
-    openmm.PythonForce: False,
-    openmm.AndersenThermostat: False,
-    openmm.MonteCarloAnisotropicBarostat: False,
-    openmm.MonteCarloBarostat: False,
-    openmm.MonteCarloFlexibleBarostat: False,
-    openmm.MonteCarloMembraneBarostat: False,
-    openmm.RPMDMonteCarloBarostat: False,
-}
+from openmm_sier.system.solver_trial import LINE_REMEDY
 
 
 def acting_forces(system: openmm.System) -> list[openmm.Force]:
     """Return the Forces of a System that are not passive, or contain one that is not; unknown ones are not passive."""
-    acting = {part.number for part in parts(system) if not IS_PASSIVE.get(type(part.force), False)}
+    acting = {part.number for part in parts(system) if not kind_of(part.force).is_passive}
     return [system.getForce(number) for number in sorted(acting)]
 
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
     """Return the barostats of OpenMM that a System has."""
-    return [force for force in system.getForces() if isinstance(force, BAROSTATS)]
+    return [force for force in system.getForces() if kind_of(force).sets == "pressure"]
 
 
 def gives_uncounted_heat(context: openmm.Context) -> bool:
     """Tell whether a thermostat or barostat of OpenMM acts in a Context: nobody counts the energy that it gives."""
     for force in context.getSystem().getForces():
-        if isinstance(force, BAROSTATS) and force.getFrequency() > 0:
+        if kind_of(force).sets == "pressure" and force.getFrequency() > 0:
             return True
         if isinstance(force, openmm.AndersenThermostat) and context.getParameter(force.CollisionFrequency()) > 0:
             return True
@@ -202,7 +154,7 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
         Whether there is one.
     """
     others = False
-    for force in [force for force in context.getSystem().getForces() if isinstance(force, OF_ENSEMBLES)]:
+    for force in [force for force in context.getSystem().getForces() if kind_of(force).sets]:
         theirs = context.getParameter(force.Temperature())
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             others = True
@@ -213,6 +165,13 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
                 f"{temperature:g})"
             )
     return others
+
+
+def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
+    """Tell whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
+    arms = places - masses @ places / masses.sum()
+    _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
+    return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:

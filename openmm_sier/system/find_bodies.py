@@ -18,6 +18,7 @@ from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import Bodies, Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.cut_molecules import Wholeness
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.notices import notify
@@ -27,9 +28,6 @@ HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
 #: nm. The longest covalent bonds, those of iodine and of heavy metals.
 LONGEST_COVALENT = 0.3
-
-#: Forces whose terms join their atoms into a molecule, besides bonds.
-_JOINING = (openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce)
 
 Linked = TypeVar("Linked", bound=dynamics.RigidBodies)
 
@@ -361,8 +359,8 @@ class Links:
         bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
         self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
         self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
-        self.terms = _pairs(system, _JOINING)
-        self.custom = _pairs(system, openmm.CustomBondForce)
+        self.terms = _pairs(force for force in forces if kind_of(force).joins)
+        self.custom = _pairs(force for force in forces if isinstance(force, openmm.CustomBondForce))
 
     def covalent(self) -> np.ndarray:
         """Return constraints and bonds, (b, 2), without restraints within molecules.
@@ -417,8 +415,8 @@ def joins_a_body(a: int, b: int) -> RigidityError:
     )
 
 
-def _pairs(system: openmm.System, kinds: type | tuple[type, ...]) -> np.ndarray:
-    """Return distinct pairs of neighbours in the terms of all Forces of some kinds, (m, 2)."""
-    terms = [bonded_terms(part.force) for part in parts(system) if isinstance(part.force, kinds)]
+def _pairs(forces: Iterable[openmm.Force]) -> np.ndarray:
+    """Return distinct pairs of neighbours in the terms of bonded Forces, (m, 2)."""
+    terms = map(bonded_terms, forces)
     pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
     return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)

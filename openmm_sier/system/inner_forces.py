@@ -7,11 +7,13 @@ import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import openmm
 from openmm import unit
 
 from openmm_sier.system import own_methods
+from openmm_sier.system.second_context import reference_context
 
 #: Values of collective variables at which a derivative is compared with itself, to see whether it is constant. Energies
 #: of a box in kJ/mol, and distances in nm, are of these sizes.
@@ -42,7 +44,7 @@ class Part:
         """Return its name, and the name of the Force that contains it."""
         return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.within))])
 
-    @property
+    @cached_property
     def weight(self) -> float | None:
         """Return the factor of its energy in that of the System; None where that is no constant.
 
@@ -52,7 +54,7 @@ class Part:
         """
         product = 1.0
         for outer, index in self.within:
-            factor = 1.0 if isinstance(outer, openmm.ATMForce) else _constant_derivative(outer, index)
+            factor = 1.0 if isinstance(outer, openmm.ATMForce) else _constant_derivatives(outer)[index]
             if factor is None:
                 return None
             product *= factor
@@ -67,7 +69,7 @@ def parts(system: openmm.System) -> Iterator[Part]:
 
 def is_linear(force: openmm.CustomCVForce) -> bool:
     """Return whether a CustomCVForce only adds up the energies of its variables, with constant factors."""
-    return all(_constant_derivative(force, i) is not None for i in range(force.getNumCollectiveVariables()))
+    return None not in _constant_derivatives(force)
 
 
 def pme_parameters(force: openmm.Force) -> tuple[float, int, int, int]:
@@ -108,33 +110,34 @@ def _of_its_class(force: openmm.Force) -> openmm.Force:
     return holder.getForce(0)
 
 
-def _constant_derivative(force: openmm.CustomCVForce, index: int) -> float | None:
-    """Return the derivative of a CustomCVForce's energy by one of its variables, or None if it depends on any."""
+def _constant_derivatives(force: openmm.CustomCVForce) -> list[float | None]:
+    """Return derivatives of a CustomCVForce's energy by its variables; None for one that is not constant."""
     names = [force.getCollectiveVariableName(i) for i in range(force.getNumCollectiveVariables())]
     # The same expression of parameters in place of variables.
     expression = openmm.CustomCVForce(force.getEnergyFunction())
     for name in names:
         expression.addGlobalParameter(name, 0.0)
+        expression.addEnergyParameterDerivative(name)
     for i in range(force.getNumGlobalParameters()):
         expression.addGlobalParameter(force.getGlobalParameterName(i), force.getGlobalParameterDefaultValue(i))
     for i in range(force.getNumTabulatedFunctions()):
         function = copy.deepcopy(force.getTabulatedFunction(i))
         expression.addTabulatedFunction(force.getTabulatedFunctionName(i), function)
-    expression.addEnergyParameterDerivative(names[index])
     system = openmm.System()
     system.addParticle(1.0)
     system.addForce(expression)
-    reference = openmm.Platform.getPlatformByName("Reference")
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
+    context = reference_context(system)
     own_methods.set_positions(context, [openmm.Vec3(0, 0, 0)])
-    found = []
+    rows = []
     for first in range(len(TRIED)):
         for i, name in enumerate(names):
             context.setParameter(name, TRIED[(first + i) % len(TRIED)])
-        found.append(
-            own_methods.get_state(context, parameterDerivatives=True).getEnergyParameterDerivatives()[names[index]]
-        )
-    same = all(math.isclose(value, found[0], rel_tol=ROUNDING) for value in found)
+        derivatives = own_methods.get_state(context, parameterDerivatives=True).getEnergyParameterDerivatives()
+        rows.append([derivatives[name] for name in names])
     # Tables are zero outside their range, which may contain none of the values.
-    is_told = found[0] != 0 or not force.getNumTabulatedFunctions()
-    return found[0] if same and is_told else None
+    has_tables = force.getNumTabulatedFunctions() > 0
+    constants: list[float | None] = []
+    for column in zip(*rows, strict=True):
+        is_same = all(math.isclose(value, column[0], rel_tol=ROUNDING) for value in column)
+        constants.append(column[0] if is_same and (column[0] != 0 or not has_tables) else None)
+    return constants

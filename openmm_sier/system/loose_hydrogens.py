@@ -6,14 +6,9 @@ import numpy as np
 import openmm
 
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import TERMS, WITHOUT_FORCES, bonded_kind, bonded_terms, harmonic_bonds
+from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.notices import notify
-
-#: Forces of which it is known whether they hold angles. Any other may do so by an expression.
-_KNOWN = (
-    *(*TERMS, *WITHOUT_FORCES, openmm.NonbondedForce, openmm.CustomNonbondedForce, openmm.CustomExternalForce),
-    *(openmm.GBSAOBCForce, openmm.CustomGBForce),
-)
 
 
 def tell_of_loose_hydrogens(system: openmm.System) -> None:
@@ -22,7 +17,9 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
     Their charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins; any integrator
     follows that as if it were meant.
     """
-    if not all(isinstance(force, _KNOWN) for force in system.getForces()):
+    kinds = [kind_of(force) for force in system.getForces()]
+    # Any other Force may hold angles by an expression.
+    if not all(kind.terms or kind.acts_on in ("pairs", "particles", "nothing") for kind in kinds):
         return
     molecules = _hydrogens_on_one_atom(system)
     loose = molecules[~_held(system, molecules)]
@@ -61,7 +58,9 @@ def _held(system: openmm.System, molecules: np.ndarray) -> np.ndarray:
         return held
     owner = np.full(system.getNumParticles(), -1)
     owner[molecules[:, 0]] = owner[molecules[:, 2]] = np.arange(len(molecules))
-    for force in filter(bonded_kind, system.getForces()):
+    for force in system.getForces():
+        if kind_of(force).terms is None:
+            continue
         for one, other in combinations(bonded_terms(force).T, 2):
             same = (owner[one] == owner[other]) & (owner[one] >= 0) & (one != other)
             held[owner[one[same]]] = True

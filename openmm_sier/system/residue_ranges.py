@@ -1,4 +1,4 @@
-"""Ranges of residues in words, such as A:1-36, and back."""
+"""Ranges of residues in words, such as A:1-36."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 
 from openmm import app
-
-from openmm_sier.dynamics.names import as_ranges, ranges
 
 _NUMBER = r"-?\d+[A-Za-z]?"
 _RANGE = re.compile(rf"({_NUMBER})(?:-({_NUMBER}))?")
@@ -32,10 +30,6 @@ class _Chain:
         for place, number in enumerate(self.numbers):
             self._places.setdefault(number, []).append(place)
 
-    def has_one(self, number: str) -> bool:
-        """Tell whether just one residue has a number."""
-        return len(self._places[number]) == 1
-
     def within(self, span: str | None) -> list[int]:
         """Return the atoms of ranges such as 1-36,50; all without.
 
@@ -58,7 +52,7 @@ class _Chain:
             many = f"{len(there)} residues" if there else "no residue"
             known = f"{self.numbers[0]} to {self.numbers[-1]}" if self.numbers else "none"
             raise ValueError(
-                f"{self} has {many} {number}; it has {known}. Correct the range, or name atoms, as in 'atoms 0-35'"
+                f"{self} has {many} {number}; it has {known}. Correct the range, or select atoms, as by 'index 0 to 35'"
             )
         return there[0]
 
@@ -72,10 +66,8 @@ class ResidueRanges:
     def __init__(self, topology: app.Topology):
         self._chains = [_Chain(chain) for chain in topology.chains()]
         self._named: dict[str, list[_Chain]] = {}
-        self._places: dict[int, tuple[int, int]] = {}
-        for number, chain in enumerate(self._chains):
+        for chain in self._chains:
             self._named.setdefault(chain.name, []).append(chain)
-            self._places |= {atom: (number, place) for place, atoms in enumerate(chain.atoms) for atom in atoms}
 
     @staticmethod
     def are_ranges(words: str) -> bool:
@@ -98,39 +90,15 @@ class ResidueRanges:
                 chains = f"chains {chain}" if chain else "chains"
                 raise ValueError(
                     f"{words!r} must be one body, but there are {len(found)} {chains}: describe the body of "
-                    "each chain by itself, or name atoms, as in 'atoms 0-35'"
+                    "each chain by itself, or give particle indices"
                 )
             body += found[0]
         return [body]
 
     def by_chain(self, atoms: set[int]) -> list[list[int]]:
         """Return those of some atoms that each chain has."""
-        found: dict[int, list[int]] = {}
-        for atom in sorted(atoms):
-            found.setdefault(self._places[atom][0], []).append(atom)
-        return [found[number] for number in sorted(found)]
-
-    def describe(self, atoms: Sequence[int]) -> str:
-        """Return words for atoms: ranges of residues where these are whole and can be told, otherwise of atoms."""
-        inside: dict[int, set[int]] = {}
-        for atom in atoms:
-            number, place = self._places[atom]
-            inside.setdefault(number, set()).add(place)
-        words = []
-        for number, places in sorted(inside.items()):
-            chain = self._chains[number]
-            ends = [(chain.numbers[first], chain.numbers[last]) for first, last in ranges(places)]
-            spans = ",".join(first if first == last else f"{first}-{last}" for first, last in ends)
-            words.append(f"{chain.name}:{spans}")
-            if not self._is_told(chain, ends) or not _OF_CHAIN.fullmatch(words[-1]):
-                return f"atoms {as_ranges(atoms)}"
-        whole = sum(len(self._chains[number].atoms[place]) for number, places in inside.items() for place in places)
-        return " ".join(words) if whole == len(atoms) else f"atoms {as_ranges(atoms)}"
-
-    def _is_told(self, chain: _Chain, ends: Sequence[tuple[str, str]]) -> bool:
-        """Tell whether a chain is the only one of its name, and each end of its ranges of its number."""
-        is_alone = len(self._named[chain.name]) == 1 if chain.name else len(self._chains) == 1
-        return is_alone and all(chain.has_one(number) for pair in ends for number in pair)
+        found = ([atom for atom in chain.within(None) if atom in atoms] for chain in self._chains)
+        return [each for each in found if each]
 
     def _in_each(self, name: str, spans: Sequence[str | None]) -> list[list[int]]:
         """Return the residues of some ranges in each chain of a name, or in any that has them if that is empty."""

@@ -1,9 +1,9 @@
-"""Make a second Context beside that of a run."""
+"""Make Contexts beside that of a run."""
 
 import openmm
 
 from openmm_sier.system import own_methods
-from openmm_sier.system.bonded_terms import OF_ENSEMBLES
+from openmm_sier.system.forces import kind_of
 
 
 def second_context(context: openmm.Context, system: openmm.System) -> openmm.Context:
@@ -22,6 +22,12 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
     return made
 
 
+def reference_context(system: openmm.System) -> openmm.Context:
+    """Return a Context of a System on the Reference platform, to evaluate in double precision."""
+    reference = openmm.Platform.getPlatformByName("Reference")
+    return openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
+
+
 def platform_of(context: openmm.Context) -> tuple[openmm.Platform, dict[str, str]]:
     """Return the platform of a Context and its properties, with which to make another one there."""
     platform = context.getPlatform()
@@ -38,10 +44,10 @@ def follow_parameters(first: openmm.Context, second: openmm.Context) -> None:
 
 def _without_baths(system: openmm.System) -> openmm.System:
     """Return a System without Forces that set a temperature or a pressure: itself, or a copy."""
-    if not any(isinstance(force, OF_ENSEMBLES) for force in system.getForces()):
+    if not any(kind_of(force).sets for force in system.getForces()):
         return system
     copied = openmm.XmlSerializer.clone(system)
     for number in reversed(range(copied.getNumForces())):
-        if isinstance(copied.getForce(number), OF_ENSEMBLES):
+        if kind_of(copied.getForce(number)).sets:
             copied.removeForce(number)
     return copied

@@ -11,18 +11,12 @@ from xml.sax.saxutils import escape
 
 import openmm
 
+from openmm_sier.system.forces import FORCES
+
 #: Classes that OpenMM may make from XML inside a System or State, by the attribute `type`. None of these executes code
 #: or opens a file. PythonForce, and Forces of plugins such as TorchForce, do.
 DATA = {
-    *("HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", "RBTorsionForce", "CMAPTorsionForce"),
-    *("NonbondedForce", "GBSAOBCForce", "GayBerneForce", "LCPOForce", "ConstantPotentialForce", "DrudeForce"),
-    *("AmoebaGeneralizedKirkwoodForce", "AmoebaMultipoleForce", "AmoebaTorsionTorsionForce", "AmoebaVdwForce"),
-    *("AmoebaWcaDispersionForce", "HippoNonbondedForce"),
-    *("CustomBondForce", "CustomAngleForce", "CustomTorsionForce", "CustomNonbondedForce", "CustomExternalForce"),
-    *("CustomCompoundBondForce", "CustomCentroidBondForce", "CustomGBForce", "CustomHbondForce", "CustomVolumeForce"),
-    *("CustomManyParticleForce", "CustomCVForce", "ATMForce", "RMSDForce", "RGForce", "OrientationRestraintForce"),
-    *("AndersenThermostat", "CMMotionRemover", "MonteCarloBarostat", "MonteCarloAnisotropicBarostat"),
-    *("MonteCarloFlexibleBarostat", "MonteCarloMembraneBarostat"),
+    *(force.__name__ for force, kind in FORCES.items() if kind.is_data),
     *(f"{kind}{dimensions}DFunction" for kind in ("Continuous", "Discrete") for dimensions in (1, 2, 3)),
 }
 

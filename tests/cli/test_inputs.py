@@ -274,12 +274,12 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
     [
         (
             ["amber.inpcrd"],
-            "amber.inpcrd is a coordinate file of AMBER, without a force field: give its topology too, with",
+            "amber.inpcrd is a coordinate file of AMBER, without a force field: give its `topology` (--topology) too",
         ),
         (["gromacs.gro"], "gromacs.gro is a gro file of GROMACS, without a force field"),
         (
             ["amber.prmtop"],
-            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give coordinates, and",
+            "amber.prmtop is a prmtop file of AMBER, but coordinates are expected: give these, and",
         ),
         (["amber.prmtop", "--topology", "amber.inpcrd"], "amber.inpcrd is a coordinate file of AMBER, but the top"),
         (["gromacs.top", "--topology", "amber.prmtop"], "gromacs.top is a top file of GROMACS, but coordinates are"),
@@ -298,7 +298,7 @@ OF_A_SYSTEM = ("--forcefield a.xml", "--constraints none", EDGES, "--cutoff 0.4"
             ([*STATE.arguments, *words.split()], f"{words.split()[0]} has no effect with openmm-system.xml, which is a")
             for words in OF_A_SYSTEM
         ),
-        ([*AMBER.arguments, *EDGES.split()], "amber.inpcrd has a periodic box of its own: leave out --edges"),
+        ([*AMBER.arguments, *EDGES.split()], "amber.inpcrd has a periodic box of its own: leave out `edges` (--edges)"),
         (
             ["openmm-state.xml", "--topology", "amber.prmtop"],
             "openmm-state.xml is a State of OpenMM and needs a System",

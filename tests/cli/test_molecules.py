@@ -49,9 +49,8 @@ def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys)
     assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--dt", "6"]) == 0
     out = capsys.readouterr().out
     assert "A step of 6 fs is long for the bond" in out
-    assert "make all hydrogens heavy with --hydrogen-mass 4, or" in out
-    assert "constrain the bond with --constraints hbonds" in out
-    assert "createSystem" not in out
+    for option in ("--dt", "--hydrogen-mass 4", "--constraints hbonds"):
+        assert f"({option})" in out
 
 
 def test_a_step_that_is_refused_is_refused_before_anything_is_simulated(box, tmp_path, monkeypatch, capsys):

@@ -133,11 +133,10 @@ def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration,
     assert Path(name).read_bytes() == before
 
 
-@pytest.mark.parametrize("option", ["--rigid", "--config"])
-def test_lists_of_bodies_and_settings_are_inputs_too(box, capsys, no_equilibration, option):
-    Path("a.csv").write_text({"--rigid": "HOH\n", "--config": 'ensemble = "nve"\n'}[option])
+def test_settings_are_inputs_too(box, capsys, no_equilibration):
+    Path("a.csv").write_text('ensemble = "nve"\n')
     before = contents(Path())
-    message = complaint(capsys, "run", box, *SMALL, option, "a.csv", "--out", "a.dcd", "--overwrite")
+    message = complaint(capsys, "run", box, *SMALL, "--config", "a.csv", "--out", "a.dcd", "--overwrite")
     assert "a.csv would overwrite the input a.csv: give another name" in message
     assert contents(Path()) == before
 

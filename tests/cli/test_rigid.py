@@ -1,6 +1,4 @@
-"""Bodies that the command holds rigid: by ranges of residues, selections and files, from start to trajectory."""
-
-import shutil
+"""Bodies that the command holds rigid: by ranges of residues and selections, from start to trajectory."""
 
 import mdtraj
 import numpy as np
@@ -13,20 +11,19 @@ from tests.support.commands import complaint, run
 from tests.support.domains import domain_system, folded, topology_of
 
 CHAIN = ("chain.pdb", "--topology", "system.xml")
+DOMAINS = ("--rigid", "A:2-13", "A:24-37")
 SHORT = ("--dt", "20", "--ensemble", "nvt", "--platform", "Reference", "--equilibrate", "0.2", "--every", "0.1")
 
 
 @pytest.fixture(autouse=True)
 def chain(tmp_path, monkeypatch):
-    """A chain with two domains in the current directory, and a file that names these."""
+    """A chain with two domains in the current directory."""
     monkeypatch.chdir(tmp_path)
     with open("chain.pdb", "w") as file:
         app.PDBFile.writeFile(topology_of(), folded() * unit.nanometer, file, keepIds=True)
     system = domain_system(box=12.0, elastic=False)
     with open("system.xml", "w") as file:
         file.write(openmm.XmlSerializer.serialize(system))
-    with open("domains.txt", "w") as file:
-        file.write("# domains of a chain\nhead = A:2-13\n\nA:24-37\n")
 
 
 def stretched(trajectory):
@@ -39,10 +36,9 @@ def stretched(trajectory):
 
 
 def test_from_coordinates_to_a_trajectory(capsys):
-    run("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--steps", "20", "--out", "whole.dcd")
+    run("run", *CHAIN, *SHORT, *DOMAINS, "--steps", "20", "--out", "whole.dcd")
     out = capsys.readouterr().out
-    assert "rigid: head: A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
-    assert "132 pairs of atoms within 2 rigid bodies do no work, and are excluded" in out
+    assert "rigid: A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
     assert "usual steps are 26 fs with SIER4G" in out
     within, among = stretched("whole.dcd")
     # The DCD file has single precision in Angstrom, of coordinates up to 120.
@@ -53,25 +49,23 @@ def test_from_coordinates_to_a_trajectory(capsys):
 
 
 @pytest.mark.thorough
-def test_a_restart_needs_no_file(capsys):
-    """The checkpoint has the words of the file, which may have been changed since."""
-    given = ("run", *CHAIN, *SHORT, "--rigid", "domains.txt", "--checkpoint-every", "0.1")
+def test_a_restart_has_the_words_of_the_checkpoint(capsys):
+    given = ("run", *CHAIN, *SHORT, *DOMAINS, "--checkpoint-every", "0.1")
     run(*given, "--steps", "20", "--out", "whole.dcd")
     run(*given, "--steps", "10", "--out", "cut.dcd")
-    assert read_checkpoint("cut.chk")[1]["plan"]["rigid"] == ["head = A:2-13", "A:24-37"]
-    shutil.move("domains.txt", "moved.txt")
+    assert read_checkpoint("cut.chk")[1]["plan"]["rigid"] == ["A:2-13", "A:24-37"]
     run("run", "--restart", "cut.chk", "--steps", "15", "--platform", "Reference")
     again = ("run", "--restart", "cut.chk", "--steps", "20", "--platform", "Reference")
-    run(*again, "--rigid", "moved.txt")
+    run(*again, *DOMAINS)
     assert np.array_equal(mdtraj.load("cut.dcd", top="chain.pdb").xyz, mdtraj.load("whole.dcd", top="chain.pdb").xyz)
     assert "differs from" in complaint(capsys, *again, "--rigid", "A:2-13")
 
 
 def test_what_is_rigid_is_shown(capsys):
-    for words in (["domains.txt"], ["resSeq 2 to 13", "A:24-37"], ["atoms 1-12", "atoms 23-36"]):
-        run("info", *CHAIN, "--rigid", *words)
+    for head in ("A:2-13", "resSeq 2 to 13", "index 1 to 12"):
+        run("info", *CHAIN, "--rigid", head, "A:24-37")
         out = capsys.readouterr().out
-        assert "A:2-13 (atoms 1-12), A:24-37 (atoms 23-36)" in out
+        assert f"{head} (atoms 1-12), A:24-37 (atoms 23-36)" in out
         assert "2 rigid bodies, 14 points" in out
 
 
@@ -80,7 +74,6 @@ def test_what_is_rigid_is_shown(capsys):
     [
         ("A:2-50", "the chain A has no residue 50"),
         ("GLI", "'GLI' describes no body"),
-        ("none.txt", "there is no file none.txt"),
     ],
 )
 def test_words_that_describe_nothing(capsys, words, said):
@@ -105,9 +98,9 @@ def test_a_body_without_bonds_that_the_boundary_cuts_is_read_whole(capsys):
         app.PDBFile.writeFile(topology, x * unit.nanometer, file)
     with open("cut.xml", "w") as file:
         file.write(openmm.XmlSerializer.serialize(system))
-    run("info", "cut.pdb", "--topology", "cut.xml", "--rigid", "atoms 0-2")
+    run("info", "cut.pdb", "--topology", "cut.xml", "--rigid", "index 0 to 2")
     assert "0.090000 0.270000 0.360000" in capsys.readouterr().out
-    run("run", "cut.pdb", "--topology", "cut.xml", "--rigid", "atoms 0-2", *SHORT, "--steps", "5", "--out", "t.dcd")
+    run("run", "cut.pdb", "--topology", "cut.xml", "--rigid", "index 0 to 2", *SHORT, "--steps", "5", "--out", "t.dcd")
     distances = np.linalg.norm(np.diff(mdtraj.load("t.dcd", top="cut.pdb").xyz, axis=1), axis=2)
     # Single precision in Angstrom, of coordinates up to 30.
     np.testing.assert_allclose(distances, 0.15, atol=1e-5)

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from scipy.linalg import null_space
 
-from openmm_sier import SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import RigidityError, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.observe.stock import make_stock
 from tests.support.braced import benzene, formate, gas, methane, triangle
@@ -125,7 +125,7 @@ def test_energy_is_minimized(kind, name):
 @pytest.mark.parametrize("make", [SIERIntegrator, SIERHMCIntegrator, SIERLangevinIntegrator])
 def test_the_native_engine_refuses(kind, make):
     arguments = {SIERIntegrator: (0.002,), SIERHMCIntegrator: (300, 0.002), SIERLangevinIntegrator: (300, 1, 0.002)}
-    told = r"OpenMM cannot satisfy the constraints of atoms 0, 1, 2.*\. Take engine='exact'"
+    told = r"OpenMM cannot satisfy the constraints of atoms 0, 1, 2.*engine='exact'"
 
     def first_step():
         context, _ = context_of(kind, make(*arguments[make], engine="native"))
@@ -136,7 +136,7 @@ def test_the_native_engine_refuses(kind, make):
 
 
 def test_the_native_engine_refuses_before_it_changes_anything():
-    """Where only positions tell the geometry, at the first call for which OpenMM would solve constraints."""
+    """At the first call for which OpenMM would solve constraints."""
     context, positions = context_of(methane().without((1, 2)), SIERIntegrator(0.002, engine="native"))
     for call in (
         lambda: context.setVelocitiesToTemperature(300, 1),
@@ -145,24 +145,27 @@ def test_the_native_engine_refuses_before_it_changes_anything():
         lambda: openmm.LocalEnergyMinimizer.minimize(context),
         lambda: context.getIntegrator().step(1),
     ):
-        with pytest.raises(openmm.OpenMMException, match="iterations for these 9 constraints diverge"):
+        with pytest.raises(openmm.OpenMMException, match="cannot satisfy the constraints of atoms 0, 1, 2, 3, 4"):
             call()
         assert np.array_equal(phase_point(context)[0], positions)
         assert not phase_point(context)[1].any()
 
 
 def test_a_line_has_a_remedy_of_its_own():
+    remedy = r"lie on a line.*Give the mass to the two"
     for angle in (np.pi, np.radians(179.9)):
         line = triangle([12.0, 16.0, 16.0], angle, 0.116)
-        for engine in ("exact", "native"):
-            with pytest.raises((openmm.OpenMMException, ValueError), match=r"lie on a line.*Give the mass to the two"):
-                context_of(line, SIERIntegrator(0.002, engine=engine))
+        with pytest.raises(RigidityError, match=remedy):
+            context_of(line, SIERIntegrator(0.002, engine="exact"))
+    context, _ = context_of(triangle([12.0, 16.0, 16.0], np.pi, 0.116), SIERIntegrator(0.002, engine="native"))
+    with pytest.raises(openmm.OpenMMException, match=remedy):
+        context.setVelocitiesToTemperature(300, 1)
 
 
 def test_integrators_of_openmm_are_not_given_them():
-    system, _ = gas(methane())
-    with pytest.raises(openmm.OpenMMException, match="OpenMM's integrators cannot satisfy the constraints of atoms 0"):
-        make_stock(system, "verlet", 0.002)
+    system, positions = gas(methane())
+    with pytest.raises(openmm.OpenMMException, match="OpenMM cannot satisfy the constraints of atoms 0"):
+        make_stock(system, positions, "verlet", 0.002)
 
 
 def test_surplus_constraints_make_nothing_hotter():

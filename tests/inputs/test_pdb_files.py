@@ -6,7 +6,7 @@ from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import EWALD_TOLERANCE, ForceFieldError, Interactions, describe, read_box
 from openmm_sier.inputs.inputs import read_input
-from openmm_sier.inputs.pdb_files import box_vectors, extent
+from openmm_sier.inputs.pdb_files import box_vectors, extent, read_pdb
 from tests.support.commands import SYSTEMS, write_lattice
 from tests.support.inputs import write_pdb
 from tests.support.waters import force_of
@@ -26,7 +26,7 @@ def with_edges(lines, a, b, c):
     ("change", "message"),
     [
         # Its geometry is that of several models.
-        (lambda lines: lines[1:], "no force field is named: give its `files`, such as tip3p.xml"),
+        (lambda lines: lines[1:], r"no force field is named: give its `files` \(--forcefield\), such as tip3p.xml"),
         (lambda lines: [*lines[:5], lines[4], *lines[5:]], r"has an atom twice: .*HETATM +3 +H2 +HOH A +1"),
         # A molecule once more, under a number of its own.
         (
@@ -55,6 +55,11 @@ def with_edges(lines, a, b, c):
             "line 83 ends within the coordinates of an atom, before column 54",
         ),
         (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are not numbers"),
+        # A bond between the hydrogens of a molecule, left from another file.
+        (
+            lambda lines: [*lines[:-1], "CONECT    2    3\n", lines[-1]],
+            "No template found for residue 0 .* bond too many",
+        ),
     ],
 )
 def test_boxes_that_are_refused(tmp_path, lines, change, message):
@@ -139,3 +144,49 @@ def test_interactions_are_cut_off_as_asked(interactions, cutoff, switch, toleran
 def test_interactions_that_do_not_fit_a_box(name, interactions, message):
     with pytest.raises(ForceFieldError, match=message):
         read_box(SYSTEMS / name, interactions=interactions)
+
+
+def in_two_places(line):
+    """Two records of an atom, the second of a place 0.04 nm away."""
+    moved = f"{float(line[30:38]) + 0.4:8.3f}"
+    return [f"{line[:16]}A{line[17:]}", f"{line[:16]}B{line[17:30]}{moved}{line[38:]}"]
+
+
+def as_mmcif(path):
+    """A PDBx/mmCIF file of the first places in a PDB file, the first atom in two places."""
+    pdb = app.PDBFile(str(path))
+    path = write_pdb(path.with_suffix(".cif"), pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
+    lines = path.read_text().splitlines(keepends=True)
+    columns = [line.split(".")[1].strip() for line in lines if line.startswith("_atom_site.")]
+    first = next(number for number, line in enumerate(lines) if line.startswith(("ATOM", "HETATM")))
+    fields = lines[first].split()
+    made = []
+    for letter in "AB":
+        fields[columns.index("label_alt_id")] = letter
+        made.append(" ".join(fields) + "\n")
+    path.write_text("".join([*lines[:first], *made, *lines[first + 1 :]]))
+    return path
+
+
+@pytest.mark.parametrize("make", [lambda path: path, as_mmcif])
+def test_the_first_of_alternate_locations_is_taken_with_a_warning(tmp_path, lines, make):
+    path = tmp_path / "box.pdb"
+    path.write_text("".join([*lines[:2], *in_two_places(lines[2]), *lines[3:]]))
+    with pytest.warns(UserWarning, match="alternate locations, of which the first is taken"):
+        taken = read_pdb(make(path))
+    path.write_text("".join(lines))
+    np.testing.assert_allclose(
+        np.array(taken.positions.value_in_unit(unit.nanometer)),
+        np.array(read_pdb(path).positions.value_in_unit(unit.nanometer)),
+        # Files have a thousandth of an Angstrom.
+        atol=1e-4,
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_letters_without_another_place_and_later_models_are_no_alternates(tmp_path, lines):
+    path = tmp_path / "box.pdb"
+    atoms = [f"{line[:16]}A{line[17:]}" for line in lines if line.startswith("HETATM")]
+    models = [part for number in (1, 2) for part in (f"MODEL        {number}\n", *atoms, "ENDMDL\n")]
+    path.write_text("".join([*lines[:2], *models, "END\n"]))
+    assert read_pdb(path).topology.getNumAtoms() == 81

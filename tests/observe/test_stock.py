@@ -18,7 +18,7 @@ def box():
 
 
 def simulated(box, name, around=NVE):
-    system, integrator = stock.make_stock(box[0], name, 0.002, *around)
+    system, integrator = stock.make_stock(box[0], box[1][0], name, 0.002, *around)
     context = context_at(system, integrator, box[1])
     integrator.bind(context, RigidBodies.from_system(box[0]))
     return context
@@ -59,7 +59,7 @@ def test_a_shift_of_velocities_starts_verlet_at_the_phase_point(box):
 
 
 def test_noise_is_that_of_the_seed_and_the_step(box):
-    system, integrator = stock.make_stock(box[0], "verlet", 0.002, 297.0, 1.0, 1.0)
+    system, integrator = stock.make_stock(box[0], box[1][0], "verlet", 0.002, 297.0, 1.0, 1.0)
     seen = set()
     noisy = [force for force in system.getForces() if hasattr(force, "setRandomNumberSeed")]
     assert {type(force) for force in noisy} == {openmm.AndersenThermostat, openmm.MonteCarloBarostat}

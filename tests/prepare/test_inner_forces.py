@@ -184,6 +184,15 @@ def test_derivatives_that_are_constant():
         assert inner.weight == expected
 
 
+def test_each_variable_has_a_derivative_of_its_own():
+    force = openmm.CustomCVForce("2*a + b^2 - 3*c")
+    for name in "abc":
+        force.addCollectiveVariable(name, openmm.NonbondedForce())
+    system = assembled([1.0], force)
+    _, *inner = parts(system)
+    assert [part.weight for part in inner] == [2, None, -3]
+
+
 # --- bonds ---
 
 

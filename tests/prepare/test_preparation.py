@@ -407,54 +407,35 @@ def test_the_group_of_the_reciprocal_sum_is_taken(peptide):
     assert prepare_system(system).fastForceGroups == {2}
 
 
-@pytest.mark.parametrize("engine", ["exact", "native"])
-def test_forces_that_were_given_a_group_each_after_the_preparation_are_found(peptide, prepared, engine):
-    """The atoms move bit for bit as in the System before, but for the order in which forces are added up."""
-    ends, contexts = [], []
-    for is_regrouped in (False, True):
-        system = copy.deepcopy(prepared)
-        if is_regrouped:
-            for group, force in enumerate(system.getForces()):
-                force.setForceGroup(group)
-        integrator = SIER4GIntegrator(0.004, engine=engine)
-        with silence("With steps of .* fs the total energy wanders"):
-            context = context_of(system, peptide[1], integrator)
-        context.setVelocitiesToTemperature(300, 1)
-        integrator.step(2)
-        names = {f.getName() for f in system.getForces() if f.getForceGroup() in integrator.fastForceGroups}
-        assert names == {"HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", NAME}
-        ends.append(array(context.getState(positions=True).getPositions()))
-        contexts.append(context)
-    # Two steps of positions of a few nm; what is left in the kicks differs by 1e-4 nm.
-    assert np.abs(ends[0] - ends[1]).max() < 1e-10
-
-
-def test_fast_forces_that_share_a_group_with_slow_ones_are_told_of_once(peptide, prepared):
+@pytest.mark.parametrize("regroup", [lambda number: number, lambda number: 0], ids=["a group each", "one group"])
+def test_forces_that_were_regrouped_are_to_be_prepared_again(peptide, prepared, regroup):
     system = copy.deepcopy(prepared)
-    for force in system.getForces():
-        force.setForceGroup(0)
+    for number, force in enumerate(system.getForces()):
+        force.setForceGroup(regroup(number))
+    with pytest.raises(
+        openmm.OpenMMException, match=r"was changed after prepare_system.*prepare_system\(system\) again"
+    ):
+        context_of(system, peptide[1], SIER4GIntegrator(0.002))
+    (group,) = prepare_system(system).fastForceGroups
     integrator = SIER4GIntegrator(0.002)
-    with pytest.warns(UserWarning, match=r"groups were changed after prepare_system: .*HarmonicBondForce") as told:
-        context = context_of(system, peptide[1], integrator)
-    integrator.step(1)
-    assert len([each for each in told if "groups were changed" in str(each.message)]) == 1
-    assert integrator.fastForceGroups == set()
-    assert context.getStepCount() == 1
-    prepare_system(system)
-    again = SIER4GIntegrator(0.002)
-    context_of(system, peptide[1], again)
-    assert again.fastForceGroups == {FAST}
+    context_of(system, peptide[1], integrator)
+    assert integrator.fastForceGroups == {group}
+    names = {force.getName() for force in system.getForces() if force.getForceGroup() == group}
+    assert names == {"HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce", NAME}
 
 
 def test_forces_that_are_added_later_stay_in_the_kicks(peptide, prepared):
     system = copy.deepcopy(prepared)
     restraint = openmm.CustomBondForce("10*r^2")
     restraint.addBond(0, 10, [])
-    system.addForce(restraint)
+    restraint = system.getForce(system.addForce(restraint))
     integrator = SIER4GIntegrator(0.002)
     with silence():
         context_of(system, peptide[1], integrator)
     assert integrator.fastForceGroups == {FAST}
+    restraint.setForceGroup(FAST)
+    with pytest.raises(openmm.OpenMMException, match="CustomBondForce was changed after prepare_system"):
+        context_of(system, peptide[1], SIER4GIntegrator(0.002))
 
 
 # --- what is given ---

@@ -135,7 +135,7 @@ def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
     system = assembled([16.0, 13.0 - of_hydrogen, of_hydrogen], bonds)
     system.addConstraint(1, 2, 0.11)
     remedy = Remedies(system, RigidBodies.from_system(system), Links(system)).hold((0, 1))
-    assert ("if createSystem made hydrogens heavy, call prepare_system" in remedy.words) == is_told
+    assert ("if createSystem made hydrogens heavy, call prepare_system" in remedy) == is_told
 
 
 def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
@@ -227,7 +227,7 @@ def beside_a_body():
     return assembled(5 * [12.0], bonds), [[0, 1, 2]], x
 
 
-FAST, SLOW = "Call prepare_system(system)", "Take a shorter step, or"
+FAST, SLOW = "Call prepare_system(system)", "Take a shorter step (--dt), or"
 
 #: What limits a step, how the remedy begins, and what else it says or leaves out.
 ADVICE = {

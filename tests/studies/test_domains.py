@@ -3,7 +3,6 @@
 import math
 import re
 import shlex
-import textwrap
 
 import mdtraj
 import numpy as np
@@ -170,10 +169,8 @@ def test_the_command_of_the_how_to_goes_from_coordinates_to_a_trajectory(tmp_pat
     page = (SYSTEMS.parent / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()
     (listed,) = re.findall(r"^    openmm-sier (run (?:.*\\\n)*.*)$", page, re.M)
     line = listed.replace("\\\n", " ")
-    (file,) = re.findall(r"here `domains.txt`:\n\n((?:    .*\n)+)", page)
     monkeypatch.chdir(tmp_path)
     chain.write(tmp_path)
-    (tmp_path / "domains.txt").write_text(textwrap.dedent(file))
     shorter = re.sub(r"--time \S+", "--time 0.4", re.sub(r"--equilibrate \S+", "--equilibrate 0.06", line))
     assert main.main([*shlex.split(shorter), "--every", "0.2", "--platform", "CPU"]) == 0
     frames = mdtraj.load("chain.dcd", top="chain.pdb")

@@ -1,6 +1,5 @@
-"""Bodies by residues, chains, atoms, selections and files."""
+"""Bodies by residues, chains, selections and lists of atoms."""
 
-import json
 import sys
 
 import openmm
@@ -8,7 +7,6 @@ import pytest
 from openmm import app
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system, select_bodies
-from openmm_sier.system.body_selection import file_words
 
 
 def chains(names="AB", residues=10, first=1):
@@ -36,8 +34,7 @@ SIZE = 13
         ("A:1-3,5", [[0, 1, 2, 4]]),
         (":1-2", [[0, 1], [SIZE, SIZE + 1]]),
         ("A:1 B:2", [[0, SIZE + 1]]),
-        ("chain B", [range(SIZE, 2 * SIZE)]),
-        ("atoms 0-2,4", [[0, 1, 2, 4]]),
+        ("B:", [range(SIZE, 2 * SIZE)]),
         ("CO2", [[10, 11, 12], [23, 24, 25]]),
         ("resSeq 2 to 3", [[1, 2], [SIZE + 1, SIZE + 2]]),
         ("name O1 or name O2", [[11, 12], [24, 25]]),
@@ -51,28 +48,18 @@ def test_descriptions(description, expected):
     assert list(select_bodies(chains(), description)) == [tuple(body) for body in expected]
 
 
-def test_printed_descriptions_make_the_same_bodies():
-    topology = chains()
-    for description in ("A:1-3,5", ":2-4", "chain A", "name O1 or name O2", "A:1-3 B:2", "CO2", [0, 11, 12]):
-        bodies = select_bodies(topology, description)
-        assert list(select_bodies(topology, bodies.descriptions)) == list(bodies)
-    assert str(select_bodies(topology, "resSeq 2 to 3")) == "A:2-3 (atoms 1-2)\nB:2-3 (atoms 14-15)"
-    # Residues that are not whole.
-    assert str(select_bodies(topology, [11, 12])) == "atoms 11-12"
-
-
 def test_names():
-    bodies = select_bodies(chains(), {"head": "A:1-3", "both": ":5-6", "CO2": "rigid"})
-    assert bodies.names == ("head", "both 1", "both 2", "CO2 1", "CO2 2")
-    assert str(bodies).splitlines()[0] == "head: A:1-3 (atoms 0-2)"
+    bodies = select_bodies(chains(), {"head": "A:1-3", "both": ":5-6"})
+    assert bodies.names == ("head", "both 1", "both 2")
+    assert str(bodies).splitlines()[0] == "head (atoms 0-2)"
+    assert str(select_bodies(chains(), "resSeq 2 to 3")) == "resSeq 2 to 3 1 (atoms 1-2)\nresSeq 2 to 3 2 (atoms 14-15)"
+    assert str(select_bodies(chains(), [11, 12])) == "atoms 11-12"
 
 
 def test_chains_of_one_name_and_without_a_name():
     """PDB files have one letter for the name of a chain, and models of many chains use it again."""
     assert len(select_bodies(chains("AA"), "A:1-3")) == 2
     assert list(select_bodies(chains(" "), ":1-3")) == [(0, 1, 2)]
-    # Words would name both chains.
-    assert select_bodies(chains("AA"), [0, 1, 2]).descriptions == ("atoms 0-2",)
 
 
 def test_numbers_below_zero_and_insertion_codes():
@@ -81,33 +68,6 @@ def test_numbers_below_zero_and_insertion_codes():
     residues = list(topology.residues())
     residues[1].id, residues[1].insertionCode = "-3", "A"
     assert list(select_bodies(topology, "A:-3A--1")) == [(1, 2)]
-
-
-def test_files(tmp_path):
-    lines = tmp_path / "domains.txt"
-    lines.write_text("# two domains\nhead = A:1-3   # the first\n\nA:5-6\nname O1 and mass < 90\n")
-    bodies = select_bodies(chains(), lines)
-    assert list(bodies) == [(0, 1, 2), (4, 5), (11,), (24,)]
-    assert bodies.names[:2] == ("head", "A:5-6")
-    assert list(select_bodies(chains(), str(lines))) == list(bodies)
-    for value in ([[0, 1, 2], [4, 5]], {"head": [0, 1, 2], "A:5-6": "A:5-6"}):
-        file = tmp_path / "domains.json"
-        file.write_text(json.dumps(value))
-        assert list(select_bodies(chains(), file)) == [(0, 1, 2), (4, 5)]
-
-
-def test_words_with_names_and_files_of_words(tmp_path):
-    """The command notes the words of a file in its checkpoint, from which they make the same bodies."""
-    named = select_bodies(chains(), ["head = A:1-3", "name O1 and mass < 90", "A:5-6"])
-    assert named.names == ("head", "atoms 11", "atoms 24", "A:5-6")
-    file = tmp_path / "domains.txt"
-    file.write_text("head = A:1-3\nA:5-6 # end\n")
-    listed = tmp_path / "domains.json"
-    listed.write_text(json.dumps({"head": [0, 1, 2], "tail": "A:5-6"}))
-    assert file_words(str(file)) == ["head = A:1-3", "A:5-6"]
-    assert file_words(str(listed)) == ["head = atoms 0-2", "tail = A:5-6"]
-    assert file_words("A:1-3") == ["A:1-3"]
-    assert list(select_bodies(chains(), file_words(str(listed)))) == [(0, 1, 2), (4, 5)]
 
 
 @pytest.mark.parametrize(
@@ -119,12 +79,9 @@ def test_words_with_names_and_files_of_words(tmp_path):
         (":40-50", "no residue 40"),
         ("1-36", "'1-36' describes no body"),
         ("", "'' describes no body"),
-        ("domains.txt", "there is no file domains.txt"),
         ("name ZZ", "selects no atom"),
-        (["A:1-3", "atoms 2-4"], "atom 2 is in two bodies: A:1-3 and A:3-5"),
+        (["A:1-3", "index 2 to 4"], "atom 2 is in two bodies: A:1-3 and index 2 to 4"),
         ([[0, 100]], "must be from 0 to 25, got 100"),
-        ("atoms 5-3", "got '5-3'"),
-        ("atoms 0-100", "got 100"),
         ({"head": []}, "of head is empty"),
         ([[4, 5, 4]], "got 4 twice"),
         ([], "no body is described"),
@@ -146,20 +103,6 @@ def test_other_types_are_refused(description):
         select_bodies(chains(), description)
     with pytest.raises(TypeError, match=r"openmm\.app\.Topology"):
         select_bodies(openmm.System(), "A:1")
-
-
-def test_files_that_describe_nothing(tmp_path):
-    empty = tmp_path / "empty.txt"
-    empty.write_text("# nothing\n")
-    with pytest.raises(ValueError, match=r"empty\.txt describes no body"):
-        select_bodies(chains(), empty)
-    for text in ("[1,", '"A:1"'):
-        wrong = tmp_path / "wrong.json"
-        wrong.write_text(text)
-        with pytest.raises(ValueError, match=r"wrong\.json"):
-            select_bodies(chains(), wrong)
-    with pytest.raises(FileNotFoundError):
-        select_bodies(chains(), tmp_path / "none.txt")
 
 
 def test_without_mdtraj(monkeypatch):

@@ -32,13 +32,13 @@ class BodyActions(Actions):
     """
 
     def __init__(self, context: openmm.Context, engine: ExactEngine):
-        super().__init__(context)
+        super().__init__(context, engine.trial)
         # The engine holds this.
         self._engine = weakref.proxy(engine)
 
     def _is_unsolved(self) -> bool:
-        """Return whether OpenMM's solvers cannot satisfy the constraints."""
-        return self._engine.trial.unsolved(lambda: Snapshot.of(self._context).positions) is not None
+        """Tell whether OpenMM's solvers cannot satisfy the constraints."""
+        return bool(self._trial.unsolved(self._positions))
 
     def _holds_all_bodies(self) -> bool:
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""

@@ -7,14 +7,8 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.system import own_methods
-from openmm_sier.system.bonded_terms import (
-    TERMS,
-    WITHOUT_FORCES,
-    bonded_kind,
-    bonded_terms,
-    with_working_terms,
-    working_terms,
-)
+from openmm_sier.system.bonded_terms import bonded_terms, with_working_terms, working_terms
+from openmm_sier.system.forces import FORCES, kind_of
 
 
 class SoluteError(ValueError):
@@ -36,7 +30,7 @@ def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarra
     """
     found, wanted = [], frozenset(groups)
     for force in system.getForces():
-        if force.getForceGroup() in wanted and not isinstance(force, WITHOUT_FORCES):
+        if force.getForceGroup() in wanted and kind_of(force).exerts_forces:
             terms = _checked_terms(force, owner, moving)
             if len(terms):
                 found.append(with_working_terms(force, owner))
@@ -53,9 +47,9 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
         f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
         "there, prepare a new System for these bodies: prepare_system(system, bodies)"
     )
-    kind = bonded_kind(force)
-    if kind is None:
-        possible = ", ".join(kind.__name__ for kind in TERMS)
+    written = kind_of(force).terms
+    if written is None:
+        possible = ", ".join(each.__name__ for each, kind in FORCES.items() if kind.terms is not None)
         raise SoluteError(
             f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}, but only "
             f"{possible} can be fast. {remedy}"
@@ -63,8 +57,8 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     terms = working_terms(force, owner)
     for atoms in terms[~moving[terms].all(axis=1)]:
         raise SoluteError(
-            f"a {TERMS[kind][0].lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but atom "
-            f"{atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
+            f"a {written.element.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but "
+            f"atom {atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
         )
     return terms
 

@@ -6,6 +6,7 @@ import openmm
 
 from openmm_sier.engines.variables import PART
 from openmm_sier.system import checks
+from openmm_sier.system.forces import kind_of
 
 
 class SystemUpdates:
@@ -22,7 +23,7 @@ class SystemUpdates:
         system = context.getSystem()
         acting = checks.acting_forces(system)
         self.act = bool(acting)
-        self.are_of_barostats = all(isinstance(force, checks.BAROSTATS) for force in acting)
+        self.are_of_barostats = all(kind_of(force).sets == "pressure" for force in acting)
         removers = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
         self._frequencies = [remover.getFrequency() for remover in removers]
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,6 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
-from openmm_sier.engines.native.actions import NativeActions
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.settling import satisfy_constraints
@@ -103,7 +101,6 @@ class NativeEngine(Engine):
             openmm.OpenMMException: the message says what that is, and the remedy.
         """
         refusals.refuse(self.flow, bodies, self._program, system)
-        refusals.refuse_unsolved(self.trial.unsolved())
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(self.flow.fast_groups), self._groups)
         refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
@@ -116,10 +113,6 @@ class NativeEngine(Engine):
             RigidityError: the System has constraints that do not form rigid bodies.
         """
         return self._told.bodies(self.positions)
-
-    @cached_property
-    def actions(self) -> NativeActions:
-        return NativeActions(self._context, self.trial)
 
     @property
     def clock(self) -> Clock:
@@ -256,7 +249,7 @@ class NativeEngine(Engine):
         if neighbour_list.is_remembered(self._context):
             neighbour_list.forget(self._context)
         if len(self._constraints.pairs):
-            refusals.refuse_unsolved(self.trial.unsolved(self.positions))
+            self.trial.refuse(self.positions)
             satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
         if self._has_sites:
             # OpenMM places them at the end of a step, and the first needs forces before that.

@@ -13,8 +13,8 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Bodies
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES, bonded_kind, bonded_terms
-from openmm_sier.system.solver_trial import LINE_REMEDY, Unsolved
+from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.forces import kind_of
 
 
 def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
@@ -64,19 +64,6 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
     return None
 
 
-def refuse_unsolved(unsolved: Unsolved | None) -> None:
-    """Refuse constraints that OpenMM's solvers cannot satisfy, if any were found.
-
-    Raises:
-        openmm.OpenMMException: the message names their atoms, and the remedy.
-    """
-    if unsolved is not None:
-        remedy = LINE_REMEDY if unsolved.is_line else "Take engine='exact', which any platform runs"
-        raise openmm.OpenMMException(
-            f"The native engine leaves constraints to OpenMM, but OpenMM cannot satisfy {unsolved}. {remedy}"
-        )
-
-
 def refuse_fast_forces(system: openmm.System, groups: Collection[int], integration_groups: int) -> None:
     """Refuse fast forces that a native program cannot have in its drifts.
 
@@ -99,9 +86,10 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
         )
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
     for force in system.getForces() if sites else []:
-        if force.getForceGroup() not in groups or isinstance(force, WITHOUT_FORCES):
+        kind = kind_of(force)
+        if force.getForceGroup() not in groups or not kind.exerts_forces:
             continue
-        touched = np.intersect1d(bonded_terms(force), sites) if bonded_kind(force) is not None else np.array(sites)
+        touched = np.intersect1d(bonded_terms(force), sites) if kind.terms is not None else np.array(sites)
         if touched.size:
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "

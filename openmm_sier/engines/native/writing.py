@@ -8,7 +8,7 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.native.program import write
 from openmm_sier.engines.program import Program
 from openmm_sier.system.arguments import groups_of
-from openmm_sier.system.bonded_terms import WITHOUT_FORCES
+from openmm_sier.system.forces import kind_of
 
 
 def general_program(flow: Flow) -> Program:
@@ -81,7 +81,7 @@ def _acting_groups(system: openmm.System) -> int:
     """Return the force groups of all Forces that exert forces, a bit mask."""
     mask = 0
     for force in system.getForces():
-        if isinstance(force, WITHOUT_FORCES):
+        if not kind_of(force).exerts_forces:
             continue
         mask |= 1 << force.getForceGroup()
         if isinstance(force, openmm.NonbondedForce) and force.getReciprocalSpaceForceGroup() >= 0:
