@@ -48,7 +48,7 @@ def run_line(given: Mapping[str, Any], found: Tuning) -> str:
     """Return the command line of a run with what was found, and all else as given."""
     chosen = {
         "scheme": found.scheme.name.lower(),
-        "dt": float(f"{1000 * found.stepSize:.4g}"),
+        "dt": float(f"{1000 * found.schemeStepSize:.4g}"),
         "steps_per_trial": found.stepsPerTrial,
     }
     line = [PROGRAM, "run", argument(given["box"]), "--ensemble", "hmc"]

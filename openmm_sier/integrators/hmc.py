@@ -10,7 +10,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2V2, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, step_size
+from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, renamed, step_size
 
 
 class SIERHMCIntegrator(SIERThermostatIntegrator):
@@ -32,9 +32,9 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     The usual step of SIER2V2, the default scheme, is 9 fs with heavy hydrogens, see `prepare_system`, and 6 fs
     otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
 
-    Note: the constructor takes the step of the scheme (9 fs). `getStepSize` and `setStepSize` are for the length of a
-    trial (90 fs with 10 steps), and `getSchemeStepSize` and `setSchemeStepSize` for the step of the scheme. The
-    Context's time is that of trials.
+    Note: `schemeStepSize`, `getSchemeStepSize` and `setSchemeStepSize` are for the step of the scheme (9 fs). A step
+    of the integrator is a trial, so that `getStepSize` and `setStepSize` are for its length (72 fs with 8 steps), as
+    are the Context's time and the times of reporters.
 
     A trial is also rejected if its trajectory has a force that is not finite or constraints that cannot be satisfied.
     The first trajectory at each step size, or of longer trials, is also run backwards. If it misses its start, the
@@ -50,10 +50,11 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     (1991); Campos and Sanz-Serna, J. Comput. Phys. 281, 365 (2015).
     """
 
+    @renamed("stepSize", "schemeStepSize")
     def __init__(
         self,
         temperature: Quantity,
-        stepSize: Quantity,
+        schemeStepSize: Quantity,
         scheme: Scheme | str = SIER2V2,
         stepsPerTrial: int | None = None,
         frictionCoeff: Quantity | None = TRIAL_FRICTION,
@@ -69,7 +70,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         """
         Args:
             temperature: a quantity or a number in K, above zero.
-            stepSize: the step of the scheme, a time quantity or a number in ps.
+            schemeStepSize: the step of the scheme, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
             stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 72 fs.
             frictionCoeff: a quantity or a number in 1/ps, above zero; 1/ps unless you give it. Momenta keep a factor
@@ -90,11 +91,11 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
             TypeError: a quantity has the wrong dimension.
         """
-        steps = usual_steps(step_size(stepSize)) if stepsPerTrial is None else stepsPerTrial
+        steps = usual_steps(step_size(schemeStepSize)) if stepsPerTrial is None else stepsPerTrial
         trials = Metropolis(
             temperature, frictionCoeff, steps, extraChances, pressure=pressure, interval=barostatInterval
         )
-        super().__init__(trials, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
+        super().__init__(trials, schemeStepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
     # --- what users ask ---
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from openmm_sier.dynamics.acceptance import spread_at
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.system.arguments import warn_of_former_name
 
 
 class StepFound(NamedTuple):
@@ -102,7 +103,7 @@ class Tuning(NamedTuple):
 
     Attributes:
         scheme: the cheapest.
-        stepSize: ps.
+        schemeStepSize: ps.
         stepsPerTrial: number of steps in a trial.
         schemes: the schemes that were compared; each has `scheme`, `step` in ps, `acceptance`, `seconds`, `tried` and
             `refused`.
@@ -114,7 +115,7 @@ class Tuning(NamedTuple):
     """
 
     scheme: Scheme
-    stepSize: float
+    schemeStepSize: float
     stepsPerTrial: int
     schemes: tuple[SchemeFound, ...]
     lengths: tuple[LengthFound, ...]
@@ -122,10 +123,16 @@ class Tuning(NamedTuple):
     script: str = ""
     isSet: bool = True
 
+    @property
+    def stepSize(self) -> float:
+        """Return `schemeStepSize`, by its former name."""
+        warn_of_former_name("stepSize", "schemeStepSize")
+        return self.schemeStepSize
+
     def __str__(self) -> str:
         lines = [
             f"Hybrid Monte Carlo tuned, by {self.forceEvaluations} forces:",
-            f"{self.scheme.name}, steps of {1e3 * self.stepSize:.4g} fs, {self.stepsPerTrial} in a trial",
+            f"{self.scheme.name}, steps of {1e3 * self.schemeStepSize:.4g} fs, {self.stepsPerTrial} in a trial",
             "",
             "  scheme   step/fs     sd/kT  acceptance  s for an accepted ps",
         ]

@@ -1,10 +1,12 @@
 """Arguments of integrators, checked and converted to one form."""
 
+import functools
 import math
 import numbers
 import operator
-from collections.abc import Iterable, Sequence
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import openmm
@@ -12,6 +14,9 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 #: Values of the argument `bodies` of integrators.
 Bodies = RigidBodies | Sequence[Sequence[int]] | None
@@ -90,6 +95,27 @@ def checked_scheme(scheme: Any) -> Scheme:
         known = ", ".join(each.name for each in CATALOGUE.values())
         raise ValueError(f"scheme must be one of {known}, got {scheme!r}")
     return found
+
+
+def renamed(old: str, new: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """Return a decorator by which a function accepts an argument under its former name, with a FutureWarning."""
+
+    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @functools.wraps(function)
+        def call(*args: Arguments.args, **options: Arguments.kwargs) -> Result:
+            if old in options and new not in options:
+                warn_of_former_name(old, new)
+                options[new] = options.pop(old)
+            return function(*args, **options)
+
+        return call
+
+    return decorate
+
+
+def warn_of_former_name(old: str, new: str) -> None:
+    """Warn the caller of the caller that a name goes with the next release."""
+    warnings.warn(f"{old} is a former name and goes with the next release: use {new}", FutureWarning, stacklevel=3)
 
 
 def step_size(size: Any) -> float:

@@ -36,7 +36,7 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
     said = capsys.readouterr().out
     scheme, step, trial = re.search(r"^(\S+), steps of (.*) fs, (.*) in a trial$", said, re.MULTILINE).groups()
     (found,) = made
-    assert (scheme, step, int(trial)) == (found.scheme.name, f"{1000 * found.stepSize:.4g}", found.stepsPerTrial)
+    assert (scheme, step, int(trial)) == (found.scheme.name, f"{1000 * found.schemeStepSize:.4g}", found.stepsPerTrial)
     chosen = next(each for each in found.lengths if each.steps == found.stepsPerTrial)
     assert str(chosen) in said
     # A trial has one force more at its start, and one or two for the move of the volume; it goes on twice at most.

@@ -45,7 +45,7 @@ def test_the_acceptance_that_was_asked_for(monkeypatch, h, scheme):
     before = integrator.forceEvaluations
     found = tune(context, 0.8, samples=20, schemes=[scheme])
     assert (integrator.getSchemeStepSize()._value, integrator.getStepsPerTrial()) == (
-        found.stepSize,
+        found.schemeStepSize,
         found.stepsPerTrial,
     )
     assert integrator.forceEvaluations == before + found.forceEvaluations
@@ -67,8 +67,10 @@ def test_equal_seeds_tune_alike(monkeypatch):
     monkeypatch.setattr(tuning, "_seconds", forces_made)
     one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))
     assert str(one) == str(other)
-    assert one.stepSize == other.stepSize
-    assert one.stepSize != third.stepSize
+    assert one.schemeStepSize == other.schemeStepSize
+    with pytest.warns(FutureWarning, match="use schemeStepSize"):
+        assert one.stepSize == one.schemeStepSize
+    assert one.schemeStepSize != third.schemeStepSize
 
 
 def test_the_cheapest_length_is_taken(monkeypatch):
@@ -118,7 +120,7 @@ def test_steps_stay_below_what_a_bond_bears():
     # What was refused is not tried again.
     assert all(one > other for one, other in itertools.pairwise(refused))
     # Stable up to 2/sqrt(2e4/0.5) = 0.01 ps.
-    assert found.stepSize < 0.01
+    assert found.schemeStepSize < 0.01
     context.getIntegrator().step(1)
 
 
@@ -128,7 +130,7 @@ def test_steps_stay_where_kicks_do_not_resonate_with_fast_forces():
     context = bonded(12.0, (2 * math.pi / period) ** 2 * 6, fastForceGroups={1})
     with silence():
         found = tune(context, 0.05, trials=10, samples=10, schemes=[context.getIntegrator().scheme])
-    assert found.stepSize == pytest.approx(0.45 * period)
+    assert found.schemeStepSize == pytest.approx(0.45 * period)
 
 
 # --- schemes ---
@@ -149,7 +151,9 @@ def test_the_cheapest_scheme_is_chosen(monkeypatch, own, is_set):
     mine = found.schemes[1 if is_set else 0]
     assert integrator.getSchemeStepSize()._value == mine.step
     # The same length in time, in whole steps.
-    assert integrator.getStepSize()._value == pytest.approx(found.stepSize * found.stepsPerTrial, abs=mine.step / 2)
+    assert integrator.getStepSize()._value == pytest.approx(
+        found.schemeStepSize * found.stepsPerTrial, abs=mine.step / 2
+    )
     # Forces of other Contexts are counted too.
     assert found.forceEvaluations > integrator.forceEvaluations - before
     assert ("make a new one" in str(found)) != is_set
@@ -167,7 +171,7 @@ def test_the_line_for_a_script_makes_what_was_found(monkeypatch):
     assert made.scheme == found.scheme
     assert made.getStepsPerTrial() == found.stepsPerTrial
     # It has four digits.
-    assert made.getSchemeStepSize()._value == pytest.approx(found.stepSize, rel=5e-4)
+    assert made.getSchemeStepSize()._value == pytest.approx(found.schemeStepSize, rel=5e-4)
     assert made.getTemperature()._value == TEMPERATURE
     assert made.getFriction()._value == 2
 
