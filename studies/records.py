@@ -21,8 +21,7 @@ import pandas as pd
 
 from openmm_sier.analysis import statistics
 from openmm_sier.analysis.statistics import Estimate
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 from openmm_sier.version import __version__
 from studies.command import COMMAND, RunsSettings, claim, elapsed
 from studies.report import Report
@@ -98,7 +97,7 @@ def provenance() -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             continue
     machine = {"processor": processor(), "cores": threads.cores(), "threads": threads.count()}
-    return {"versions": versions, "machine": machine | {"backend": backend.active().name}}
+    return {"versions": versions, "machine": machine}
 
 
 def processor() -> str:

@@ -16,9 +16,9 @@ import pandas as pd
 
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import slope_and_error
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.inputs.starts import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.named import SIER2Integrator

@@ -27,7 +27,7 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.starts import make_context
 from studies import speed_boxes, text

@@ -1,7 +1,6 @@
 import math
 import os
 import signal
-from importlib import util
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 # OpenMM reads it when it is imported. The systems are too small for threads, and tests run side by side.
 os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 
-from openmm_sier.dynamics import backend
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.ensembles import metropolis
@@ -92,13 +90,3 @@ def cluster():
 def box():
     """59 molecules of water in a periodic box."""
     return settled("box-59", *periodic_system())
-
-
-@pytest.fixture(params=["NumPy", "Numba"] if util.find_spec("numba") else ["NumPy"])
-def executed_by(request):
-    """Runs a test with NumPy and, where it is installed, with the code that Numba compiles."""
-    with backend.using(backend.NUMPY if request.param == "NumPy" else NUMBA):
-        yield request.param
-
-
-NUMBA = backend.NumbaBackend()

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.threads import cores
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -13,7 +13,7 @@ from openmm_sier.cli import streams
 from openmm_sier.cli.errors import MISUSED as MISUSED
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.stopping import interrupt_behind
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.threads import cores
 
 if TYPE_CHECKING:
     from openmm_sier.cli.command_line import Call

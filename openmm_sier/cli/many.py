@@ -19,7 +19,7 @@ from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.seeds import shown
 from openmm_sier.cli.settings import RunSettings, flag
 from openmm_sier.cli.stopping import Stopped, StopRequests
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.threads import cores
 from openmm_sier.engines.choice import usual_platform
 
 #: Options that name a file which each member writes by itself.

@@ -12,14 +12,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend.formulas import body_frame
-from openmm_sier.dynamics.backend.sites import Sites
+from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.names import FEW, as_ranges
+from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
+from openmm_sier.dynamics.vectors import body_frame
+
+#: Two arrays of bodies, of what moves and what turns them: centres and attitudes, momenta and angular momenta, forces
+#: and torques, or inverse masses, (n,), and inverse moments, (3, n).
+Pair = tuple[np.ndarray, np.ndarray]
 
 #: Messages name so many residues of a body; of more the first and the last.
 MOST_RESIDUES = 3
@@ -232,7 +236,7 @@ class RigidBodies:
 
     # --- from atoms to bodies ---
 
-    def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> backend.Pair:
+    def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> Pair:
         """Return centres and attitudes of the bodies that atom positions form.
 
         Args:
@@ -298,7 +302,7 @@ class RigidBodies:
             "shape"
         )
 
-    def momenta(self, velocities: np.ndarray, A: np.ndarray) -> backend.Pair:
+    def momenta(self, velocities: np.ndarray, A: np.ndarray) -> Pair:
         """Return momenta and angular momenta that atom velocities carry: the rigid part of their motion.
 
         Args:
@@ -314,7 +318,7 @@ class RigidBodies:
         velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
         return self.masses * velocity, self.masses * moment
 
-    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> backend.Pair:
+    def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> Pair:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
@@ -334,9 +338,10 @@ class RigidBodies:
 
     def _sum_over_sites(
         self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray
-    ) -> backend.Pair:
+    ) -> Pair:
         total, moment = np.empty((3, self.n)), np.empty((3, self.n))
-        if not backend.active().collect(sites, vectors, A, weights, total, moment):
+        tables = sites.sets, sites.places, weights, sites.atoms
+        if kernels.atoms.collect(self.n, vectors, A, *tables, total, moment):
             raise NotFiniteError(quantity, np.concatenate([total, moment]), self)
         return total, moment
 
@@ -354,16 +359,18 @@ class RigidBodies:
         Raises:
             NotFiniteError: a position is not finite. All have been written then.
         """
-        if not backend.active().place(self.sites if sites is None else sites, q, A, positions):
+        chosen = self.sites if sites is None else sites
+        if kernels.atoms.place(self.n, q, A, chosen.sets, chosen.places, chosen.atoms, positions):
             raise NotFiniteError("position of", np.concatenate([q, A.reshape(9, -1)]), self)
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
-        backend.active().move(self.sites, state.p, state.A, state.L, self._inverses, velocities)
+        moving, tables = (state.p, state.A, state.L), (self.sites.sets, self.sites.places, self.sites.atoms)
+        kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
         return velocities
 
-    def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> backend.Pair:
+    def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> Pair:
         """Return centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
 
         Args:
@@ -371,7 +378,9 @@ class RigidBodies:
             A: (3, 3, n).
             shift: half the square of a time, ps^2.
         """
-        return backend.active().displace(q, A, F, tau, shift, self._inverses)
+        new_q, new_A, inverses = np.empty(q.shape), np.empty(A.shape), (self.inverse_masses, self.inverse_moments)
+        kernels.bodies.displace(self.n, q, A, F, tau, shift, *inverses, new_q, new_A)
+        return new_q, new_A
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:
@@ -382,10 +391,6 @@ class RigidBodies:
     def inverse_moments(self) -> np.ndarray:
         """Return inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
-
-    @cached_property
-    def _inverses(self) -> backend.Pair:
-        return self.inverse_masses, self.inverse_moments
 
     @cached_property
     def point_particles(self) -> np.ndarray:
@@ -426,6 +431,6 @@ class RigidBodies:
         """
         return self.mass * float((centre + 0.5 * velocity) @ velocity)
 
-    def total_momenta(self, state: BodyState) -> backend.Pair:
+    def total_momenta(self, state: BodyState) -> Pair:
         """Return the total momentum and total angular momentum about the origin, each (3,)."""
         return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)

@@ -36,8 +36,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics import backend, operators
-from openmm_sier.dynamics.backend.sites import as_slice
+from openmm_sier.dynamics import kernels, operators
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI
@@ -139,7 +138,7 @@ def constrained_gradient_kick(
         part = constraints.members
         q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
         F, tau = forces.at(q, A)
-        p, L = backend.active().kick(state.p, state.L, displaced(state.q, q, F), tau, h, state.q, q)
+        p, L = operators.momenta_kicked_at(q, state, displaced(state.q, q, F), tau, h)
         L[:, grouped] = state.L[:, grouped]
         return BodyState(state.q, p, state.A, L)
 
@@ -178,7 +177,7 @@ class DisplacedForces:
         """
         F = self._constraints.project(at, F)
         if len(self._part):
-            backend.active().turn_groups(self._edges, self._part, self._masses, q, at, F)
+            kernels.constraints.turn_groups(self._edges, self._part, self._masses, q, at, F)
         return F
 
 
@@ -244,6 +243,16 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
         return moved
 
     return apply
+
+
+def as_slice(indices: np.ndarray) -> slice | np.ndarray:
+    """Return indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
+    if indices.size == 1:
+        return slice(int(indices[0]), int(indices[0]) + 1)
+    step = int(indices[1] - indices[0]) if indices.size else 0
+    if step > 0 and np.all(np.diff(indices) == step):
+        return slice(int(indices[0]), int(indices[-1]) + 1, step)
+    return indices
 
 
 def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -> Advance:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import displacing_rotation, turned
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.vectors import body_frame, rotation_matrix, turned
 
 #: FIRE's own parameters (Bitzek et al., Phys. Rev. Lett. 97, 170201 (2006)).
 SLOWEST_MIXING, MIXING_DECAY = 0.1, 0.99
@@ -79,5 +79,6 @@ def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -
         size = np.maximum(np.linalg.norm(v[:3], axis=0), np.linalg.norm(v[3:], axis=0))
         v *= np.minimum(1.0, LARGEST_DISPLACEMENT / np.maximum(step * size, 1e-300))
         v[:3] = held.project(q, v[:3])
-        rows = displacing_rotation(A[0], A[1], A[2], step * v[3:] * inverse, (1.0, 1.0, 1.0), 1.0)
+        # The Cayley form of small rotations; the lab, seen from the body, turns back.
+        rows = rotation_matrix(1.0, *(-0.5 * body_frame(A, step * v[3:] * inverse)))
         q, A = held.displaced(q, v[:3], step), turned(rows, A)

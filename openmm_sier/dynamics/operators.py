@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.bodies import BodyState, Pair, RigidBodies
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.rotation.axes import axes_of
+from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 
@@ -105,7 +105,8 @@ def kick(forces: CachedForces) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         F, tau = forces(state)
-        p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, state.q)
+        p, L = np.empty(state.p.shape), np.empty(state.L.shape)
+        kernels.bodies.kick(state.p.shape[1], state.p, state.L, F, tau, h, p, L)
         return BodyState(state.q, p, state.A, L)
 
     return apply
@@ -128,10 +129,20 @@ def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
         F, tau = forces(state)
         q, A = bodies.displaced(state.q, state.A, F, tau, shift)
         F, tau = forces.at(q, A)
-        p, L = backend.active().kick(state.p, state.L, F, tau, h, state.q, q)
+        p, L = momenta_kicked_at(q, state, F, tau, h)
         return BodyState(state.q, p, state.A, L)
 
     return apply
+
+
+def momenta_kicked_at(at: np.ndarray, state: BodyState, F: np.ndarray, tau: np.ndarray, h: float) -> Pair:
+    """Return momenta and angular momenta after forces at other points, and torques about these, act for a time h.
+
+    All arrays are (3, n); the angular momenta are about the centres of the state.
+    """
+    p, L = np.empty(state.p.shape), np.empty(state.L.shape)
+    kernels.bodies.kick_elsewhere(at.shape[1], state.p, state.L, F, tau, h, state.q, at, p, L)
+    return p, L
 
 
 def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
@@ -153,11 +164,15 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
 
 def _exact_drift(bodies: RigidBodies) -> FreeMotion:
     rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
-    kinds = backend.Kinds(rates, [0, *(part.stop for part in bodies.parts)])
+    edges = np.array([0, *(part.stop for part in bodies.parts)], dtype=np.int64)
     inverse_masses = bodies.inverse_masses
 
     def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
-        return *backend.active().drift(kinds, state.q, state.p, state.A, state.L, h, inverse_masses), state.L
+        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
+        kinds = edges, rates
+        if kernels.bodies.drift(bodies.n, state.q, state.p, state.A, state.L, h, *kinds, inverse_masses, q, A):
+            raise not_finite(state.A, state.L)
+        return q, A, state.L
 
     return move
 

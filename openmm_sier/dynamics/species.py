@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics.backend.sites import AlikeSites, Sites
+from openmm_sier.dynamics.sites import AlikeSites, Sites
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis, as a
 #: fraction of the largest coordinate, lie on it.

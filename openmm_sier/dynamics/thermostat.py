@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from openmm_sier.dynamics import backend
+from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.ledger import Ledger
@@ -76,7 +76,9 @@ class OrnsteinUhlenbeck(Thermostat):
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
             kept, widths = decay(h)
-            p, L, gained = backend.active().bathe(state.p, state.A, state.L, kept, widths, noise, inverses)
+            p, L, gained = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
+            moving = state.p, state.A, state.L
+            kernels.bodies.bathe(bodies.n, *moving, *kept, widths, noise, *inverses, p, L, gained)
             ledger.draws += 1
             ledger.heat += float(gained.sum())
             return BodyState(state.q, p, state.A, L)

@@ -8,9 +8,9 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.backend.threads import cores
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.dynamics.threads import cores
 from openmm_sier.engines.choice import usual_platform
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.inputs.report import SILENT, Advance, Report

@@ -10,8 +10,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.stability.curvature import FAR, Vibration
 from openmm_sier.system import own_methods
 from openmm_sier.system.forces import kind_of

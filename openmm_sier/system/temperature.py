@@ -22,9 +22,9 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.system.inner_forces import parts
 
 #: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.

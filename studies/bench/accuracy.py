@@ -20,7 +20,7 @@ from pathlib import Path
 import pandas as pd
 
 from openmm_sier.analysis.observables import energy_error
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.schemes import SIER4G
 from studies import style, text
 from studies.bench import peers

@@ -26,7 +26,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 from studies.sampling import Energies
 from studies.units import md
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from openmm_sier.analysis.statistics import Estimate
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 
 #: Platforms on which processor time is what a computation costs; on others the processor waits.
 ON_PROCESSORS = ("CPU", "Reference")

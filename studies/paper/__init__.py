@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import pandas as pd
 
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.threads import cores
 from openmm_sier.inputs.report import duration
 from studies import records
 from studies.command import RunsSettings

@@ -23,9 +23,9 @@ import pandas as pd
 
 from openmm_sier.analysis.statistics import Estimate, jackknife
 from openmm_sier.dynamics import operators, rotation
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.stages import DRIFT, KICK
+from openmm_sier.dynamics.vectors import body_frame
 from studies import text
 from studies.methods import PAPER, OwnMethod
 from studies.paper import published, reference, tip4p

@@ -11,7 +11,7 @@ from functools import cache
 import numba
 import numpy as np
 
-from openmm_sier.dynamics.backend.numba_compile import OPTIONS
+from openmm_sier.dynamics.kernels.compilation import OPTIONS
 
 
 def switch(distance, on, off):

@@ -18,7 +18,7 @@ from openmm_sier.cli import main, many
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.many import _grouped, _usual_workers
 from openmm_sier.cli.seeds import read_seeds, shown
-from openmm_sier.dynamics.backend.threads import cores
+from openmm_sier.dynamics.threads import cores
 from tests.support.commands import SMALL, complaint, contents, log, run, wait_for
 
 pytest.importorskip("distributed")

@@ -24,7 +24,7 @@ def test_the_recipe_has_the_version_and_the_dependencies():
     run = (ROOT / "recipe" / "recipe.yaml").read_text().split("  run:\n")[1].split("\ntests:")[0]
     listed = {line.strip().removeprefix("- ").replace(" ", "") for line in run.splitlines() if "- " in line}
     # A package without an architecture has what any of its Pythons needs.
-    needed = {text.split(";")[0] for text in (*project["dependencies"], *extras["cli"], *extras["fast"])}
+    needed = {text.split(";")[0] for text in (*project["dependencies"], *extras["cli"])}
     assert listed - {"python>=${{python_min}}"} == needed
     assert stated("recipe/recipe.yaml", r'python_min: "(.*)"') == [project["requires-python"].removeprefix(">=")]
 

@@ -1,12 +1,14 @@
 """Rigid bodies: the way between atoms and bodies, and what is derived from either."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from openmm_sier import RigidBodies, RigidityError
-from openmm_sier.dynamics.backend.formulas import angular_velocity
+from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
+from openmm_sier.dynamics.operators import drift
 from openmm_sier.dynamics.species import FIT_TOLERANCE, Species
 from tests.support.molecules import GEOMETRIES, WATER, ensemble, scattered, species, thermal_state
 from tests.support.oracles import matmul, orthogonality_error, random_attitudes
@@ -109,7 +111,7 @@ def test_sites_follow_the_definition(rng, bodies):
     """r = q + A^T r~, and v = p/m + omega x (r - q), one atom at a time."""
     state = random_state(rng, bodies)
     x, v = atoms_of(bodies, state)
-    omega = angular_velocity(state.A, state.L, bodies.inverse_moments)
+    omega = np.einsum("abn,an,acn,cn->bn", state.A, bodies.inverse_moments, state.A, state.L)
     sites = np.concatenate([np.repeat(s.sites[None], len(s.atoms), axis=0).reshape(-1) for s in bodies.species])
     offset = 0
     for i, atoms, masses in each_body(bodies):
@@ -349,7 +351,26 @@ def test_bodies_print_what_they_are():
     ) == ("<RigidBodies: 3 rigid of 3 atoms (2 kinds), 2 points, 1 constraint between points>")
 
 
+@pytest.mark.parametrize(
+    ("vector", "message"),
+    [("force", "the force on .* is not finite"), ("q", "the position of .* is not finite"), ("A", "the position of")],
+)
+def test_vectors_that_are_not_finite_are_named(rng, bodies, vector, message):
+    """An attitude can overflow where the centres do not."""
+    state, forces = random_state(rng, bodies), rng.normal(size=(bodies.n_particles, 3))
+    if vector == "force":
+        forces[bodies.atoms_of(7)[0], 1] = np.nan
+    else:
+        getattr(state, vector)[..., 2, 7] = np.inf
+    convert = bodies.forces_and_torques if vector == "force" else partial(bodies.place, state.q)
+    arguments = (forces, state.A) if vector == "force" else (state.A, forces)
+    with pytest.raises(NotFiniteError, match=message) as error:
+        convert(*arguments)
+    assert error.value.body == 7
+
+
 def test_no_bodies_at_all():
+    """As where all particles are fixed."""
     nothing = RigidBodies([], 4)
     assert str(nothing) == "<RigidBodies: none>"
     assert nothing.n == 0
@@ -357,6 +378,11 @@ def test_no_bodies_at_all():
     q, A = nothing.fit(np.zeros((4, 3)))
     assert q.shape == (3, 0)
     assert A.shape == (3, 3, 0)
+    vectors = np.ones((4, 3))
+    p, L = nothing.momenta(vectors, A)
+    state = drift(nothing)(BodyState(q, p, A, L), 0.001)
+    assert np.array_equal(nothing.place(state.q, state.A, vectors.copy()), vectors)
+    assert np.array_equal(nothing.move(state, vectors.copy()), vectors)
 
 
 @pytest.mark.parametrize("factors", [(1.2, 1.0, 1.0), (1.0, 1.0, 1.0 + 3e-6)])

@@ -10,6 +10,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import (
+    DisplacedForces,
     constrained_bath,
     constrained_operators,
     equal_steps,
@@ -63,6 +64,30 @@ def points_of(system, **options):
 
 def slope(errors):
     return np.log2(errors[0] / errors[1])
+
+
+# --- gradient kicks ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [lambda: rotor(2), lambda: rotor(4), ring, cage])
+def test_forces_of_a_gradient_kick_exert_the_torque_of_the_displaced_ones(rng, make):
+    """They are the displaced forces without their part along the bonds, and a rotation of the molecule."""
+    system = make()
+    constraints, state = system.constraints(), system.start(rng)
+    q = constraints.displaced(state.q, state.p, 0.01)
+    F = 1000 * rng.normal(size=q.shape)
+    found = DisplacedForces(constraints, None)(state.q, q, F)
+    expected = np.cross(q, F, axis=0).sum(axis=1)
+    # Sums over some ten atoms; the rotation is that of the inverse moments of inertia, whose condition is below 10.
+    error = 1e-13 * np.abs(F).max()
+    assert np.abs(found.sum(axis=1) - F.sum(axis=1)).max() < error
+    assert np.abs(np.cross(state.q, found, axis=0).sum(axis=1) - expected).max() < error
+    added = found - constraints.project(q, F)
+    assert np.abs(added).max() > 1e-3 * np.abs(F).max()
+    rates = added / system.masses
+    apart = state.q[:, :, None] - state.q[:, None, :]
+    # A rigid rotation changes no distance.
+    assert np.abs((apart * (rates[:, :, None] - rates[:, None, :])).sum(axis=0)).max() < 1e-13 * np.abs(rates).max()
 
 
 # --- order ------------------------------------------------------------------------------------------------------------

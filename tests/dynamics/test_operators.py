@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from openmm_sier import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G
-from openmm_sier.dynamics.operators import CachedForces, drift, stepper
+from openmm_sier import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G, BodyState
+from openmm_sier.dynamics.operators import CachedForces, drift, kick, stepper
 from tests.support.convergence import operators_of, run, slope
 from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.support.oracles import orthogonality_error
@@ -154,6 +154,25 @@ def test_steps_leave_the_state_they_start_from(rng, mixture):
         assert np.array_equal(array, copy)
     assert after.q is not state.q
     assert not np.shares_memory(after.A, state.A)
+
+
+def test_wrong_shapes_are_refused(rng, mixture):
+    """Before anything is computed with them."""
+    state, n = mixture.start(rng), mixture.bodies.n
+    fewer = BodyState(state.q[:, :1], state.p[:, :1], state.A[:, :, :1], state.L[:, :1])
+    with pytest.raises(ValueError, match=rf"q of shape \(3, {n}\), got \(3, 1\)"):
+        drift(mixture.bodies)(fewer, 0.001)
+    short = CachedForces(lambda q, A: (q[:, :1], q))
+    with pytest.raises(ValueError, match=rf"\(3, {n}\) of the positions, got \(3, 1\) and \(3, {n}\)"):
+        kick(short)(state, 0.001)
+
+
+@pytest.mark.parametrize(("vector", "message"), [("L", "angular momentum of body 1 "), ("A", "attitude of body 1 ")])
+def test_bodies_that_are_not_finite_do_not_drift(rng, waters, vector, message):
+    state = waters.start(rng)
+    getattr(state, vector)[..., 0, 1] = np.nan
+    with pytest.raises(ValueError, match=message):
+        drift(waters.bodies)(state, 0.001)
 
 
 def test_drift_takes_any_rotation(rng, mixture):

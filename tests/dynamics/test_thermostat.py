@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.dynamics.vectors import body_frame
 from tests.support import molecules
 
 TEMPERATURE = 297.0

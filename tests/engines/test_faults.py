@@ -19,8 +19,7 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from tests.support.faults import Fault, lines_run
 from tests.support.matrices import thorough
@@ -123,8 +122,7 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda team: shared.append(team) or pool(team))
     monkeypatch.setattr(threads, "count", lambda: 3)
     monkeypatch.setattr(threads, "SHARE", 1)
-    with backend.using(backend.NumbaBackend()):
-        test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
+    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
     assert set(shared) == {3}
 
 

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState, RigidBodies
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.species import Species
+from openmm_sier.dynamics.vectors import body_frame
 from tests.support.oracles import random_attitudes, skew
 
 TETRAHEDRON = 0.0629 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])

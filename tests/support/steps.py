@@ -1,12 +1,20 @@
-"""Steps of bodies of every kind, for the tests of backends and threads."""
+"""Steps of bodies of every kind, for the tests of kernels and threads."""
 
 from dataclasses import replace
 
 from openmm_sier.dynamics import operators
+from tests.support import molecules
+
+
+def every_kind(rng, each=40):
+    """Several bodies of every kind, their atoms out of order among free particles, and forces on all of these."""
+    bodies = molecules.scattered(molecules.GEOMETRIES, each)
+    state = molecules.thermal_state(rng, bodies, rng.normal(size=(3, bodies.n)))
+    return bodies, state, 1000 * rng.normal(size=(bodies.n_particles, 3))
 
 
 def with_a_fast_body(bodies, state):
-    """The state with a body at rest and one that spins too fast for the series: the loops leave both to NumPy."""
+    """The state with a body at rest and one that spins too fast for the series."""
     L, slow = state.L.copy(), bodies.parts[1].start
     L[:, slow], L[:, slow + 1] = 0.0, 100 * L[:, slow + 1]
     return replace(state, L=L)

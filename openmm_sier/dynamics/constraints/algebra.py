@@ -22,10 +22,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.backend import constraint_solver
-from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable
+from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints.graph import independent, joined
+from openmm_sier.dynamics.constraints.table import ConstraintTable
 
 #: How many atoms of a large component a message names.
 NAMED = 8
@@ -81,7 +80,7 @@ class Constraints:
 
     @cached_property
     def _table(self) -> ConstraintTable:
-        """Return the constraints as backends take them."""
+        """Return the constraints as kernels take them."""
         from scipy import sparse
 
         pairs, masses = np.searchsorted(self.members, self.pairs), self.masses[self.members]
@@ -153,7 +152,7 @@ class Constraints:
         q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
         new_p = p.copy()
         if len(self.pairs):
-            backend.active().execute(constraint_solver.project, self._table, q, p, new_p)
+            kernels.constraints.project(self._table, q, p, new_p)
         return new_p
 
     def displaced(self, q: np.ndarray, force: np.ndarray, shift: float) -> np.ndarray:
@@ -165,7 +164,7 @@ class Constraints:
         q, push = np.ascontiguousarray(q), shift * np.ascontiguousarray(force)
         new_q = q + push / self.masses
         if len(self.pairs):
-            self._solve(constraint_solver.displace, q, push, new_q)
+            self._refuse(kernels.constraints.displace(self._table, q, push, new_q))
         return new_q
 
     def satisfied(self, q: np.ndarray) -> np.ndarray:
@@ -176,7 +175,9 @@ class Constraints:
         """
         return self.displaced(q, np.zeros_like(q), 0.0)
 
-    def drift(self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] = (1.0,)) -> backend.Pair:
+    def drift(
+        self, q: np.ndarray, p: np.ndarray, t: float, fractions: Sequence[float] = (1.0,)
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Move bodies freely for the time t: along straight lines, and along geodesics if constrained.
 
         Args:
@@ -194,12 +195,11 @@ class Constraints:
         new_q, new_p = q + (t / self.masses) * p, p.copy()
         if t != 0 and len(self.pairs):
             times = t * np.asarray(fractions, dtype=float)
-            self._solve(constraint_solver.drift, q, p, times, new_q, new_p)
+            self._refuse(kernels.constraints.drift(self._table, q, p, times, new_q, new_p))
         return new_q, new_p
 
-    def _solve(self, function: Callable[..., int], *arrays: np.ndarray) -> None:
-        """Execute a function of the solver that writes its result into the last arrays."""
-        failed = backend.active().execute(function, self._table, *arrays)
+    def _refuse(self, failed: int) -> None:
+        """Raise the error of a constraint that has no solution; -1 is none."""
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.constraint_solver import ConstraintTable, differences, linear_equations, relative
+from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.constraints.table import ConstraintTable
 
 #: A pivot below this is that of a redundant constraint, with a diagonal of ones to which this shift is added.
 PIVOT, SHIFT = 1e-9, 1e-12
@@ -31,7 +32,7 @@ def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
-    elements, _ = linear_equations(table, differences(table.ends, relative(table, q)))
+    elements = kernels.constraints.equations(table, np.ascontiguousarray(q))
     c = len(table.squares)
     matrix = sparse.csc_array((elements, (table.rows, table.columns)), (c, c)) + SHIFT * sparse.eye_array(c)
     factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

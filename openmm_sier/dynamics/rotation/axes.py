@@ -107,5 +107,13 @@ def checked(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tupl
     if axes.rates.ndim == 2 and axes.rates.shape[1] != A.shape[2]:
         raise ValueError(f"moments are given for {axes.rates.shape[1]} bodies, but A and L for {A.shape[2]}")
     if not np.isfinite(L).all():
-        raise ValueError(f"the angular momentum of body {np.isfinite(L).all(axis=0).argmin()} is not finite")
+        raise not_finite(A, L)
     return axes, A, L, h
+
+
+def not_finite(A: np.ndarray, L: np.ndarray) -> ValueError:
+    """Return an error that names the first body whose angular momentum, or attitude, is not finite."""
+    finite, quantity = np.isfinite(L).all(axis=0), "angular momentum"
+    if finite.all():
+        finite, quantity = np.isfinite(A).all(axis=(0, 1)), "attitude"
+    return ValueError(f"the {quantity} of body {finite.argmin()} is not finite")

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from openmm_sier.dynamics import backend
-from openmm_sier.dynamics.rotation.axes import checked
+from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.rotation.axes import checked, not_finite
 
 
 def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -22,7 +22,7 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     Raises:
         ValueError: shapes do not fit, moments are impossible, or a value is not finite.
 
-    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.backend.short_steps`.
+    Source: van Zon and Schofield (2007), Eqs. 5 (U1) and 9 (Pmatrix); see `openmm_sier.dynamics.kernels.short_steps`.
 
     A quarter turn about the third axis, and back:
 
@@ -36,5 +36,12 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     True
     """
     axes, A, L, h = checked(A, L, moments, h)
-    kind = backend.Kinds(axes.rates[None], (0, A.shape[2]))
-    return axes.unsort(backend.active().rotate(kind, axes.sort(A), L, h)), L.copy()
+    rows = axes.sort(A)
+    new, n = np.empty(A.shape), A.shape[2]
+    if axes.rates.ndim == 2:
+        broken = kernels.bodies.rotate_each(n, rows, L, h, axes.rates, new)
+    else:
+        broken = kernels.bodies.rotate(n, rows, L, h, np.array([0, n]), axes.rates[None], new)
+    if broken:
+        raise not_finite(A, L)
+    return axes.unsort(new), L.copy()

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame
 from openmm_sier.dynamics.rotation.axes import checked
 from openmm_sier.dynamics.rotation.exact import exact
+from openmm_sier.dynamics.vectors import body_frame
 
 #: The factors, as principal axis (0 has the smallest moment, 2 the largest) and fraction of the step.
 FACTORS = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame, rotation_matrix, turned
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.rotation.axes import checked
+from openmm_sier.dynamics.vectors import body_frame, rotation_matrix, turned
 
 #: Largest number of iterations, and the change, relative to the largest component, below which they have converged.
 #: Each iteration multiplies the error by about half the angle of the step, which is below 0.1 for water at 2 fs.

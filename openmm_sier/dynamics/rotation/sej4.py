@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.formulas import body_frame, combine, cross, rotation_matrix, turned
 from openmm_sier.dynamics.rotation.axes import checked
 from openmm_sier.dynamics.rotation.exact import exact
+from openmm_sier.dynamics.vectors import body_frame, combine, cross, rotation_matrix, turned
 
 #: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6

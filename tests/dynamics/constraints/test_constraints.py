@@ -1,4 +1,4 @@
-"""Distance constraints: projections, moves on the manifold and geodesics, by NumPy and by Numba."""
+"""Distance constraints: projections, moves on the manifold and geodesics."""
 
 from functools import cache
 
@@ -25,7 +25,7 @@ def squares(system, q):
 
 
 @pytest.fixture
-def mixed(executed_by):
+def mixed():
     """Molecules of every kind, their constraints, and positions (3, n) on these."""
     system = mixture()
     constraints = system.constraints()
@@ -64,7 +64,7 @@ def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(mixed, 
     assert np.abs(left).max() < 1e-13
 
 
-def test_positions_are_put_onto_the_constraints(rng, executed_by):
+def test_positions_are_put_onto_the_constraints(rng):
     """OpenMM's constraint tolerance leaves a relative 1e-5; a hundred times as much is mended as well."""
     system = mixture()
     constraints = system.constraints()
@@ -98,7 +98,7 @@ def free_flight(make, time):
 
 @pytest.mark.parametrize("make", [methyl, ring, cage])
 @pytest.mark.parametrize(("composition", "order"), [((1.0,), 2), (SUZUKI, 4), (TRIPLE_JUMP, 4), (KAHAN_LI, 6)])
-def test_geodesics_have_the_order_of_their_composition(make, composition, order, executed_by):
+def test_geodesics_have_the_order_of_their_composition(make, composition, order):
     """Against the equations of motion with multipliers, integrated by DOP853."""
     # Turns of half a radian, so that sixth order shows above the oracle's 1e-12.
     time = 0.03
@@ -112,7 +112,7 @@ def test_geodesics_have_the_order_of_their_composition(make, composition, order,
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
-def test_geodesics_conserve_and_reverse(rng, executed_by):
+def test_geodesics_conserve_and_reverse(rng):
     system = mixture()
     constraints = system.constraints()
     q0 = constraints.satisfied(system.x)
@@ -136,7 +136,7 @@ def test_geodesics_conserve_and_reverse(rng, executed_by):
     assert np.abs(q - q0).max() < 1e-11
 
 
-def test_geodesics_are_symplectic(rng, executed_by):
+def test_geodesics_are_symplectic(rng):
     """The canonical form on tangent vectors of the constrained phase space, by differences of fourth order."""
     system = rotor(2)
     constraints = system.constraints()
@@ -245,7 +245,7 @@ def test_constraints_that_make_no_sense_are_refused(pairs, lengths, message):
         Constraints(pairs, lengths, np.ones(3), describe)
 
 
-def test_contradictory_lengths_raise(executed_by):
+def test_contradictory_lengths_raise():
     """A triangle that does not close, and a tenth distance that the nine others forbid."""
     triangle = Constraints([(0, 1), (1, 2), (0, 2)], [0.1, 0.1, 0.3], [1.0, 2.0, 3.0], describe)
     x = np.array([[0, 0, 0], [0.1, 0.01, 0], [0.25, 0, 0.02]]).T
@@ -261,7 +261,7 @@ def test_contradictory_lengths_raise(executed_by):
 
 @pytest.mark.parametrize("factor", [40.0, 1e4, 1e200, np.nan])
 @pytest.mark.parametrize("make", [methyl, ring])
-def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, executed_by):
+def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor):
     """Of two molecules the second explodes; it is named, nothing is NaN and nothing hangs."""
     system = many(make(), make())
     constraints = Constraints(system.pairs, system.lengths, system.masses, describe)
@@ -278,7 +278,7 @@ def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor, executed_b
 # --- subsets ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_subset_has_numbers_of_its_own(rng, executed_by):
+def test_a_subset_has_numbers_of_its_own(rng):
     system = mixture()
     constraints = Constraints(system.pairs, system.lengths, system.masses, describe)
     members = constraints.members

@@ -1,19 +1,19 @@
-"""Elliptic functions and integrals of the free top, elementwise, and the quadratures that go with their series."""
+"""Elliptic functions and integrals of the free top, and the quadrature that goes with their series."""
 
 import math
 
 import numpy as np
 
+from openmm_sier.dynamics.kernels.compilation import called, inlined
+
 #: Largest max(p, q) t^2 at which the series of `sn_increment` is exact to rounding. The first omitted term is largest
 #: where p = q (a hyperbolic tangent), 0.0015 (p t^2)^7 of the result, here 1.5e-17.
 SERIES_LIMIT = 0.01
 
-#: The same for its first four coefficients; the omitted terms are at most 0.0089 (p t^2)^5, here 2.7e-17.
-SHORT_SERIES_LIMIT = 0.00125
 
-
-def short_sn_coefficients(p, q):
-    """Return coefficients of t^3, t^5, t^7 and t^9 in the odd function S with S'^2 = (1 - p S^2)(1 - q S^2), S'(0) = 1.
+@inlined
+def sn_coefficients(p, q):
+    """Return coefficients of t^3, t^5, ..., t^13 in the odd function S with S'^2 = (1 - p S^2)(1 - q S^2), S'(0) = 1.
 
     S(t) = sn(sqrt(p) t | q/p) / sqrt(p) is symmetric in p and q, so that its coefficients are polynomials in
     their sum and product; they follow from S'' = -(p + q) S + 2 p q S^3.
@@ -26,27 +26,19 @@ def short_sn_coefficients(p, q):
         (s2 + 12 * r) * (1 / 120),
         s * (s2 + 132 * r) * (-1 / 5040),
         (s2 * (s2 + 1224 * r) + 3024 * r * r) * (1 / 362880),
+        s * (s2 + 12 * r) * (s2 + 11052 * r) * (-1 / 39916800),
+        (s2 * (s2 * (s2 + 99636 * r) + 4095792 * r * r) + 4390848 * r * r * r) * (1 / 6227020800),
     )
 
 
-def sn_coefficients(p, q):
-    """Return coefficients of t^3, t^5, ..., t^13, see `short_sn_coefficients`."""
-    s = p + q
-    r = p * q
-    s2 = s * s
-    c3, c5, c7, c9 = short_sn_coefficients(p, q)
-    c11 = s * (s2 + 12 * r) * (s2 + 11052 * r) * (-1 / 39916800)
-    c13 = (s2 * (s2 * (s2 + 99636 * r) + 4095792 * r * r) + 4390848 * r * r * r) * (1 / 6227020800)
-    return c3, c5, c7, c9, c11, c13
-
-
+@inlined
 def sn_increment(coefficients, p, q, t):
     """Return S(t), S^2, C = sqrt(1 - p S^2) and D = sqrt(1 - q S^2).
 
     Args:
-        coefficients: those of t^3, t^5, ...
+        coefficients: of `sn_coefficients`.
         p, q: nonnegative squared rates.
-        t: time, with max(p, q) t^2 at most `SERIES_LIMIT`, `SHORT_SERIES_LIMIT` with four coefficients.
+        t: time, with max(p, q) t^2 at most `SERIES_LIMIT`.
     """
     u = t * t
     total = coefficients[-1]
@@ -69,39 +61,24 @@ TIMES = (
 )
 WEIGHTS = (1 / 21, (124 + 7 * math.sqrt(15)) / 350, (124 - 7 * math.sqrt(15)) / 350)
 
-#: The same for the shorter series.
-SHORT = 4 * SHORT_SERIES_LIMIT
-SHORT_TIMES, SHORT_WEIGHTS = (0.5, 0.5 * math.sqrt(3 / 7)), (0.1, 49 / 90)
 
-
-def long_series(p, q):
-    """Return coefficients of S, and the quadrature, for all steps that a series reaches."""
-    return sn_coefficients(p, q), TIMES, WEIGHTS
-
-
-def shortest_series(p, q):
-    """Return the same for arrays of p and q, as short as all of them allow."""
-    if max(p.max(), q.max()) <= SHORT:
-        return short_sn_coefficients(p, q), SHORT_TIMES, SHORT_WEIGHTS
-    return long_series(p, q)
-
-
+@called
 def complete_integrals(kc, nu):
     """Return the complete elliptic integrals that fix the period of a free top and its turn in one period.
 
     Both come from one arithmetic-geometric mean (DLMF 19.8.5 and 19.8.7, valid for every nu > 0).
 
     Args:
-        kc: complementary modulus in (0, 1], an array.
-        nu: one minus the characteristic of the third-kind integral, positive, an array.
+        kc: complementary modulus in (0, 1].
+        nu: one minus the characteristic of the third-kind integral, positive.
 
     Returns:
         (K, Q): K is the complete integral of the first kind, and the mean over a quarter period of
         1/(cn^2 + nu sn^2) is 1 - (nu - 1)/(2 nu) Q.
     """
-    a, g, p = np.ones_like(kc), kc, np.sqrt(nu)
-    term = np.ones_like(kc)
-    total = np.ones_like(kc)
+    a, g, p = 1.0, kc, math.sqrt(nu)
+    term = 1.0
+    total = 1.0
     # Quadratic convergence: a modulus of 1e-154 (its square is the smallest double) takes 15 passes.
     for _ in range(24):
         ag = a * g
@@ -109,5 +86,5 @@ def complete_integrals(kc, nu):
         p = (p * p + ag) / (2 * p)
         term = 0.5 * term * ratio
         total = total + term
-        a, g = 0.5 * (a + g), np.sqrt(ag)
+        a, g = 0.5 * (a + g), math.sqrt(ag)
     return (math.pi / 2) / a, total

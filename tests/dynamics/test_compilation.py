@@ -1,14 +1,13 @@
-"""Compilation of functions with all that they call, and the code that is kept on disk."""
+"""Compilation of kernels, and the code that is kept on disk."""
 
 import os
 import sys
 
+import numba
 import pytest
 
-from openmm_sier.dynamics.backend import numba_compile
+from openmm_sier.dynamics.kernels import compilation
 from tests.support.subprocesses import run_python
-
-numba = pytest.importorskip("numba")
 
 #: Rotates a body and moves constrained points by Numba, and prints their positions.
 MOVED = """
@@ -33,7 +32,7 @@ def doubled(x):
 
 
 def doubling():
-    return numba_compile.with_cache(doubled)
+    return compilation.kernel(doubled)
 
 
 def test_code_is_kept_on_disk(folder):
@@ -72,7 +71,7 @@ def test_where_numba_finds_no_place_every_process_compiles():
     made = {}
     exec("def tripled(x):\n    return 3 * x", made)
     with pytest.warns(UserWarning, match=r"cannot be kept on disk .*no locator available.*NUMBA_CACHE_DIR"):
-        function = numba_compile.with_cache(made["tripled"])
+        function = compilation.kernel(made["tripled"])
     assert function(2) == 6
 
 
@@ -92,7 +91,7 @@ def test_another_process_finds_the_code_on_disk(tmp_path):
     """Names on disk tell of the code alone, not of the process or its hashes; and it does what it did."""
     found = []
     for seed in ("1", "2"):
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONHASHSEED": seed, "OPENMM_SIER_NUMBA": "1"}
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONHASHSEED": seed}
         printed = run_python(MOVED, environment=environment)
         found.append((printed, {(path.name, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.nb*")}))
     # The rotation, the projection and the drift, with an index each.

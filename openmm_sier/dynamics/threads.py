@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 
 #: Least number of bodies for a thread, since starting one takes as long as some ten thousand bodies in a light loop.
@@ -31,6 +31,7 @@ def shared(loop: Callable[..., int]) -> Callable[..., int]:
     wait for threads that it does not have.
     """
 
+    @wraps(loop)
     def run(n: int, *arguments: Any) -> int:
         if n < 2 * SHARE or (team := min(count(), n // SHARE)) < 2:
             return loop(0, n, *arguments)

@@ -7,12 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from openmm_sier.dynamics import operators, rotation
-from openmm_sier.dynamics.backend import threads
+from openmm_sier.dynamics import operators, rotation, threads
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support import molecules
-from tests.support.steps import with_a_fast_body
+from tests.support.steps import every_kind, with_a_fast_body
 
 
 @pytest.fixture
@@ -22,8 +21,8 @@ def three_threads(monkeypatch):
     monkeypatch.setattr(threads, "SHARE", 3)
 
 
-def test_threads_give_the_same_bits(request, mixture):
-    bodies, state, forces = mixture
+def test_threads_give_the_same_bits(request, rng):
+    bodies, state, forces = every_kind(rng)
     state, flow = with_a_fast_body(bodies, state), operators.drift(bodies)
 
     def bathed():

@@ -13,7 +13,6 @@ of L~ in the middle of the step, R1 is the smallest rotation between two directi
 So nothing is singular before L~ has turned by half a circle within one step, the axes never have to be exchanged, and
 as a quaternion P is rational in u, m, v and the sine and cosine of theta/2: orthogonal to rounding.
 
-All functions take scalars or arrays: NumPy executes them on arrays of bodies, Numba compiles them for one (`exact`).
 tests/support/oracles.py has the paper's own form, which agrees.
 """
 
@@ -21,8 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.backend.elliptic import LONGEST, sn_increment
-from openmm_sier.dynamics.backend.formulas import plus
+from openmm_sier.dynamics.kernels.compilation import called, inlined
+from openmm_sier.dynamics.kernels.elliptic import LONGEST, TIMES, WEIGHTS, sn_coefficients, sn_increment
+from openmm_sier.dynamics.kernels.formulas import plus
 
 #: Squares of angular momenta outside this range are left to `long_steps`, which rescales them.
 LEAST_SQUARE, LARGEST_SQUARE = 1e-240, 1e240
@@ -60,13 +60,13 @@ class MiddleTerms(NamedTuple):
     product: Any
 
 
-def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
+@inlined
+def free_rotation(body_L, rates, h, sine_cosine, largest_angle):
     """Return P(h) as a quaternion, the even and odd parts of v about the middle, and whether the series suffice.
 
     Args:
         body_L: L~, three components in the frame where the rates a >= b >= c, the inverse moments, descend.
         rates, h: these rates, and the time.
-        series: the series of S and the quadrature for p and q, from `elliptic`.
         sine_cosine, largest_angle: sine and cosine of an angle, and the largest one that it takes.
     """
     x, y, z = body_L
@@ -77,9 +77,9 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     k = norm * h
     motion = euler_rates(rates, u, k)
     p, q = motion.p, motion.q
-    coefficients, times, weights = series(p, q)
+    coefficients = sn_coefficients(p, q)
 
-    end = sn_increment(coefficients, p, q, times[0])
+    end = sn_increment(coefficients, p, q, TIMES[0])
     even, odd = euler_solution(motion, u, end)
     m = plus(even, odd)
     even, odd = euler_solution(motion, m, end)
@@ -87,9 +87,9 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     # Eq. 10 (integral). The paper sums derivatives at the ends, to order 2n (Eq. 11 (psiapprox)); the Gauss-Lobatto sum
     # of values here has converged to rounding. Either is even in time.
     middle = middle_terms(rates, motion, m)
-    rate = middle.energy + weights[0] * rate_excess(middle, end)
-    for node in range(1, len(times)):
-        rate += weights[node] * rate_excess(middle, sn_increment(coefficients, p, q, times[node]))
+    rate = middle.energy + WEIGHTS[0] * rate_excess(middle, end)
+    for node in range(1, len(TIMES)):
+        rate += WEIGHTS[node] * rate_excess(middle, sn_increment(coefficients, p, q, TIMES[node]))
     half_theta = 0.5 * k * rate
 
     sine, cosine = sine_cosine(half_theta)
@@ -98,6 +98,7 @@ def free_rotation(body_L, rates, h, series, sine_cosine, largest_angle):
     return propagator(m, even, odd, sine, cosine), (even, odd), reached
 
 
+@called
 def euler_rates(rates, u, k):
     """Return the rates for a direction u of L~, with k = |L| h and time in steps; p and q sum terms of one sign."""
     a, b, c = rates
@@ -109,6 +110,7 @@ def euler_rates(rates, u, k):
     return EulerRates(alpha, beta, gamma, p, q)
 
 
+@called
 def euler_solution(motion, u, increments):
     """Return the even and odd parts in t of the direction of L~ a time t later, at right angles to each other.
 
@@ -128,6 +130,7 @@ def euler_solution(motion, u, increments):
     return even, odd
 
 
+@called
 def middle_terms(rates, motion, m):
     """Return the terms for the direction m of L~ in the middle of the step."""
     a, b, c = rates
@@ -140,6 +143,7 @@ def middle_terms(rates, motion, m):
     return MiddleTerms(energy, (X, Y, Z), excess, (alpha, gamma), odd_excess, (alpha * gamma) * Y, X * (Y * Z))
 
 
+@called
 def rate_excess(middle, increments):
     """Return the mean over the times +-t of g/|L| - e, e = 2E/L^2.
 
@@ -171,6 +175,7 @@ def rate_excess(middle, increments):
     )
 
 
+@called
 def propagator(m, even, odd, sine, cosine):
     """Return the quaternion of R1(m -> v) R2(m, -theta) R1(u -> m), Eq. 9, with u = even - odd and v = even + odd.
 

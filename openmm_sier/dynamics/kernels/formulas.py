@@ -1,11 +1,7 @@
-"""The algebra of vectors, rotations and quaternions, elementwise.
+"""Formulas for one body, to be inlined into kernels."""
 
-Every function takes and returns scalars or arrays, component by component, and has no branches. NumPy executes them on
-arrays of bodies; Numba compiles the very same functions for one body. Vectors are tuples of their components,
-rotations are quaternions (w, i, j, k) of any norm.
-"""
-
-import numpy as np
+from openmm_sier.dynamics import vectors
+from openmm_sier.dynamics.kernels.compilation import inlined
 
 #: Largest angle of `small_sine_cosine`, up to which its truncation error is below 2e-17.
 SMALL_ANGLE = 0.75
@@ -13,41 +9,13 @@ SMALL_ANGLE = 0.75
 #: A determinant of moments of inertia below this share of the cube of half their sum is that of points on a line.
 LINE = 1e-8
 
-
-def plus(a, b):
-    """Return the sum of two vectors."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def combine(weights, x, y, z):
-    """Return the sum of x, y and z with weights."""
-    return weights[0] * x + weights[1] * y + weights[2] * z
+plus = inlined(vectors.plus)
+combine = inlined(vectors.combine)
+cross = inlined(vectors.cross)
+rotation_matrix = inlined(vectors.rotation_matrix)
 
 
-def cross(a, b):
-    """Return the vector product.
-
-    >>> cross((1, 0, 0), (0, 1, 0))
-    (0, 0, 1)
-    """
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def body_frame(A, L):
-    """Return L~ = A L in the principal frame, of arrays A (3, 3, n) and L (3, n)."""
-    return combine(L, A[:, 0], A[:, 1], A[:, 2])
-
-
-def angular_velocity(A, L, inverse_moments):
-    """Return angular velocities in the lab frame, (3, n); zero about the axis of a line and for a point."""
-    return combine(body_frame(A, L) * inverse_moments, A[0], A[1], A[2])
-
-
-def turned(rows, A):
-    """Return attitudes A (3, 3, n) after rotations in the body frames, given by rows; a new array."""
-    return np.stack([combine(row, *A) for row in rows])
-
-
+@inlined
 def small_sine_cosine(x):
     """Return sine and cosine of an angle up to `SMALL_ANGLE`, from their series at half of it."""
     y = 0.5 * x
@@ -59,26 +27,9 @@ def small_sine_cosine(x):
     return 2 * s * c, 1 - 2 * s * s
 
 
-def rotation_matrix(w, i, j, k):
-    """Return rows of the matrix of a quaternion.
-
-    >>> rotation_matrix(1.0, 0.0, 0.0, 1.0)[0]
-    (0.0, -1.0, 0.0)
-    """
-    f = 2 / (w * w + i * i + j * j + k * k)
-    fi, fj, fk = f * i, f * j, f * k
-    ij, ik, jk = fi * j, fi * k, fj * k
-    ii, jj, kk = fi * i, fj * j, fk * k
-    wi, wj, wk = fi * w, fj * w, fk * w
-    return (
-        (1 - (jj + kk), ij - wk, ik + wj),
-        (ij + wk, 1 - (ii + kk), jk - wi),
-        (ik - wj, jk + wi, 1 - (ii + jj)),
-    )
-
-
+@inlined
 def displacing_rotation(x, y, z, torque, inverses, shift):
-    """Return rows of the rotation by `shift` times the angular accelerations of bodies, in the body frame.
+    """Return rows of the rotation by `shift` times the angular acceleration of a body, in the body frame.
 
     The Cayley form differs from the rotation by a third of the cube of the angle.
 
@@ -95,6 +46,7 @@ def displacing_rotation(x, y, z, torque, inverses, shift):
     return rotation_matrix(1.0, i, j, k)
 
 
+@inlined
 def spin(moments, torque):
     """Return the angular acceleration of points as one body times a determinant, by Cramer's rule, and that.
 

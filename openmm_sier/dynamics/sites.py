@@ -1,16 +1,9 @@
-"""Tell which atoms make up bodies, and where in the bodies they are.
+"""Which atoms make up bodies, and where in the bodies they are."""
 
-Bodies have centres q, momenta p and angular momenta L, (3, n), and attitudes A, (3, 3, n). With small sets of bodies
-the number of calls determines the cost, so that sites are handled one by one, and all bodies at once.
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-
-from openmm_sier.dynamics.backend.formulas import combine
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,20 +20,9 @@ class AlikeSites:
     atoms: np.ndarray
     places: np.ndarray
 
-    @cached_property
-    def _columns(self) -> list[slice | np.ndarray]:
-        """Return for each site the index of its atoms in arrays of particles: a slice where the spacing is even."""
-        return [as_slice(column) for column in self.atoms.T]
-
-    def arms(self, A: np.ndarray) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """Return for each site the index of its atoms, and their places relative to the centres, (3, m)."""
-        x, y, z = A[:, :, self.part]
-        for column, place in zip(self._columns, self.places.T, strict=True):
-            yield column, combine(place, x, y, z)
-
 
 class Sites:
-    """The atoms of all bodies, set by set for NumPy, and in tables for compiled loops over all sets.
+    """The atoms of all bodies, in tables for kernels.
 
     Attributes:
         alike: sets of bodies, one after the other.
@@ -68,17 +50,3 @@ class Sites:
             wanted = np.isin(each.atoms, atoms).any(axis=0)
             found.append(replace(each, atoms=each.atoms[:, wanted], places=each.places[:, wanted]))
         return Sites(found)
-
-    def by_set(self, values: np.ndarray) -> list[np.ndarray]:
-        """Divide values, one for each of `places`."""
-        return [values[first : first + size] for _, _, size, first, _ in self.sets.tolist()]
-
-
-def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Return indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
-    if indices.size == 1:
-        return slice(int(indices[0]), int(indices[0]) + 1)
-    step = int(indices[1] - indices[0]) if indices.size else 0
-    if step > 0 and np.all(np.diff(indices) == step):
-        return slice(int(indices[0]), int(indices[-1]) + 1, step)
-    return indices
