@@ -97,3 +97,27 @@ def test_another_process_finds_the_code_on_disk(tmp_path):
     # The rotation, the projection and the drift, with an index each.
     assert len(found[0][1]) == 6
     assert found[1] == found[0]
+
+
+class ElapsedTimer:
+    """A timer whose time is over at once."""
+
+    def __init__(self, _, function):
+        self.start, self.cancel = function, lambda: None
+
+
+def test_a_long_compilation_is_announced_once(folder, monkeypatch, caplog):
+    monkeypatch.setattr(compilation, "Timer", ElapsedTimer)
+    compilation._announce.cache_clear()
+    for _ in range(2):
+        function = doubling()
+        assert function(2) == 4
+        assert function(3) == 6
+    (message,) = caplog.messages
+    assert message.startswith("Compiling the motion of bodies for this processor")
+    assert str(folder) in message
+
+
+def test_without_compilation_a_kernel_is_the_function_itself(monkeypatch):
+    monkeypatch.setattr(compilation.config, "DISABLE_JIT", 1)
+    assert doubling() is doubled

@@ -38,9 +38,9 @@ def long_rotation(body_L, rates, h):
         rest, whole = whole_periods(rates, u, k)
     turned = about(u, whole)
 
-    pieces = max(math.ceil(min(phase * abs(rest) / math.sqrt(LONGEST), 1e18)), 1)
-    short = min(pieces, MOST_SUBSTEPS) / pieces
-    pieces = min(pieces, MOST_SUBSTEPS)
+    needed = max(np.ceil(phase * abs(rest) / math.sqrt(LONGEST)), 1.0)
+    short = min(needed, MOST_SUBSTEPS) / needed
+    pieces = int(min(needed, MOST_SUBSTEPS))
     k_piece = k * (rest * short) / pieces
     for _ in range(pieces):
         piece, parts, _ = free_rotation(u, rates, k_piece, sine_cosine, PHASE_CAP)
