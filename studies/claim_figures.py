@@ -85,6 +85,78 @@ def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     return {"least": water.min(), "most": water.max(), **solute}
 
 
+def _over_middle(record: Record, box: str, method: str) -> float:
+    return one(record.tables["speeds"], box=box, name=method)["over_middle"]
+
+
+def solutes_on_a_cpu(record: Record) -> Mapping[str, float]:
+    own, middle = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle, 5 fs"
+    gains = {box: _over_middle(record, box, own) for box in ("dhfr", "peptide")}
+    return gains | {"rival": max(_over_middle(record, box, middle) for box in gains)}
+
+
+def _on_a_gpu(record: Record, box: str, method: str) -> float:
+    return one(record.tables["speeds"], box=box, method=method)["over"]
+
+
+def solutes_on_a_gpu(record: Record) -> Mapping[str, float]:
+    """Of DHFR, and of eight copies of it."""
+    return {
+        "one": _on_a_gpu(record, "dhfr", OWN_BATH),
+        "eight": _on_a_gpu(record, "dhfr-8", OWN_BATH),
+        "rival": _on_a_gpu(record, "dhfr", "LangevinMiddle, 5 fs"),
+        "rival_eight": _on_a_gpu(record, "dhfr-8", "LangevinMiddle, 5 fs"),
+    }
+
+
+def water_on_a_cpu(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    own, middle = (
+        one(rows, box="tip3p-512", at="1 bar", method=method) for method in (OWN_BATH, "LangevinMiddle, 9 fs")
+    )
+    return {"own": own["over"], "middle": middle["over"]}
+
+
+def water_on_a_gpu(record: Record) -> Mapping[str, float]:
+    """Return the smaller gain of two boxes."""
+    gains = {"own": OWN_BATH, "middle": f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens"}
+    boxes = ("water-4096", "water-32768")
+    return {name: min(_on_a_gpu(record, box, method) for box in boxes) for name, method in gains.items()}
+
+
+def savings_of_trials(record: Record) -> Mapping[str, float]:
+    """Forces that an independent energy saves by usual trials, in per cent of those of LangevinMiddle at 4 fs."""
+    costs = costs_of_trials(record)
+    return {"least": 100 * (1 - costs["most"]), "most": 100 * (1 - costs["least"])}
+
+
+def savings_of_long_steps(record: Record) -> Mapping[str, float]:
+    """The same of LangevinMiddle at 9 fs, at constant volume and at constant pressure."""
+    savings = []
+    for at in ("constant volume", "1 bar"):
+        long, usual = (
+            one(record.tables["rows"], box="tip3p-512", at=at, method=f"LangevinMiddle, {step} fs") for step in (9, 4)
+        )
+        savings.append(100 * (1 - long["cost"] / usual["cost"]))
+    return {"least": min(savings), "most": max(savings)}
+
+
+def trials_on_a_gpu(record: Record) -> Mapping[str, float]:
+    return {
+        "water": _on_a_gpu(record, "water-4096", "SIER2V2 HMC, 9 fs x 8, 1/ps"),
+        "dhfr": _on_a_gpu(record, "dhfr", "SIER2V2 HMC, 8 fs x 4, 1/ps"),
+    }
+
+
+def energies_on_a_gpu(record: Record) -> Mapping[str, float]:
+    """Energy errors of Verlet at 1 fs over those of SIER4G at 4 fs, and over those on a prepared System."""
+    errors = record.tables["energies"].set_index(["box", "method"])["percent"]
+    boxes = {"water": "water-4096", "protein": "dhfr"}
+    prepared = {name: errors[box, "Verlet, 1 fs, prepared"] for name, box in boxes.items()}
+    gains = [prepared[name] / errors[box, "SIER4G, 4 fs"] for name, box in boxes.items()]
+    return {"least": min(gains)} | {name: errors[box, "Verlet, 1 fs"] / prepared[name] for name, box in boxes.items()}
+
+
 def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
     rows, own = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs"
     found = {kind: one(rows, method=own, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))}
@@ -216,3 +288,25 @@ def domains_in_a_bath(record: Record) -> Mapping[str, float]:
     usual, same = (one(speeds, key="chain", method=SPRINGS, step=step)["ns_a_day"] for step in (10.0, 60.0))
     off = one(record.tables["averages"], key="chain", method=RIGID, step=60.0)["off"]
     return {"off": off, "over": own / usual, "longest": own / same}
+
+
+def patchy_particles(record: Record) -> Mapping[str, float]:
+    """Of SIER2 and of SIER4G at 60 fs; LangevinMiddle takes its longest step with right averages."""
+    speed = one(record.tables["speeds"], key="patchy", method=RIGID, step=60.0)
+    springs = record.tables["speeds"].query(f"key == 'patchy' and method == '{SPRINGS}'")
+    gain = one(record.tables["gains"], key="patchy", method="SIER4G", step=60.0)
+    return {"bath": speed["over"], "rival": springs["longest"].iloc[0], "energy": gain["gain"]}
+
+
+def chains(record: Record) -> Mapping[str, float]:
+    return {
+        "energy": domains_at_constant_energy(record)["gain"],
+        "bath": domains_in_a_bath(record)["longest"],
+    }
+
+
+def chains_on_a_gpu(record: Record) -> Mapping[str, float]:
+    """Speed of LangevinMiddle at 60 fs over that of SIER2 with frames."""
+    rows = record.tables["domains"]
+    springs, own = (one(rows, method=method)["over"] for method in (f"{SPRINGS}, 60 fs", "SIER2, frames, 40 fs"))
+    return {"rival": springs / own}

@@ -1,13 +1,18 @@
 """What README and the documentation claim of measurements, each beside the record that shows it.
 
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
-tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The page
-docs/measurements/trust.md lists all claims.
+tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The table of
+README is in `studies.readme`. The page docs/measurements/trust.md lists all claims.
+
+    python -m studies.claims
+
+prints the table, and the sentences of README and of the draft.
 """
 
 from __future__ import annotations
 
 from studies import claim_figures as figures
+from studies import readme
 from studies.trust import ANY, Claim
 
 CONSTANT_ENERGY = (
@@ -17,7 +22,6 @@ CONSTANT_ENERGY = (
         "whole-run.json",
         figures.gains_of_large_boxes,
         {"least": (10, ANY), "count": (5, 5)},
-        in_readme=True,
         in_paper=True,
     ),
     Claim(
@@ -79,7 +83,6 @@ IN_A_HEAT_BATH = (
         "speed.json",
         figures.speeds_in_a_bath,
         {"least": (1.9, ANY), "peptide": (1.7, ANY), "dhfr": (1.7, ANY)},
-        in_readme=True,
         in_paper=True,
     ),
     Claim(
@@ -112,7 +115,6 @@ IN_A_HEAT_BATH = (
         "gpu.json",
         figures.speeds_on_a_gpu,
         {"water": (1.7, ANY), "dhfr": (1.3, ANY)},
-        in_readme=True,
         in_paper=True,
     ),
     Claim(
@@ -146,7 +148,6 @@ EXACT_AVERAGES = (
         "trials.json",
         figures.costs_of_trials,
         {"most": (0, 1.2), "most_longer": (0, 0.85), "accepted": (0.85, 1)},
-        in_readme=True,
         in_paper=True,
     ),
     Claim(
@@ -222,7 +223,6 @@ RIGID_DOMAINS = (
         "domains.json",
         figures.domains_at_constant_energy,
         {"gain": (4, ANY)},
-        in_readme=True,
     ),
     Claim(
         "In a bath their bonds and temperatures are exact within {off:.1f} errors with SIER2 at 60 fs, which simulates "
@@ -235,6 +235,7 @@ RIGID_DOMAINS = (
 )
 
 TOPICS = {
+    "The table of README": tuple(readme.claims()),
     "Constant energy": CONSTANT_ENERGY,
     "Averages in a heat bath": IN_A_HEAT_BATH,
     "Exact averages": EXACT_AVERAGES,
@@ -243,3 +244,14 @@ TOPICS = {
 }
 
 CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
+
+
+def main() -> None:
+    print(readme.table())
+    for claim in CLAIMS:
+        if claim.in_readme or claim.in_paper:
+            print(claim.sentence())
+
+
+if __name__ == "__main__":
+    main()

@@ -29,12 +29,47 @@ def test_the_recipe_has_the_version_and_the_dependencies():
     assert stated("recipe/recipe.yaml", r'python_min: "(.*)"') == [project["requires-python"].removeprefix(">=")]
 
 
+def git(*arguments):
+    """Lines that git prints; none in a checkout without git."""
+    return subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split("\n")
+
+
+def has_a_place(path):
+    """Whether a folder or a kind of file at the top of the repository is for this path."""
+    if len(path.parts) > 1:
+        return path.parts[0] in {
+            ".ci",
+            "docs",
+            "examples",
+            "openmm_sier",
+            "paper",
+            "recipe",
+            "studies",
+            "systems",
+            "tests",
+        }
+    return path.suffix in {"", ".cff", ".in", ".md", ".py", ".toml", ".yaml"}
+
+
+def debris(paths):
+    """Return what has no place in the repository, such as outputs of a run."""
+    return [path for path in paths if path and not has_a_place(Path(path))]
+
+
+def test_no_run_has_left_its_outputs_in_the_repository():
+    """Neither as tracked files nor as files that git does not ignore."""
+    assert debris(git("ls-files", "--cached", "--others", "--exclude-standard")) == []
+
+
+def test_outputs_of_a_run_are_found():
+    left = ["out-scan/chain.json", "water.xtc"]
+    assert debris(["README.md", ".gitignore", "systems/peptide.pdb", *left, ""]) == left
+
+
 def test_a_tag_of_this_commit_is_the_version():
     """Checkouts without tags or without git have nothing to compare."""
-    found = subprocess.run(
-        ["git", "tag", "--points-at", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
-    ).stdout.split()
-    assert [tag for tag in found if re.fullmatch(r"v\d+\.\d+\.\d+", tag) and tag != f"v{__version__}"] == []
+    tags = git("tag", "--points-at", "HEAD")
+    assert [tag for tag in tags if re.fullmatch(r"v\d+\.\d+\.\d+", tag) and tag != f"v{__version__}"] == []
 
 
 def test_changelog_and_citation_know_the_version():

@@ -3,7 +3,7 @@
 With kicks that are too weak: without the rule they sample the ensemble of a higher temperature.
 
 The molecule has no water, and a torsion that holds each angle in one basin, so that seconds suffice. The figures of the
-solvated molecule are in docs/measurements/sampling.md.
+solvated molecule are in docs/measurements/heat-bath.md.
 """
 
 import numpy as np
