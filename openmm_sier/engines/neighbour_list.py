@@ -3,7 +3,7 @@
 Forces of the CPU platform are sums in single precision, in the order of a list of neighbours. The list is rebuilt when
 atoms have moved far since it was built, so that the last bits of a force depend on earlier positions, which are in no
 checkpoint. With one thread nothing else of the past affects them; with several the order of the sums is random, and no
-two evaluations agree. `docs/measurements/platforms.md` has the measurements.
+two evaluations agree.
 """
 
 import openmm
