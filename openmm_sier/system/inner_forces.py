@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import openmm
 from openmm import unit
 
-from openmm_sier.system import own_methods
-
 #: Values of collective variables at which a derivative is compared with itself, to see whether it is constant. Energies
 #: of a box in kJ/mol, and distances in nm, are of these sizes.
 TRIED = (0.0, 0.31, -2.7, 41.0, -380.0, 5200.0, -71000.0)
@@ -126,14 +124,12 @@ def _constant_derivative(force: openmm.CustomCVForce, index: int) -> float | Non
     system.addForce(expression)
     reference = openmm.Platform.getPlatformByName("Reference")
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
-    own_methods.set_positions(context, [openmm.Vec3(0, 0, 0)])
+    context.setPositions([openmm.Vec3(0, 0, 0)])
     found = []
     for first in range(len(TRIED)):
         for i, name in enumerate(names):
             context.setParameter(name, TRIED[(first + i) % len(TRIED)])
-        found.append(
-            own_methods.get_state(context, parameterDerivatives=True).getEnergyParameterDerivatives()[names[index]]
-        )
+        found.append(context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()[names[index]])
     same = all(math.isclose(value, found[0], rel_tol=ROUNDING) for value in found)
     # Tables are zero outside their range, which may contain none of the values.
     is_told = found[0] != 0 or not force.getNumTabulatedFunctions()

@@ -18,7 +18,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 from openmm_sier.system.geometries import EMBEDDING_TOLERANCE, RESOLUTION, embed
 
 #: Atoms are displaced by a normal deviate of this size, nm, which solvers have to undo. It is the distance by which a
@@ -226,15 +226,15 @@ def _is_solved(system: openmm.System, cluster: Cluster, places: np.ndarray) -> b
     """Tell whether OpenMM brings atoms near their places (k, 3), and their velocities, onto the constraints."""
     context = _alone(system, cluster)
     random = np.random.default_rng(0)
-    own_methods.set_positions(context, places + DISPLACEMENT * random.standard_normal(places.shape))
-    own_methods.constrain_positions(context, TOLERANCE)
-    x = own_methods.get_state(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    context.setPositions(places + DISPLACEMENT * random.standard_normal(places.shape))
+    context.applyConstraints(TOLERANCE)
+    x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     if not cluster.errors(x).max() <= SATISFIED:
         return False
-    own_methods.set_positions(context, places)
-    own_methods.set_velocities(context, random.standard_normal(places.shape))
-    own_methods.constrain_velocities(context, TOLERANCE)
-    state = own_methods.get_state(context, velocities=True)
+    context.setPositions(places)
+    context.setVelocities(random.standard_normal(places.shape))
+    context.applyVelocityConstraints(TOLERANCE)
+    state = context.getState(velocities=True)
     velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
     first, second = cluster.pairs.T
     along = ((places[second] - places[first]) * (velocities[second] - velocities[first])).sum(axis=1) / cluster.lengths
