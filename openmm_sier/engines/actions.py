@@ -10,7 +10,6 @@ from openmm import unit
 
 from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import own_methods
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
 
@@ -29,7 +28,7 @@ class Actions:
 
     def _positions(self) -> np.ndarray:
         """Return positions, (N, 3), nm; zeros if none were set yet."""
-        state = own_methods.get_state(self._context, positions=True)
+        state = openmm.Context.getState(self._context, positions=True)
         return state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
 
     def solve(self, by_openmm: Callable[[], None]) -> None:

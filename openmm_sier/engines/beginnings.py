@@ -5,7 +5,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import own_methods
 
 #: Relative tolerance of the constraints of a trial.
 TOLERANCE = 1e-5
@@ -41,7 +40,7 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
     groups = context.getIntegrator().getIntegrationForceGroups()
     try:
         # The minimizer does so first.
-        own_methods.constrain_positions(context, TOLERANCE)
+        openmm.Context.applyConstraints(context, TOLERANCE)
         context.computeVirtualSites()
         constrained = Snapshot.of(context).positions
         is_finite = np.isfinite(constrained).all(axis=1)
@@ -50,9 +49,9 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
                 "No minimization can begin here, since OpenMM cannot satisfy the constraints of "
                 f"{_named(int(is_finite.argmin()), now.positions)}: give other positions"
             )
-        state = own_methods.get_state(context, energy=True, forces=True, groups=groups)
+        state = openmm.Context.getState(context, energy=True, forces=True, groups=groups)
     finally:
-        own_methods.set_positions(context, now.positions)
+        openmm.Context.setPositions(context, now.positions)
     energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     if not np.isfinite(energy):
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)

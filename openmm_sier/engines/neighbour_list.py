@@ -9,7 +9,6 @@ two evaluations agree.
 import openmm
 from openmm import unit
 
-from openmm_sier.system import own_methods
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts
 
@@ -34,12 +33,14 @@ def forget(context: openmm.Context) -> None:
     """
     inner = {part.group for part in parts(context.getSystem()) if part.within and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
-    positions = own_methods.get_state(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    positions = (
+        openmm.Context.getState(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    )
     try:
-        own_methods.set_positions(context, positions + FAR)
-        own_methods.get_state(context, forces=True, groups=groups)
+        openmm.Context.setPositions(context, positions + FAR)
+        openmm.Context.getState(context, forces=True, groups=groups)
     finally:
-        own_methods.set_positions(context, positions)
+        openmm.Context.setPositions(context, positions)
 
 
 def _has_cutoff(force: openmm.Force) -> bool:

@@ -6,7 +6,6 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
 from openmm_sier.engines import interrupts
-from openmm_sier.system import own_methods
 from openmm_sier.system.notices import notify
 
 #: nm, by which bodies are moved to find how stiffly others hold them. Forces in single precision, rounded to 1e-6 of
@@ -37,7 +36,7 @@ def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
         return
     # Of two that hold each other the lighter is the one to move.
     worst = int(overlapping[np.argmax(stiffness[overlapping] / bodies.masses[overlapping])])
-    energy = own_methods.get_state(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    energy = openmm.Context.getState(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     notify(
         f"After the minimization, at {energy:.5g} kJ/mol, {overlapping.size} bodies or atoms still overlap with "
         f"others, most of all {bodies.describe(worst)}: the stiffness of its contacts is {stiffness[worst]:.2g} "
@@ -48,7 +47,7 @@ def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
 
 def _stiffness(context: openmm.Context, bodies: RigidBodies) -> np.ndarray:
     """Return the change of the force on each body over its displacement, (n,), kJ/mol/nm^2; 0 if it is not finite."""
-    positions = own_methods.get_state(context, positions=True).getPositions(asNumpy=True)
+    positions = openmm.Context.getState(context, positions=True).getPositions(asNumpy=True)
     moved = bodies.owners >= 0
     owners = bodies.owners[moved]
     directions = np.random.default_rng(0).normal(size=(bodies.n, 3))
@@ -57,15 +56,15 @@ def _stiffness(context: openmm.Context, bodies: RigidBodies) -> np.ndarray:
     displaced[moved] += shifts[owners]
 
     def forces() -> np.ndarray:
-        found = own_methods.get_state(context, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)[moved]
+        found = openmm.Context.getState(context, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)[moved]
         return np.stack([np.bincount(owners, column, bodies.n) for column in found.T], axis=1)
 
     with interrupts.deferred():
         before = forces()
-        own_methods.set_positions(context, displaced)
+        openmm.Context.setPositions(context, displaced)
         try:
             context.computeVirtualSites()
             after = forces()
         finally:
-            own_methods.set_positions(context, positions)
+            openmm.Context.setPositions(context, positions)
     return np.nan_to_num(np.linalg.norm(after - before, axis=1), nan=0.0, posinf=0.0) / DISPLACEMENT

@@ -23,7 +23,7 @@ from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks, own_methods
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
@@ -259,7 +259,7 @@ class Engine(ABC):
 
     def volume(self) -> float:
         """Return the volume of the box, nm^3."""
-        return own_methods.get_state(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
+        return openmm.Context.getState(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
 
     def prepare_for_volume_moves(self) -> None:
         """Check that the volume can be changed.
@@ -271,10 +271,10 @@ class Engine(ABC):
 
     def _box(self) -> Any:
         """Return the periodic box vectors, nm."""
-        return box_of(own_methods.get_state(self._context))
+        return box_of(openmm.Context.getState(self._context))
 
     def _set_box(self, box: Any) -> None:
-        own_methods.set_box(self._context, *box)
+        openmm.Context.setPeriodicBoxVectors(self._context, *box)
 
     # --- there and back ---
 
@@ -316,7 +316,7 @@ class Engine(ABC):
         p, L = state.p, state.L
         for step, acting in ((self.flow.step, groups & ~fast), (self.inner_step(self.flow), groups & fast)):
             if acting:
-                forces = own_methods.get_state(self._context, forces=True, groups=acting).getForces(asNumpy=True)
+                forces = openmm.Context.getState(self._context, forces=True, groups=acting).getForces(asNumpy=True)
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)

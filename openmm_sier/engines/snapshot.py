@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.system import own_methods
-
 
 def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:
     """Return the periodic box vectors of a State, nm."""
@@ -57,7 +55,7 @@ class Snapshot(NamedTuple):
         Raises:
             openmm.OpenMMException: its positions were never set.
         """
-        state = own_methods.get_state(context, positions=True, velocities=True, parameters=True)
+        state = openmm.Context.getState(context, positions=True, velocities=True, parameters=True)
         shape = state._getNumParticles(), 3
         # Two arrays, since one of twice the size seldom fits where that of an older snapshot was.
         positions, velocities = np.empty(shape), np.empty(shape)
@@ -66,7 +64,7 @@ class Snapshot(NamedTuple):
         state._getVectorAsNumpy(openmm.State.Velocities, velocities)
         if not positions[:1].any() and not positions.any():
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
-            own_methods.get_state(context, energy=True, groups=0)
+            openmm.Context.getState(context, energy=True, groups=0)
         parameters = dict(state.getParameters())
         return cls(positions, velocities, time_of(state), state.getStepCount(), box_of(state), parameters)
 

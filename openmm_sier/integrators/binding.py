@@ -29,10 +29,9 @@ from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import tell_of_pme
 from openmm_sier.stability.runaway import RunawayWatch
-from openmm_sier.system import checks
+from openmm_sier.system import bound_systems, checks
 from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
 from openmm_sier.system.notices import notify
-from openmm_sier.system.unchanged import UnchangedSystem
 
 
 class Binding:
@@ -52,7 +51,6 @@ class Binding:
     """
 
     watch: RunawayWatch
-    _system: UnchangedSystem
 
     def __init__(self, integrator: openmm.CustomIntegrator, given: settings.Settings):
         """
@@ -221,11 +219,7 @@ class Binding:
         tell_of_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
-        self._system, self.watch = UnchangedSystem(system), RunawayWatch(system)
-        if given.fast_groups is None and find_fast_groups(system, given.bodies) != self._found_groups:
-            raise openmm.OpenMMException(
-                "The System was prepared after the integrator was given to its Context: create a new Context"
-            )
+        self.watch = RunawayWatch(system)
         engine = engine_for(given.engine, Task(context, self.flow(), self.stored, given.bodies, self.program))
         self.ensemble.check(system, engine)
         self._engine = engine
@@ -234,6 +228,7 @@ class Binding:
             ledger.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
         self.stored.write()
         self._set_program_variables()
+        bound_systems.add(context)
 
     # --- steps ---
 
@@ -246,7 +241,6 @@ class Binding:
         engine, context, ensemble = self.engine, self._context(), self.ensemble
         if context is None:
             raise openmm.OpenMMException("The Context of this integrator no longer exists")
-        self._system.check(context.getSystem())
         length, bath = self.settings.step * ensemble.steps, getattr(ensemble, "temperature", 0.0)
         self._compare_temperatures(context, bath)
         with self._alone():

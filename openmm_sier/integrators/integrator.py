@@ -186,8 +186,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: `steps` is negative or not a whole number.
             RigidityError: positions set from outside do not form the bodies.
-            openmm.OpenMMException: there is no Context, its System was changed, a force is not finite, or the step is
-                too long for a bond.
+            openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
         self.binding.step(arguments.whole_number("steps", steps))
 

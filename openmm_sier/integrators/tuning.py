@@ -17,7 +17,6 @@ from openmm_sier.engines.choice import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, StepFound, Tuning
 from openmm_sier.stability.vibrations import Vibrations
-from openmm_sier.system import own_methods
 from openmm_sier.system.arguments import checked_scheme, group_mask, whole_number
 from openmm_sier.system.second_context import follow_parameters, platform_of
 
@@ -182,11 +181,11 @@ def _context_for(context: openmm.Context, scheme: Scheme) -> openmm.Context:
     other = copy.copy(integrator)
     other.binding.change(scheme=scheme)
     made = openmm.Context(context.getSystem(), other, *platform_of(context))
-    state = own_methods.get_state(context, positions=True, velocities=True)
-    own_methods.set_box(made, *state.getPeriodicBoxVectors())
+    state = context.getState(positions=True, velocities=True)
+    made.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     follow_parameters(context, made)
-    own_methods.set_positions(made, state.getPositions(asNumpy=True))
-    own_methods.set_velocities(made, state.getVelocities(asNumpy=True))
+    made.setPositions(state.getPositions(asNumpy=True))
+    made.setVelocities(state.getVelocities(asNumpy=True))
     return made
 
 

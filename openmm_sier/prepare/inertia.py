@@ -18,6 +18,7 @@ from openmm_sier.dynamics.names import as_ranges
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Positions, Quantity, checked_positions, checked_system, quantity_to_float
+from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.cut_molecules import Wholeness
 
 #: The least mass of an atom over the mean one: an atom without mass would be frozen.
@@ -57,10 +58,12 @@ def set_inertia(
         TypeError: it is no System, or a number is none.
         ValueError: moments are not in ascending order, or one is above the sum of the others, which no body has; or no
             masses of the atoms have them: the message says which multiples of them some have. Add particles without
-            interactions then, further out or further in. The System is unchanged.
+            interactions then, further out or further in. Or the System has a Context with a SIER integrator already.
+            The System is unchanged.
         RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)
+    refuse_bound(system)
     x = checked_positions(positions, system.getNumParticles())
     whole = quantity_to_float("mass", mass, unit.dalton, "dalton")
     wanted = _checked_moments(moments)

@@ -5,6 +5,7 @@ import math
 import openmm
 from openmm import unit
 
+from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts, pme_parameters
 from openmm_sier.system.notices import notify
@@ -49,8 +50,10 @@ def balance_pme(system: openmm.System) -> None:
 
     Raises:
         ValueError: no Force of the System uses PME or LJPME, or one has a cut-off that is not positive or a
-            tolerance outside `TOLERANCES`. The System is unchanged then.
+            tolerance outside `TOLERANCES`; or the System has a Context with a SIER integrator already. The System is
+            unchanged then.
     """
+    refuse_bound(system)
     forces = meshed_forces(system)
     if not forces:
         raise ValueError(

@@ -18,6 +18,7 @@ from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.bonded_terms import bonded_terms, do_work
+from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
 from openmm_sier.system.forces import kind_of
 
@@ -48,8 +49,8 @@ def prepare_system(
 ) -> Preparation:
     """Prepare a System, of water alone or with solutes, for long steps.
 
-    Call it before the Context is created: an integrator refuses to step if its System changed since then. To prepare a
-    System again for the same bodies renews everything; for other bodies prepare a new System.
+    Call it before the Context is created: OpenMM reads a System only then. To prepare a System again for the same
+    bodies renews everything; for other bodies prepare a new System.
 
     >>> print(prepare_system(system))
     The sums of PME are balanced.
@@ -88,10 +89,12 @@ def prepare_system(
     Raises:
         TypeError: `system` is no System, such as a Simulation, or `bodies` have the wrong type.
         ValueError: the group is out of range or has other forces, `hydrogenMass` is out of range or comes with
-            `RigidBodies`, which have masses already, or `balance_pme` refuses. The System is unchanged then.
+            `RigidBodies`, which have masses already, `balance_pme` refuses, or the System has a Context with a SIER
+            integrator already. The System is unchanged then.
         RigidityError: `RigidBodies.from_system` refuses the bodies. The System is unchanged then too.
     """
     system = checked_system(system)
+    refuse_bound(system)
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     with tables.read_once():

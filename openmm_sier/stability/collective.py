@@ -13,7 +13,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.stability.curvature import FAR, Vibration
-from openmm_sier.system import own_methods
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.second_context import follow_parameters, reference_context
 
@@ -79,7 +78,7 @@ class _Alone:
         while system.getNumForces():
             system.removeForce(0)
         system.addForce(openmm.XmlSerializer.clone(force))
-        state = own_methods.get_state(context, positions=True)
+        state = openmm.Context.getState(context, positions=True)
         system.setDefaultPeriodicBoxVectors(*state.getPeriodicBoxVectors())
         self._context = reference_context(system)
         self._bodies = bodies
@@ -130,9 +129,9 @@ class _Alone:
         return self._generalized(change / (2 * step))
 
     def _forces(self, x: np.ndarray) -> np.ndarray:
-        own_methods.set_positions(self._context, x)
+        self._context.setPositions(x)
         self._context.computeVirtualSites()
-        return own_methods.get_state(self._context, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+        return self._context.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
 
     def _generalized(self, forces: np.ndarray) -> Direction:
         return self._allowed(self._bodies.forces_and_torques(forces, self._A))

@@ -15,7 +15,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.system import own_methods
 from openmm_sier.system.second_context import follow_parameters, reference_context
 
 #: Displacement in nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
@@ -64,7 +63,7 @@ def fastest_vibration(
     atoms, alone = _terms_alone(force, context)
     if not len(atoms):
         return None
-    state = own_methods.get_state(context, positions=True)
+    state = openmm.Context.getState(context, positions=True)
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)[atoms]
     gradient, curvature = _derivatives(alone, x)
     weights = np.sqrt(np.repeat(mobility[atoms], 3, axis=1))
@@ -95,7 +94,7 @@ def _terms_alone(force: openmm.Force, context: openmm.Context) -> tuple[np.ndarr
         term.attrib.update({name: str(first + i) for i, name in enumerate(names)})
     atoms = np.array(rows, dtype=np.int64)
     system = openmm.System()
-    system.setDefaultPeriodicBoxVectors(*own_methods.get_state(context).getPeriodicBoxVectors())
+    system.setDefaultPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
     system.addForce(openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode")))
     for _ in range(max(1, atoms.size)):
         system.addParticle(1.0)
@@ -109,8 +108,8 @@ def _derivatives(alone: openmm.Context, x: np.ndarray) -> tuple[np.ndarray, np.n
     terms, k, _ = x.shape
 
     def forces(places: np.ndarray) -> np.ndarray:
-        own_methods.set_positions(alone, places.reshape(-1, 3))
-        found = own_methods.get_state(alone, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+        alone.setPositions(places.reshape(-1, 3))
+        found = alone.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
         return np.array(found).reshape(terms, 3 * k)
 
     columns = []

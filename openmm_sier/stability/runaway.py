@@ -11,7 +11,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 
 #: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
 HOTTEST = 3000.0
@@ -113,7 +113,7 @@ class RunawayWatch:
 
     def _temperature(self, context: openmm.Context) -> float:
         """Return the temperature of all atoms, K. Bodies that no constraint holds look colder than they are."""
-        state = own_methods.get_state(context, velocities=True)
+        state = openmm.Context.getState(context, velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
         return float(2 * energy / (self._freedoms * GAS_CONSTANT))

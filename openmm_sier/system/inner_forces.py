@@ -12,7 +12,6 @@ from functools import cached_property
 import openmm
 from openmm import unit
 
-from openmm_sier.system import own_methods
 from openmm_sier.system.second_context import reference_context
 
 #: Values of collective variables at which a derivative is compared with itself, to see whether it is constant. Energies
@@ -127,12 +126,12 @@ def _constant_derivatives(force: openmm.CustomCVForce) -> list[float | None]:
     system.addParticle(1.0)
     system.addForce(expression)
     context = reference_context(system)
-    own_methods.set_positions(context, [openmm.Vec3(0, 0, 0)])
+    context.setPositions([openmm.Vec3(0, 0, 0)])
     rows = []
     for first in range(len(TRIED)):
         for i, name in enumerate(names):
             context.setParameter(name, TRIED[(first + i) % len(TRIED)])
-        derivatives = own_methods.get_state(context, parameterDerivatives=True).getEnergyParameterDerivatives()
+        derivatives = context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()
         rows.append([derivatives[name] for name in names])
     # Tables are zero outside their range, which may contain none of the values.
     has_tables = force.getNumTabulatedFunctions() > 0

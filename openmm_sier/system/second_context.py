@@ -2,7 +2,6 @@
 
 import openmm
 
-from openmm_sier.system import own_methods
 from openmm_sier.system.forces import kind_of
 
 
@@ -17,7 +16,7 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
         system: for the new one. It stays as it is.
     """
     made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), *platform_of(context))
-    own_methods.set_box(made, *own_methods.get_state(context).getPeriodicBoxVectors())
+    made.setPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
     follow_parameters(context, made)
     return made
 

@@ -14,7 +14,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.second_context import reference_context
 
@@ -100,13 +100,13 @@ class SolverTrial:
         context = self._context()
         random = np.random.default_rng(0)
         displaced = places + DISPLACEMENT * random.standard_normal(places.shape)
-        own_methods.set_positions(context, displaced)
-        own_methods.constrain_positions(context, TOLERANCE)
-        x = own_methods.get_state(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-        own_methods.set_positions(context, places)
-        own_methods.set_velocities(context, random.standard_normal(places.shape))
-        own_methods.constrain_velocities(context, TOLERANCE)
-        state = own_methods.get_state(context, velocities=True)
+        context.setPositions(displaced)
+        context.applyConstraints(TOLERANCE)
+        x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        context.setPositions(places)
+        context.setVelocities(random.standard_normal(places.shape))
+        context.applyVelocityConstraints(TOLERANCE)
+        state = context.getState(velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         first, second = self._pairs.T
         along = (places[second] - places[first]) * (velocities[second] - velocities[first])

@@ -10,7 +10,6 @@ from openmm import app
 from openmm_sier import SIER2, SIER4, SIER4G, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.stability.runaway import RunawayError
-from openmm_sier.system import own_methods
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
 
@@ -186,14 +185,14 @@ def on_its_own_atom(positions):
 def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap, named, monkeypatch):
     """OpenMM's minimizer goes on for ever where the energy is no number."""
     topology, system, point = cluster
-    get_state = own_methods.get_state
+    get_state = openmm.Context.getState
 
     def at_finite_positions(context, *arguments, energy=False, **named):
         # PME of Reference writes outside of its mesh elsewhere.
         assert not energy or np.isfinite(get_state(context, positions=True).getPositions(asNumpy=True)._value).all()
         return get_state(context, *arguments, energy=energy, **named)
 
-    monkeypatch.setattr(own_methods, "get_state", at_finite_positions)
+    monkeypatch.setattr(openmm.Context, "getState", at_finite_positions)
     simulation = app.Simulation(topology, system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
     positions = point[0].copy()
     overlap(positions)

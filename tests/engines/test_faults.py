@@ -335,8 +335,6 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     for i in range(system.getNumParticles()):
         system.setParticleMass(i, 3 * system.getParticleMass(i))
     before = phase_point(context)
-    with pytest.raises(openmm.OpenMMException, match=r"mass of particle 0, in dalton, was 15.99943 and is 47.99829"):
-        integrator.step(0)
     light = integrator.bodies.masses.copy()
     context.reinitialize(preserveState=preserve)
     if not preserve:
@@ -349,18 +347,6 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
     # The same molecules, read from the atoms once or twice: rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
     assert np.abs(phase_point(context)[0] - before[0]).max() > 1e-3
-
-
-def test_a_constraint_of_another_length_is_refused(cluster):
-    _, system, point = cluster
-    system = openmm.XmlSerializer.clone(system)
-    integrator = SIER2Integrator(0.001)
-    context = context_at(system, integrator, point, steps=0)
-    first, second, length = system.getConstraintParameters(5)
-    system.setConstraintParameters(5, first, second, 1.5 * length)
-    with pytest.raises(openmm.OpenMMException, match="constraint 5, atoms and length in nm, was"):
-        integrator.step(1)
-    assert context.getStepCount() == 0
 
 
 def test_another_thread_is_refused(cluster, monkeypatch):

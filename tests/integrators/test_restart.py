@@ -334,26 +334,32 @@ def momentum(system, velocities):
 # --- bodies whose geometry is taken from positions --------------------------------------------------------------
 
 
-def test_looking_at_a_state_changes_nothing_and_writing_it_makes_a_restart_point():
+def test_a_state_is_a_restart_point_if_it_has_the_parameters_of_the_integrator():
     """On the CPU platform with one thread, where the rounding of forces depends on when the neighbour list was made."""
     topology, positions, system = periodic_system()
     prepare_system(system)
     topology, system, point = settled("box-59", topology, positions, system)
 
-    def run(look, write):
+    def run(get_state=None, writes=False):
         simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)
         simulation.step(8)
-        state = full_state(simulation.context) if look else None
-        xml = openmm.XmlSerializer.serialize(state) if write else None
+        state = get_state(simulation.context) if get_state else None
+        xml = openmm.XmlSerializer.serialize(state) if writes else None
         simulation.step(8)
-        return everything(simulation.context), xml
+        return everything(simulation.context), state, xml
 
-    assert_same(run(False, False)[0], run(True, False)[0])
-    end, xml = run(True, True)
-    again = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU")
-    again.context.setState(openmm.XmlSerializer.deserialize(xml))
-    again.step(8)
-    assert_same(everything(again.context), end)
+    def look(context):
+        return context.getState(positions=True, velocities=True, forces=True, energy=True, parameters=True)
+
+    assert_same(run()[0], run(look, writes=True)[0])
+    end, state, _ = run(full_state)
+    written, _, xml = run(full_state, writes=True)
+    assert_same(written, end)
+    for start in (state, openmm.XmlSerializer.deserialize(xml)):
+        again = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU")
+        again.context.setState(start)
+        again.step(8)
+        assert_same(everything(again.context), end)
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])

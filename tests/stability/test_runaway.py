@@ -9,7 +9,6 @@ import pytest
 
 from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
 from openmm_sier.stability import runaway
-from openmm_sier.system import own_methods
 from tests.support.silence import silence
 from tests.support.systems import assembled
 from tests.support.waters import context_at, platform
@@ -123,7 +122,7 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity,
 
     watch = integrator.binding.watch
     watch.begin(context)
-    own_methods.set_velocities(context, np.full((100, 3), velocity))
+    openmm.Context.setVelocities(context, np.full((100, 3), velocity))
     with pytest.raises(runaway.RunawayError, match=f"Steps of 2 fs {complaint}"):
         watch.look(context, runaway.FIRST_LOOK, 0.002)
 

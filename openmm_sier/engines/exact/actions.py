@@ -18,7 +18,7 @@ from openmm_sier.engines import interrupts
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.exact.minimization import minimize_bodies
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 
 if TYPE_CHECKING:
@@ -70,14 +70,14 @@ class BodyActions(Actions):
         random = generator(secrets.randbelow(2**31) if seed is None else abs(int(seed)), 0, stream=4)
         p, L = bodies.momenta(spread[:, None] * random.standard_normal((len(masses), 3)), state.A)
         drawn = replace(state, p=bodies.constraints.project(state.q, p), L=L)
-        own_methods.set_velocities(self._context, bodies.move(drawn, Snapshot.of(self._context).velocities))
+        openmm.Context.setVelocities(self._context, bodies.move(drawn, Snapshot.of(self._context).velocities))
 
     def satisfy_positions(self, by_openmm: Callable[[], None]) -> None:
         if self._holds_all_bodies():
             by_openmm()
             return
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_positions(self._context, bodies.place(state.q, state.A, Snapshot.of(self._context).positions))
+        openmm.Context.setPositions(self._context, bodies.place(state.q, state.A, Snapshot.of(self._context).positions))
         self._context.computeVirtualSites()
 
     def satisfy_velocities(self, by_openmm: Callable[[], None]) -> None:
@@ -89,7 +89,7 @@ class BodyActions(Actions):
     def _make_velocities_rigid(self) -> None:
         """Keep the rigid part of the motion of each body, without that along constraints."""
         state, bodies = self._engine.state(), self._engine.bodies
-        own_methods.set_velocities(self._context, bodies.move(state, Snapshot.of(self._context).velocities))
+        openmm.Context.setVelocities(self._context, bodies.move(state, Snapshot.of(self._context).velocities))
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         engine = self._engine

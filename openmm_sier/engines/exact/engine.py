@@ -32,7 +32,7 @@ from openmm_sier.engines.protocol import Clock, Engine, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.variables import SITES, STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks, own_methods
+from openmm_sier.system import checks
 from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
 from openmm_sier.system.temperature import Temperatures, temperatures
 
@@ -228,14 +228,14 @@ class ExactEngine(Engine):
 
     def _step_after_updates(self, step: operators.Stepper) -> None:
         """Make one step, after the System's barostats and thermostats have acted."""
-        start, before = self._point, own_methods.get_state(self._context, positions=True)
+        start, before = self._point, openmm.Context.getState(self._context, positions=True)
         try:
             point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
             self._complete(point, step)
         except BaseException:
             # An error may come when the step is complete.
             if self._point is start:
-                own_methods.set_box(self._context, *before.getPeriodicBoxVectors())
+                openmm.Context.setPeriodicBoxVectors(self._context, *before.getPeriodicBoxVectors())
                 # A barostat also moves atoms of no body.
                 self.forces.positions[:] = before.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
             raise
@@ -311,7 +311,7 @@ class ExactEngine(Engine):
             if published is point and when == clock:
                 return
         forces.place(point.q, point.A)
-        own_methods.set_velocities(context, self.moving.move(point, forces.velocities))
+        openmm.Context.setVelocities(context, self.moving.move(point, forces.velocities))
         integrator = self._integrator
         for name, values in zip(STATE_VARIABLES, self._made.packing.pack(point), strict=True):
             integrator.setPerDofVariableByName(name, values)

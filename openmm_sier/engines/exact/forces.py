@@ -9,7 +9,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import own_methods
 
 
 class BodyForces:
@@ -60,7 +59,7 @@ class BodyForces:
             positions = self.bodies.place(q, A, self.positions)
         except NotFiniteError as error:
             raise blown_up(error, self.step) from None
-        own_methods.set_positions(self._context, positions)
+        openmm.Context.setPositions(self._context, positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
         self._placed = q, A
@@ -100,7 +99,7 @@ class BodyForces:
 
     def _energy_of(self, groups: int) -> float:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
-        return _potential(own_methods.get_state(self._context, energy=True, groups=groups))
+        return _potential(openmm.Context.getState(self._context, energy=True, groups=groups))
 
     def _keep_energy(self, found: tuple[np.ndarray, np.ndarray, float]) -> None:
         self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
@@ -117,11 +116,11 @@ class BodyForces:
         self.evaluations += 1
         self.place(q, A)
         if self.evaluations == self._with_energy:
-            found = own_methods.get_state(self._context, forces=True, energy=True, groups=groups)
+            found = openmm.Context.getState(self._context, forces=True, energy=True, groups=groups)
             others = self._groups & ~groups
             self._keep_energy((q, A, _potential(found) + (self._energy_of(others) if others else 0.0)))
         else:
-            found = own_methods.get_state(self._context, forces=True, groups=groups)
+            found = openmm.Context.getState(self._context, forces=True, groups=groups)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:

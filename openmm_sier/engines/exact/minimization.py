@@ -15,7 +15,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodyState, RigidBodies
 from openmm_sier.dynamics.minimizer import descent
 from openmm_sier.engines import interrupts
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 
 
 def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
@@ -62,7 +62,7 @@ def minimize_bodies(
 def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:
     """Tell a MinimizationReporter of the positions that the Context has, and ask it whether to stop."""
     groups = context.getIntegrator().getIntegrationForceGroups()
-    state = own_methods.get_state(context, positions=True, forces=True, energy=True, groups=groups)
+    state = openmm.Context.getState(context, positions=True, forces=True, energy=True, groups=groups)
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)

@@ -6,7 +6,6 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidBodies
-from openmm_sier.system import own_methods
 from openmm_sier.system.bonded_terms import bonded_terms, with_working_terms, working_terms
 from openmm_sier.system.forces import FORCES, kind_of
 
@@ -118,8 +117,8 @@ class SoluteForces:
         Raises:
             NotFiniteError: a position or a force is not finite.
         """
-        own_methods.set_positions(self._context, self.bodies.place(q, A, self._positions, self._sites))
-        own_methods.get_state(self._context, forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
+        self._context.setPositions(self.bodies.place(q, A, self._positions, self._sites))
+        self._context.getState(forces=True)._getVectorAsNumpy(openmm.State.Forces, self._values)
         return self.bodies.forces_and_torques(self._values, A, self._sites)
 
     def follow(self, context: openmm.Context) -> bool:
@@ -127,14 +126,14 @@ class SoluteForces:
 
         If so, forces computed before are out of date.
         """
-        theirs = own_methods.get_state(context, parameters=True)
-        parameters, own = theirs.getParameters(), own_methods.get_state(self._context, parameters=True)
+        theirs = openmm.Context.getState(context, parameters=True)
+        parameters, own = theirs.getParameters(), self._context.getState(parameters=True)
         changed = False
         for name, value in own.getParameters().items():
             if parameters[name] != value:
                 self._context.setParameter(name, parameters[name])
                 changed = True
         if theirs.getPeriodicBoxVectors() != own.getPeriodicBoxVectors():
-            own_methods.set_box(self._context, *theirs.getPeriodicBoxVectors())
+            self._context.setPeriodicBoxVectors(*theirs.getPeriodicBoxVectors())
             changed = True
         return changed

@@ -27,7 +27,7 @@ from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, Trajectory
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import Bodies, groups_of
 from openmm_sier.system.temperature import Temperatures
 
@@ -147,14 +147,14 @@ class NativeEngine(Engine):
     def take_over(self) -> None:
         set_bath(self._integrator, self.flow.bath)
         if self._potential is not None:
-            environment = _environment_of(own_methods.get_state(self._context, parameters=True))
+            environment = _environment_of(openmm.Context.getState(self._context, parameters=True))
             if environment != self._potential.environment:
                 self._potential = None
         if self._is_box_new:
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
             # they are the same, makes it compute them.
-            velocities = own_methods.get_state(self._context, velocities=True).getVelocities(asNumpy=True)
-            own_methods.set_velocities(self._context, velocities)
+            velocities = openmm.Context.getState(self._context, velocities=True).getVelocities(asNumpy=True)
+            openmm.Context.setVelocities(self._context, velocities)
             self._is_box_new = self._has_force = False
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
@@ -178,7 +178,7 @@ class NativeEngine(Engine):
                 act_on_pending()
         finally:
             if not self._program.ends_constrained:
-                own_methods.constrain_velocities(self._context, self._integrator.getConstraintTolerance())
+                openmm.Context.applyVelocityConstraints(self._context, self._integrator.getConstraintTolerance())
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""
@@ -317,7 +317,7 @@ class NativeEngine(Engine):
     def potential_energy(self) -> float:
         self._settle()
         if self._potential is None:
-            state = own_methods.get_state(self._context, energy=True, parameters=True, groups=self._groups)
+            state = openmm.Context.getState(self._context, energy=True, parameters=True, groups=self._groups)
             energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             self._potential = Potential(energy, _environment_of(state))
         return self._potential.energy

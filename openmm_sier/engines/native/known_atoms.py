@@ -17,7 +17,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.engines.snapshot import box_of
-from openmm_sier.system import own_methods, tables
+from openmm_sier.system import tables
 
 #: The names by which `Context.getState` is asked for vectors, each with its number.
 POSITIONS, VELOCITIES = "positions", "velocities"
@@ -73,7 +73,7 @@ class KnownAtoms:
         """Write velocities that the Context does not have yet."""
         if self._is_unwritten:
             self._is_unwritten = False
-            own_methods.set_velocities(self._context, self._known[VELOCITIES])
+            openmm.Context.setVelocities(self._context, self._known[VELOCITIES])
 
     def forget(self) -> None:
         """Write what is unwritten, and read everything anew: somebody is about to move atoms, or has moved them."""
@@ -103,7 +103,7 @@ class KnownAtoms:
     @property
     def box(self) -> Any:
         """Return periodic box vectors, nm."""
-        box = box_of(own_methods.get_state(self._context)) if self._box is None else self._box
+        box = box_of(openmm.Context.getState(self._context)) if self._box is None else self._box
         if self._is_keeping:
             self._box = box
         return box
@@ -118,7 +118,7 @@ class KnownAtoms:
         found = dict(self._known)
         missing = [name for name in names if name not in found]
         if missing:
-            state = own_methods.get_state(self._context, **dict.fromkeys(missing, True))
+            state = openmm.Context.getState(self._context, **dict.fromkeys(missing, True))
             for name in missing:
                 found[name] = np.empty((len(self._masses), 3))
                 # Like getPositions(asNumpy=True), but without its overhead for names and units.
@@ -133,7 +133,7 @@ class KnownAtoms:
     def write_positions(self, positions: np.ndarray) -> None:
         """Set positions. GPU platforms may round them, so that they are read anew."""
         self._known.pop(POSITIONS, None)
-        own_methods.set_positions(self._context, positions)
+        openmm.Context.setPositions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
         """Set velocities, which are known then; within `kept` the Context gets them later."""
@@ -142,7 +142,7 @@ class KnownAtoms:
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
         if not self._is_keeping:
-            own_methods.set_velocities(self._context, velocities)
+            openmm.Context.setVelocities(self._context, velocities)
             return
         velocities.flags.writeable = False
         self._known[VELOCITIES] = velocities
@@ -171,7 +171,7 @@ class KnownAtoms:
     def constrain_velocities(self, tolerance: float) -> None:
         """Let OpenMM take away what velocities have along the constraints."""
         self.publish()
-        own_methods.constrain_velocities(self._context, tolerance)
+        openmm.Context.applyVelocityConstraints(self._context, tolerance)
         self.forget_velocities()
 
     # --- what follows from them ---

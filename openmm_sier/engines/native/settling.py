@@ -5,7 +5,6 @@ import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import own_methods
 from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.tables import Constraints
 
@@ -30,7 +29,7 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
     """
     errors, speeds = _errors(context, constraints)
     if not errors.max() <= OFF:
-        own_methods.constrain_positions(context, tolerance)
+        openmm.Context.applyConstraints(context, tolerance)
         errors, speeds = _errors(context, constraints)
         worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
         if not errors[worst] <= NOT_CONVERGED:
@@ -41,7 +40,7 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
                 f"{IF_CUT}"
             )
     if not speeds.max() <= OFF:
-        own_methods.constrain_velocities(context, tolerance)
+        openmm.Context.applyVelocityConstraints(context, tolerance)
 
 
 def _errors(context: openmm.Context, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,111 @@
+"""The Context of a SIER integrator, which tells it of changes."""
+
+import functools
+from typing import Any
+
+import openmm
+from openmm import unit
+
+from openmm_sier.integrators.binding import Binding
+
+
+class SIERContext(openmm.Context):
+    """An openmm.Context that was created with a SIER integrator.
+
+    OpenMM tells a Python integrator nothing about its Context. So each Context becomes one of this class when it is
+    created, and others stay as they are. Methods do what OpenMM's do and, beyond that:
+
+    - `reinitialize` binds the integrator again.
+    - `setState` accepts a State of any other integrator, and brings back no noise that was used. OpenMM sets half of
+      such a State and fails, and replicas that start from one State would repeat each other.
+    - `setPositions`, `setVelocities`, `setVelocitiesToTemperature`, `setPeriodicBoxVectors` and `loadCheckpoint` tell
+      the integrator. Without it the native engine would go on with earlier forces and constraints, and a hot start
+      would count as a runaway. A comparison in each call of `step` would read all atoms from a GPU.
+    - `setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where OpenMM's
+      solvers cannot satisfy the constraints.
+    - `createCheckpoint` and, with the integrator's parameters, `getState` make the run go on exactly as a restart from
+      their result does. Forces on one thread of the CPU platform depend on a list of neighbours that no file holds.
+
+    They are for users. Engines call those of openmm.Context.
+    """
+
+    @property
+    def binding(self) -> Binding:
+        """Return the Python part of the integrator."""
+        return self.getIntegrator().binding
+
+    def reinitialize(self, preserveState: bool = False) -> None:
+        super().reinitialize(preserveState)
+        self.binding.bind(self, keeps_ledger=preserveState)
+
+    # --- saved and loaded states ---
+
+    @functools.wraps(openmm.Context.getState)
+    def getState(self, *args: Any, **kwargs: Any) -> openmm.State:
+        state = super().getState(*args, **kwargs)
+        if _has_parameters(state):
+            self.binding.start_anew()
+        return state
+
+    def createCheckpoint(self) -> bytes:
+        checkpoint = super().createCheckpoint()
+        self.binding.start_anew()
+        return checkpoint
+
+    def loadCheckpoint(self, checkpoint: bytes) -> None:
+        super().loadCheckpoint(checkpoint)
+        self.binding.take_over()
+
+    def setState(self, state: openmm.State) -> None:
+        self.binding.take_over_state(functools.partial(self._set_state, state), _has_parameters(state))
+
+    def _set_state(self, state: openmm.State) -> None:
+        """Set a State; of one of another kind of integrator, all but the parameters of the integrator."""
+        try:
+            super().setState(state)
+        except openmm.OpenMMException:
+            if not _has_parameters(state):
+                raise
+            self._set_all_but_integrator(state)
+
+    def _set_all_but_integrator(self, state: openmm.State) -> None:
+        """Do what `openmm.Context.setState` does, errors included, except for the parameters of the integrator."""
+        self.setTime(state.getTime())
+        self.setStepCount(state.getStepCount())
+        self.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        kinds = state.getDataTypes()
+        if kinds & openmm.State.Parameters:
+            for name, value in state.getParameters().items():
+                self.setParameter(name, value)
+        if kinds & openmm.State.Positions:
+            self.setPositions(state.getPositions(asNumpy=True))
+        if kinds & openmm.State.Velocities:
+            self.setVelocities(state.getVelocities(asNumpy=True))
+
+    # --- changes ---
+
+    def setPositions(self, positions: Any) -> None:
+        super().setPositions(positions)
+        self.binding.moved()
+
+    def setVelocities(self, velocities: Any) -> None:
+        super().setVelocities(velocities)
+        self.binding.moved()
+
+    def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
+        super().setPeriodicBoxVectors(a, b, c)
+        self.binding.box_changed()
+
+    def setVelocitiesToTemperature(self, *args: Any) -> None:
+        self.binding.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)
+
+    def applyConstraints(self, tol: float | unit.Quantity) -> None:
+        self.binding.satisfy(functools.partial(super().applyConstraints, tol), velocities=False)
+
+    def applyVelocityConstraints(self, tol: float | unit.Quantity) -> None:
+        self.binding.satisfy(functools.partial(super().applyVelocityConstraints, tol), velocities=True)
+
+
+def _has_parameters(state: openmm.State) -> bool:
+    """Return whether a State has the parameters of an integrator."""
+    return bool(state.getDataTypes() & openmm.State.IntegratorParameters)
