@@ -8,7 +8,7 @@ from pathlib import Path
 from openmm.app import PME, DCDReporter, ForceField, Modeller, PDBFile, Simulation
 from openmm.unit import femtosecond, kelvin, kilojoule_per_mole, nanometer
 
-from openmm_sier import RigidBodies, SIER4Integrator, prepare_system
+from openmm_sier import RigidBodies, SIERIntegrator, prepare_system
 
 # The ions of Joung and Cheatham (J. Phys. Chem. B 112, 9020 (2008)) for TIP3P water; lengths in nm, energies in kJ/mol.
 IONS = """
@@ -53,7 +53,7 @@ for species in bodies.species:
     freedoms = species.dof
     print(f"{len(species.atoms):4d} x {name:3}  {species.mass:7.3f} dalton, {freedoms} degrees of freedom")
 
-integrator = SIER4Integrator(4 * femtosecond, bodies)
+integrator = SIERIntegrator(4 * femtosecond, "SIER4", bodies=bodies)
 simulation = Simulation(modeller.topology, system, integrator)
 simulation.context.setPositions(modeller.positions)
 simulation.context.setVelocitiesToTemperature(297 * kelvin, 1)

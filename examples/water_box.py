@@ -11,7 +11,7 @@ from openmm.app import PME, ForceField, PDBFile, Simulation, StateDataReporter
 from openmm.unit import femtosecond, kelvin, nanometer
 
 # from openmm import VerletIntegrator
-from openmm_sier import SIER4Integrator, prepare_system
+from openmm_sier import SIERIntegrator, prepare_system
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=250, help="of 4 fs (default: 250)")
@@ -29,7 +29,7 @@ system = forcefield.createSystem(
 prepare_system(system)  # more exact forces, as fast as before
 
 # integrator = VerletIntegrator(1 * femtosecond)
-integrator = SIER4Integrator(4 * femtosecond)  # as many force evaluations per ps as the line above
+integrator = SIERIntegrator(4 * femtosecond, "SIER4")  # as many force evaluations per ps as the line above
 
 simulation = Simulation(pdb.topology, system, integrator)
 simulation.context.setPositions(pdb.positions)

@@ -7,7 +7,10 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.integrators.named import SIER2Integrator, SIER4GIntegrator, SIER4Integrator, SIER4PIntegrator
+from openmm_sier.integrators.named import SIER2Integrator as SIER2Integrator
+from openmm_sier.integrators.named import SIER4GIntegrator as SIER4GIntegrator
+from openmm_sier.integrators.named import SIER4Integrator as SIER4Integrator
+from openmm_sier.integrators.named import SIER4PIntegrator as SIER4PIntegrator
 from openmm_sier.integrators.tuning import tune
 from openmm_sier.integrators.tuning_results import Tuning
 from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
@@ -23,8 +26,8 @@ from openmm_sier.version import __version__
 hooks.install()
 
 __all__ = ["SIER2", "SIER2P3", "SIER2V2", "SIER4", "SIER4G", "SIER4P", "SIER4V", "Scheme"]
-__all__ += ["SIER2Integrator", "SIER4GIntegrator", "SIER4Integrator", "SIER4PIntegrator", "SIERIntegrator"]
-__all__ += ["SIERHMCIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator", "Tuning", "tune"]
+__all__ += ["SIERHMCIntegrator", "SIERIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator"]
+__all__ += ["Tuning", "tune"]
 __all__ += ["BodyState", "RigidBodies", "RigidityError", "SelectedBodies", "make_whole", "select_bodies"]
 __all__ += ["ForceCheck", "ForceFault", "check_forces"]
 __all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system"]

@@ -105,7 +105,7 @@ ROWS = (
     ),
     Row(
         "an energy that holds: viscosity, diffusion, spectra",
-        "`prepare_system(system)`, `SIER4GIntegrator`, 4 fs",
+        "`prepare_system(system)`, `SIERIntegrator`, 4 fs",
         (
             Claim(
                 "over 100 ps {least:.0f} to {most:.0f} times smaller energy errors than Verlet at 1.33 fs, also "
@@ -127,7 +127,7 @@ ROWS = (
     ),
     Row(
         "rigid bodies, such as patchy particles",
-        "`RigidBodies`, `SIERLangevinIntegrator` at 60 fs, or `SIER4GIntegrator`",
+        "`RigidBodies`, `SIERLangevinIntegrator` at 60 fs, or `SIERIntegrator`",
         (
             Claim(
                 "in a bath {bath:.1f} times LangevinMiddle with springs at {rival:.0f} fs; at constant energy "
@@ -141,7 +141,7 @@ ROWS = (
     ),
     Row(
         "coarse-grained chains with rigid domains",
-        "`RigidBodies`, `SIER4GIntegrator`, 30 fs",
+        "`RigidBodies`, `SIERIntegrator`, 30 fs",
         (
             Claim(
                 "{energy:.1f} times Verlet with springs, at the same energy error; in a bath nothing: {bath:.1f} times "

@@ -21,7 +21,6 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.inputs.starts import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.integrators.named import SIER2Integrator
 from openmm_sier.observe import stock
 from openmm_sier.system import find_bodies
 from openmm_sier.system.temperature import MomentumConservation, degrees_of_freedom, temperatures
@@ -110,7 +109,7 @@ def equilibrated_liquid(
         kept: see `equilibrated`.
     """
     box = boxes.read(settings, tolerance=tolerance)
-    context = make_context(box.system, SIER2Integrator(0.001), settings.platform)
+    context = make_context(box.system, SIERIntegrator(0.001, "SIER2"), settings.platform)
     start = equilibrated(context, box.positions, settings.temperature, settings.seed, time, kept, report)
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 

@@ -61,7 +61,7 @@ class RigidBodies(dynamics.RigidBodies):
         stay where they are, and constraints between them are ignored.
 
         >>> named = RigidBodies.from_system(system, topology, [[0, 1, 2, 3, 4, 5]], positions)
-        >>> integrator = SIER4GIntegrator(4*femtoseconds, bodies=named)
+        >>> integrator = SIERIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
         geometry. A warning says so where they differ by more than a PDB file rounds.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier import SIER4GIntegrator
+from openmm_sier import SIERIntegrator
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import rms, slope_and_error
 from openmm_sier.inputs.starts import make_context
@@ -43,11 +43,11 @@ class Integrator(NamedTuple):
 
 
 def _nested(model: Model, step: float) -> openmm.Integrator:
-    return SIER4GIntegrator(step, bodies=model.bodies, fastForceGroups={FAST}, substeps=1)
+    return SIERIntegrator(step, bodies=model.bodies, fastForceGroups={FAST}, substeps=1)
 
 
 INTEGRATORS = {
-    "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIER4GIntegrator(step, bodies=model.bodies)),
+    "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIERIntegrator(step, bodies=model.bodies)),
     "sier4g-linkers": Integrator("SIER4G, bonds of linkers in inner steps", False, 3, _nested, (LINKERS,)),
     "sier4g-inner": Integrator("SIER4G, all bonds in inner steps", False, 3, _nested, (LINKERS, JOINTS)),
     "verlet": Integrator("Verlet, springs", True, 1, lambda model, step: openmm.VerletIntegrator(step)),

@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from openmm_sier import RigidBodies, SIER2Integrator, prepare_system
+from openmm_sier import RigidBodies, SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.inputs.starts import make_context
 from studies import boxes, text
@@ -61,7 +61,7 @@ def start(settings: NativeSettings) -> Liquid:
     """A box, equilibrated; hydrogens of solutes are constrained."""
     box = boxes.read(settings, "hbonds")
     prepare_system(box.system)
-    context = make_context(box.system, SIER2Integrator(0.001), "CPU")
+    context = make_context(box.system, SIERIntegrator(0.001, "SIER2"), "CPU")
     state = equilibrated(context, box.positions, settings.temperature, settings.seed, EQUILIBRATION)
     return Liquid(box.system, RigidBodies.from_system(box.system, box.topology), state)
 

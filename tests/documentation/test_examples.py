@@ -86,7 +86,7 @@ def names(water, tmp_path, monkeypatch):
     monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
     topology, positions, system = water
     system = copy.deepcopy(system)
-    integrator = openmm_sier.SIER4GIntegrator(0.004)
+    integrator = openmm_sier.SIERIntegrator(0.004)
     simulation = app.Simulation(topology, copy.deepcopy(system), integrator, platform("Reference"))
     simulation.context.setPositions(positions)
     (tmp_path / "run.csv").write_text(conservation.csv_line(conservation.COLUMNS[:6]) + "0,0,-1,1,0,0\n")

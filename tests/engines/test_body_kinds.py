@@ -10,7 +10,7 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import RigidBodies, RigidityError, SIER2Integrator, SIER4Integrator
+from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.observe.stock import shift_velocities
 from tests.support.flexible_systems import started
@@ -85,12 +85,12 @@ def ends_of(integrator, gas, steps):
 @every_kind
 def test_named_by_atoms_or_by_residue_or_constrained_they_move_alike(kind):
     gas = Gas(kind)
-    ends = [ends_of(SIER4Integrator(0.002, bodies=gas.clusters), gas, 25)]
+    ends = [ends_of(SIERIntegrator(0.002, "SIER4", bodies=gas.clusters), gas, 25)]
     residues = RigidBodies.from_system(gas.system, gas.topology, {kind: "rigid"}, gas.point[0] * unit.nanometer)
-    ends.append(ends_of(SIER4Integrator(0.002, bodies=residues), gas, 25))
+    ends.append(ends_of(SIERIntegrator(0.002, "SIER4", bodies=residues), gas, 25))
     # Constraints of atoms in a row are refused.
     if kind != CARBON_DIOXIDE:
-        ends.append(ends_of(SIER4Integrator(0.002), Gas(kind, pairs_of(kind)), 25))
+        ends.append(ends_of(SIERIntegrator(0.002, "SIER4"), Gas(kind, pairs_of(kind)), 25))
     for end in ends[1:]:
         # The geometries differ by the rounding of coordinates; constraint lengths make them by an eigenvalue problem
         # with their squares.
@@ -107,7 +107,7 @@ def differences(system, point, time, steps, **bodies):
         peer = context_at(system, verlet, point)
         shift_velocities(peer, -0.5 * h)
         verlet.step(count)
-        ours = context_at(system, SIER2Integrator(h, **bodies), point, steps=count)
+        ours = context_at(system, SIERIntegrator(h, "SIER2", **bodies), point, steps=count)
         yield np.abs(phase_point(ours)[0] - phase_point(peer)[0]).max()
 
 
@@ -134,7 +134,9 @@ def test_mixture_moves_as_in_openmm():
 @every_kind
 def test_temperature_in_reports_counts_the_freedoms_of_the_bodies(kind):
     gas = Gas(kind)
-    simulation = app.Simulation(gas.topology, gas.system, SIER2Integrator(0.001, bodies=gas.clusters), platform())
+    simulation = app.Simulation(
+        gas.topology, gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.clusters), platform()
+    )
     simulation.context.setPositions(gas.point[0])
     simulation.context.setVelocities(gas.point[1])
     log = io.StringIO()
@@ -150,7 +152,7 @@ def test_mirror_images_in_one_system(constrained):
     gas = Gas("handed", pairs_of("handed") if constrained else ())
     positions = gas.point[0]
     positions[gas.clusters[1]] *= [-1, 1, 1]
-    integrator = SIER2Integrator(0.001, bodies=None if constrained else gas.clusters)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=None if constrained else gas.clusters)
     context = context_at(gas.system, integrator, (positions, 0 * positions))
     bodies = integrator.bodies
     assert {tuple(species.atoms[:, 0]) for species in bodies.species} == {(0, 8), (4,)}
@@ -198,7 +200,7 @@ def test_virtual_sites_in_a_named_body_ride_along():
     gas = Gas(METHANE)
     gas.system.setParticleMass(4, 0)
     gas.system.setVirtualSite(4, openmm.TwoParticleAverageSite(0, 1, 1.5, -0.5))
-    integrator = SIER2Integrator(0.001, bodies=gas.clusters)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
     context = context_at(gas.system, integrator, gas.point)
     context.computeVirtualSites()
     integrator.step(20)
@@ -209,7 +211,7 @@ def test_virtual_sites_in_a_named_body_ride_along():
 
 def test_named_bodies_need_positions():
     gas = Gas(METHANE)
-    integrator = SIER2Integrator(0.001, bodies=gas.clusters)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
     context = openmm.Context(gas.system, integrator, platform())
     with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
         _ = integrator.bodies
@@ -234,7 +236,7 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     gas.system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     gas.system.removeForce(1)
     gas.system.addForce(seeded(openmm.XmlSerializer.clone(barostat), 1))
-    integrator = SIER2Integrator(0.001, bodies=gas.clusters)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
     context = context_at(gas.system, integrator, gas.point)
     with pytest.raises(RigidityError, match="body of atoms 0, 1, 2 consists of several molecules, and MonteCarlo"):
         integrator.step(1)
@@ -244,7 +246,7 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
         bonds.addBond(*atoms[:2], 0.1, 0.0)
         bonds.addBond(*atoms[1:], 0.1, 0.0)
     gas.system.addForce(bonds)
-    integrator = seeded(SIER2Integrator(0.001, bodies=gas.clusters))
+    integrator = seeded(SIERIntegrator(0.001, "SIER2", bodies=gas.clusters))
     context = context_at(gas.system, integrator, gas.point)
     before = context.getState().getPeriodicBoxVolume()
     integrator.step(20)
@@ -252,6 +254,6 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     assert context.getState().getPeriodicBoxVolume() != before
 
     gas.system.getForce(1).setScaleMoleculesAsRigid(False)
-    context = context_at(gas.system, SIER2Integrator(0.001, bodies=gas.clusters), gas.point)
+    context = context_at(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.clusters), gas.point)
     with pytest.raises(RigidityError, match=r"MonteCarlo\w*Barostat scales each atom separately.*AsRigid=True"):
         context.getIntegrator().step(1)

@@ -14,8 +14,6 @@ from openmm_sier import (
     RigidBodies,
     RigidityError,
     Scheme,
-    SIER2Integrator,
-    SIER4Integrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
 )
@@ -64,8 +62,8 @@ def assert_at(context, trajectory):
 @pytest.mark.parametrize(
     ("make", "error"),
     [
-        thorough((lambda: SIER2Integrator(0.001), Fault), id="SIER2"),
-        thorough((lambda: SIER4Integrator(0.002), KeyboardInterrupt), id="SIER4"),
+        thorough((lambda: SIERIntegrator(0.001, "SIER2"), Fault), id="SIER2"),
+        thorough((lambda: SIERIntegrator(0.002, "SIER4"), KeyboardInterrupt), id="SIER4"),
         pytest.param(langevin, KeyboardInterrupt, id="SIER2 NVT"),
         thorough((lambda: langevin(SIER4), Fault), id="SIER4 NVT"),
     ],
@@ -122,7 +120,7 @@ def test_a_fault_at_any_line_with_threads(cluster, monkeypatch):
     monkeypatch.setattr(threads, "ThreadPoolExecutor", lambda team: shared.append(team) or pool(team))
     monkeypatch.setattr(threads, "count", lambda: 3)
     monkeypatch.setattr(threads, "SHARE", 1)
-    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIER2Integrator(0.001), KeyboardInterrupt)
+    test_a_fault_at_any_line_leaves_a_completed_step(cluster, lambda: SIERIntegrator(0.001, "SIER2"), KeyboardInterrupt)
     assert set(shared) == {3}
 
 
@@ -161,7 +159,7 @@ def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, act
     # At 10^5 bar each move to a smaller box is accepted.
     made = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
     system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
-    integrator = seeded(SIER2Integrator(0.001))
+    integrator = seeded(SIERIntegrator(0.001, "SIER2"))
     context = context_at(system, integrator, box[2], "CPU", steps=1)
     engine = integrator.binding.engine
     seen = []
@@ -212,7 +210,7 @@ def test_force_that_is_not_finite(cluster, name):
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_positions_and_velocities_that_are_not_finite(cluster, what, error, value):
     _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point, steps=2)
     good = phase_point(context)
     wrong = {"positions": good[0].copy(), "velocities": good[1].copy()}
@@ -228,7 +226,7 @@ def test_positions_and_velocities_that_are_not_finite(cluster, what, error, valu
     context.setPositions(good[0])
     context.setVelocities(good[1])
     integrator.step(1)
-    undisturbed = SIER2Integrator(0.001)
+    undisturbed = SIERIntegrator(0.001, "SIER2")
     reference = context_at(system, undisturbed, point, steps=3)
     # The bodies were read anew from the atoms, which costs their rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
@@ -259,8 +257,8 @@ def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):
 def test_bodies_that_are_no_longer_rigid(cluster):
     topology, system, point = cluster
     bodies = RigidBodies.from_system(system, topology)
-    integrator = SIER2Integrator(0.001, bodies=bodies)
-    trajectory = Trajectory(system, lambda: SIER2Integrator(0.001, bodies=bodies), point)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
+    trajectory = Trajectory(system, lambda: SIERIntegrator(0.001, "SIER2", bodies=bodies), point)
     context = context_at(system, integrator, point, steps=3)
     positions = phase_point(context)[0]
     bent = positions.copy()
@@ -283,7 +281,7 @@ def test_bodies_that_are_no_longer_rigid(cluster):
 
 def test_context_that_is_gone(cluster):
     _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point, steps=1)
     del context
     gc.collect()
@@ -294,7 +292,7 @@ def test_context_that_is_gone(cluster):
 
 def test_context_alone_keeps_its_integrator(cluster):
     _, system, point = cluster
-    context = context_at(system, SIER2Integrator(0.001), point)
+    context = context_at(system, SIERIntegrator(0.001, "SIER2"), point)
     gc.collect()
     context.getIntegrator().step(2)
     assert context.getStepCount() == 2
@@ -303,7 +301,7 @@ def test_context_alone_keeps_its_integrator(cluster):
 def test_contexts_are_freed(cluster):
     """Neither keeps the other alive in a circle that only the garbage collector opens."""
     _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point, steps=1)
     gc.disable()
     try:
@@ -318,7 +316,7 @@ def test_compound_integrator_is_refused(cluster):
     _, system, _ = cluster
     compound = openmm.CompoundIntegrator()
     compound.addIntegrator(openmm.VerletIntegrator(0.001))
-    compound.addIntegrator(SIER2Integrator(0.001))
+    compound.addIntegrator(SIERIntegrator(0.001, "SIER2"))
     with pytest.raises(openmm.OpenMMException, match="cannot be part of a CompoundIntegrator"):
         openmm.Context(system, compound, platform())
 
@@ -330,7 +328,7 @@ def test_compound_integrator_is_refused(cluster):
 def test_changed_masses_act_after_reinitialization(cluster, preserve):
     _, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point, steps=0)
     for i in range(system.getNumParticles()):
         system.setParticleMass(i, 3 * system.getParticleMass(i))
@@ -342,7 +340,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
         context.setVelocities(before[1])
     assert np.allclose(integrator.bodies.masses, 3 * light, rtol=1e-14)
     integrator.step(20)
-    fresh = SIER2Integrator(0.001)
+    fresh = SIERIntegrator(0.001, "SIER2")
     reference = context_at(system, fresh, before, steps=20)
     # The same molecules, read from the atoms once or twice: rounding.
     assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-12
@@ -351,7 +349,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
 
 def test_another_thread_is_refused(cluster, monkeypatch):
     _, system, point = cluster
-    integrator, said = SIER2Integrator(0.001), []
+    integrator, said = SIERIntegrator(0.001, "SIER2"), []
     context = context_at(system, integrator, point, steps=0)
 
     def begin(*_):
@@ -377,7 +375,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     topology, system, point = cluster
     system = openmm.XmlSerializer.clone(system)
     bodies = RigidBodies.from_system(system, topology)
-    integrator = SIER2Integrator(0.001, bodies=bodies)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
     context = context_at(system, integrator, point, steps=1)
     system.setParticleMass(6, 2.0)
     message = r"atom 6 of .*residue HOH \d+ .* has a mass of 1.00\d+ dalton in the bodies, but 2.0 dalton in the System"
@@ -386,7 +384,7 @@ def test_bodies_of_other_masses_are_refused(cluster):
     with pytest.raises(openmm.OpenMMException, match="This integrator has no Context"):
         integrator.step(1)
     with pytest.raises(ValueError, match=message):
-        openmm.Context(system, SIER2Integrator(0.001, bodies=bodies), platform())
+        openmm.Context(system, SIERIntegrator(0.001, "SIER2", bodies=bodies), platform())
     system.setParticleMass(6, bodies.species[0].masses[2])
     context.reinitialize(preserveState=True)
     integrator.step(1)

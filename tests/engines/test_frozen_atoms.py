@@ -7,8 +7,8 @@ from openmm import app, unit
 
 from openmm_sier import (
     RigidBodies,
-    SIER4GIntegrator,
     SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     SIERThermostatIntegrator,
     prepare_system,
@@ -74,7 +74,7 @@ def frozen(request):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
     system, point, atoms = frozen
-    integrator = SIER4GIntegrator(0.0005, engine=engine)
+    integrator = SIERIntegrator(0.0005, engine=engine)
     context = context_at(system, integrator, point, steps=20)
     tiny = openmm.VerletIntegrator(1e-5)
     tiny.setConstraintTolerance(1e-10)
@@ -91,7 +91,7 @@ def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_frozen_atoms_hold_no_heat(frozen, engine):
     system, point, atoms = frozen
-    integrator = SIER4GIntegrator(0.0005, engine=engine)
+    integrator = SIERIntegrator(0.0005, engine=engine)
     context = context_at(system, integrator, point)
     context.setVelocitiesToTemperature(300, 1)
     assert not phase_point(context)[1][atoms].any()
@@ -132,7 +132,7 @@ def test_fast_forces_ignore_terms_between_frozen_atoms():
     assert prepared.fastForceGroups
     ends = []
     for groups in (prepared.fastForceGroups, None):
-        integrator = SIER4GIntegrator(0.0005, fastForceGroups=groups)
+        integrator = SIERIntegrator(0.0005, fastForceGroups=groups)
         context = context_at(system, integrator, point, steps=20)
         ends.append(phase_point(context)[0])
     assert np.array_equal(ends[0][atoms], point[0][atoms])
@@ -143,13 +143,13 @@ def test_fast_forces_ignore_terms_between_frozen_atoms():
 def test_a_constraint_between_a_frozen_atom_and_another_is_refused_as_by_openmm():
     _, _, system = cluster_system(2)
     system.setParticleMass(1, 0)
-    for integrator in (openmm.VerletIntegrator(0.001), SIER4GIntegrator(0.001)):
+    for integrator in (openmm.VerletIntegrator(0.001), SIERIntegrator(0.001)):
         with pytest.raises(openmm.OpenMMException, match="massless particle"):
             openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
 
 
 INTEGRATORS = {
-    "constant energy": lambda engine: SIER4GIntegrator(0.001, engine=engine),
+    "constant energy": lambda engine: SIERIntegrator(0.001, engine=engine),
     "Langevin": lambda engine: SIERLangevinIntegrator(300, 1, 0.001, engine=engine),
     "trials": lambda engine: SIERHMCIntegrator(300, 0.001, engine=engine),
     "rescaling": lambda engine: SIERThermostatIntegrator(VelocityRescaling(300, 0.1), 0.001, engine=engine),
@@ -190,7 +190,7 @@ def test_body_states_of_a_system_without_bodies(tmp_path):
     topology, positions, system = cluster_system(2)
     freeze(system, range(system.getNumParticles()))
     for append in (False, True):
-        simulation = simulation_of(topology, system, SIER4GIntegrator(0.001), "Reference", (positions, 0 * positions))
+        simulation = simulation_of(topology, system, SIERIntegrator(0.001), "Reference", (positions, 0 * positions))
         simulation.reporters.append(BodyStateReporter(tmp_path / "bodies.h5", 1, append=append))
         simulation.step(2)
         simulation.reporters[0].close()

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
+from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.engines.exact.minimization import constraints_hold
 from tests.support import cages, methanols
 from tests.support.systems import field, with_forces
@@ -44,7 +44,7 @@ def rms_force(context, bodies):
 
 def test_a_simulation_minimizes_named_bodies_whole(gas, rigid):
     system, topology, positions = gas
-    simulation = app.Simulation(topology, system, SIER2Integrator(0.002, bodies=rigid), platform())
+    simulation = app.Simulation(topology, system, SIERIntegrator(0.002, "SIER2", bodies=rigid), platform())
     simulation.context.setPositions(positions)
     simulation.context.setVelocitiesToTemperature(300, 1)
     velocities = phase_point(simulation.context)[1]
@@ -70,7 +70,9 @@ def test_a_bead_that_is_stuck_in_a_cage_is_told(engine):
     """
     system, positions, atoms = cages.bead_in_cage(0.84, 12.0 if engine == "exact" else 0.0)
     bodies = RigidBodies.from_system(system, rigid=[atoms], positions=positions) if engine == "exact" else None
-    context = context_at(system, SIER2Integrator(0.002, bodies=bodies, engine=engine), (positions, 0 * positions))
+    context = context_at(
+        system, SIERIntegrator(0.002, "SIER2", bodies=bodies, engine=engine), (positions, 0 * positions)
+    )
     with pytest.warns(UserWarning, match=r"still overlap with others, most of all atom 60: .* give other positions"):
         openmm.LocalEnergyMinimizer.minimize(context)
     assert energies(context)[0] > 1e4
@@ -80,7 +82,9 @@ def test_a_bead_that_is_stuck_in_a_cage_is_told(engine):
 def test_a_bead_that_fits_into_a_cage_is_not_told(engine):
     system, positions, atoms = cages.bead_in_cage(0.3, 12.0 if engine == "exact" else 0.0)
     bodies = RigidBodies.from_system(system, rigid=[atoms], positions=positions) if engine == "exact" else None
-    context = context_at(system, SIER2Integrator(0.002, bodies=bodies, engine=engine), (positions, 0 * positions))
+    context = context_at(
+        system, SIERIntegrator(0.002, "SIER2", bodies=bodies, engine=engine), (positions, 0 * positions)
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         openmm.LocalEnergyMinimizer.minimize(context)
@@ -93,7 +97,7 @@ def test_iterations_are_counted_and_reported(gas, rigid):
             return len(calls) == 4
 
     system, _, positions = gas
-    integrator = SIER2Integrator(0.002, bodies=rigid)
+    integrator = SIERIntegrator(0.002, "SIER2", bodies=rigid)
     context = context_at(system, integrator, (positions, 0 * positions))
     calls = []
     openmm.LocalEnergyMinimizer.minimize(context, 1e-9, 50, Reporter())
@@ -111,7 +115,7 @@ def test_constrained_bodies_are_left_to_openmm():
     """Water, and whatever has no bodies of several atoms, is minimized as with any integrator."""
     _, positions, system = cluster_system(4, "tip4pew")
     ends = []
-    for integrator in (SIER2Integrator(0.001), openmm.VerletIntegrator(0.001)):
+    for integrator in (SIERIntegrator(0.001, "SIER2"), openmm.VerletIntegrator(0.001)):
         context = context_at(system, integrator, (positions, 0 * positions))
         openmm.LocalEnergyMinimizer.minimize(context, 5, 50)
         ends.append(phase_point(context)[0])
@@ -138,7 +142,7 @@ def test_a_force_that_is_not_finite_leaves_the_bodies(gas, rigid):
     # Downhill to a wall, behind which the potential is not defined: bodies take some iterations to come there.
     wall = field("-50*x + 1e-9*sqrt(wall - x)", range(system.getNumParticles()), wall=1e3)
     system = with_forces(system, wall)
-    integrator = SIER2Integrator(0.001, bodies=rigid)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=rigid)
     context = context_at(system, integrator, (positions, 0 * positions), steps=2)
     before = phase_point(context)
     context.setParameter("wall", before[0][:, 0].max() + 0.05)
@@ -150,7 +154,7 @@ def test_a_force_that_is_not_finite_leaves_the_bodies(gas, rigid):
         assert np.array_equal(one, other)
     context.setParameter("wall", 1e3)
     integrator.step(1)
-    reference = context_at(system, SIER2Integrator(0.001, bodies=rigid), (positions, 0 * positions), steps=3)
+    reference = context_at(system, SIERIntegrator(0.001, "SIER2", bodies=rigid), (positions, 0 * positions), steps=3)
     assert np.array_equal(phase_point(context)[0], phase_point(reference)[0])
 
 
@@ -160,7 +164,7 @@ def test_bodies_that_were_torn_elsewhere_are_refused_with_the_cause(gas, rigid):
     other = context_at(system, openmm.VerletIntegrator(0.001), (positions, 0 * positions))
     other.setVelocitiesToTemperature(3000, 1)
     other.getIntegrator().step(100)
-    context = context_at(system, SIER2Integrator(0.001, bodies=rigid), phase_point(other))
+    context = context_at(system, SIERIntegrator(0.001, "SIER2", bodies=rigid), phase_point(other))
     with pytest.raises(RigidityError) as caught:
         context.getIntegrator().step(1)
     assert "If you named it in `bodies`" in str(caught.value)
@@ -171,6 +175,6 @@ def test_bodies_that_were_torn_elsewhere_are_refused_with_the_cause(gas, rigid):
 
 def test_positions_that_were_never_set(gas, rigid):
     system, _, _ = gas
-    context = openmm.Context(system, SIER2Integrator(0.001, bodies=rigid), platform())
+    context = openmm.Context(system, SIERIntegrator(0.001, "SIER2", bodies=rigid), platform())
     with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
         openmm.LocalEnergyMinimizer.minimize(context)

@@ -12,8 +12,7 @@ import pytest
 from openmm_sier import (
     SIER4G,
     RigidityError,
-    SIER2Integrator,
-    SIER4GIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     prepare_system,
 )
@@ -38,7 +37,7 @@ X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
 def test_an_isolated_cluster_keeps_momentum_and_angular_momentum(nested, constrained):
     """Two chains and three waters, without a field; an ion would be a point without a group to turn."""
     system, positions = system_of(chains(constrained, field=False), waters=3)
-    integrator = SIER4GIntegrator(0.003, fastForceGroups={FAST} if nested else None)
+    integrator = SIERIntegrator(0.003, fastForceGroups={FAST} if nested else None)
     context = started(system, integrator, positions)
     context.setVelocities(phase_point(context)[1] + [1.0, 2.0, -0.5])
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
@@ -75,7 +74,7 @@ def test_runs_conserves_and_restarts(case, bath):
 
     def integrator():
         if not bath:
-            return SIER4GIntegrator(h, fastForceGroups={FAST})
+            return SIERIntegrator(h, fastForceGroups={FAST})
         return seeded(SIERLangevinIntegrator(300, 10, h, SIER4G, fastForceGroups={FAST}))
 
     one = integrator()
@@ -97,7 +96,7 @@ def test_runs_conserves_and_restarts(case, bath):
 
 def test_temperatures_of_what_is_rigid_and_what_is_not():
     system, positions = system_of(chains(), waters=4, ions=2)
-    integrator = SIER2Integrator(0.0005)
+    integrator = SIERIntegrator(0.0005, "SIER2")
     context = started(system, integrator, positions)
     bodies = integrator.bodies
     assert bodies.dof == (18 * 3 - 12) + 4 * 6 + 2 * 3
@@ -128,7 +127,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     custom.setForceGroup(FAST)
     custom = system.getForce(system.addForce(custom))
     springs = system.getForce(0)
-    integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
+    integrator = SIERIntegrator(0.002, fastForceGroups={FAST})
     context = started(system, integrator, positions, steps=2)
     if early:
         context.setParameter("stiffness", 300.0)
@@ -140,7 +139,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
     middle = phase_point(context)
     integrator.step(2)
     custom.setGlobalParameterDefaultValue(0, 300.0)
-    other = context_at(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), middle, steps=2)
+    other = context_at(system, SIERIntegrator(0.002, fastForceGroups={FAST}), middle, steps=2)
     # The new Context takes positions over from atoms, to rounding.
     assert np.abs(phase_point(context)[0] - phase_point(other)[0]).max() < 1e-12
 
@@ -149,7 +148,7 @@ def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
     with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
-        openmm.Context(system, SIER4GIntegrator(0.002, fastForceGroups={FAST}), platform())
+        openmm.Context(system, SIERIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
 # --- steps ---
@@ -161,7 +160,7 @@ def test_steps_that_fast_bonds_do_not_bear():
     period = 2000 * math.pi * math.sqrt(12 / 13 / 2.8e5)
 
     def context(h, **options):
-        return judged(system, SIER4GIntegrator(h / 1000, fastForceGroups={FAST}, **options))
+        return judged(system, SIERIntegrator(h / 1000, fastForceGroups={FAST}, **options))
 
     with pytest.raises(openmm.OpenMMException, match=rf"inner step of .* period of {period:.3g} fs.*more substeps"):
         context(2.1 * 3.46 / (2 * math.pi) * period, substeps=1)
@@ -178,7 +177,7 @@ def test_steps_that_fast_bonds_do_not_bear():
 def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch):
     """A step in which hydrogens would go round the carbon."""
     system, positions = system_of(rotor(3))
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context = started(system, integrator, positions, steps=3)
     good = everything(context)
     monkeypatch.setattr("openmm_sier.stability.vibrations.Vibrations.check", lambda *_: None)
@@ -193,7 +192,7 @@ def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch)
 
 def test_positions_far_off_the_constraints_are_refused():
     system, positions = system_of(rotor(3))
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context = started(system, integrator, positions)
     cut = positions.copy()
     cut[2] += [0, 0, 0.4]
@@ -214,7 +213,7 @@ def test_atoms_in_a_row_are_refused():
     held = ((0, 1, 0.116), (1, 2, 0.116), (0, 2, 0.232))
     system = assembled((15.999, 12.011, 15.999), constraints=held)
     with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*virtual sites.*name the atoms in `bodies`"):
-        openmm.Context(system, SIER4GIntegrator(0.002), platform())
+        openmm.Context(system, SIERIntegrator(0.002), platform())
 
 
 # --- minimization and pressure ---
@@ -228,7 +227,7 @@ def test_minimization_keeps_constraints(named):
         for number in reversed(range(system.getNumConstraints())):
             if system.getConstraintParameters(number)[0] < 6:
                 system.removeConstraint(number)
-    integrator = SIER4GIntegrator(0.002, bodies=[range(6)] if named else None)
+    integrator = SIERIntegrator(0.002, bodies=[range(6)] if named else None)
     context = context_at(system, integrator, (positions, 0 * positions))
     before = total_energy(context)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
@@ -275,7 +274,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
     system, positions = capped_alanine(waters=4)
     prepare_system(system)
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context = openmm.Context(system, integrator, platform("CPU"), {"Threads": threads})
     context.setPositions(positions)
     integrator.step(0)
@@ -292,7 +291,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
 def test_an_engine_with_fast_forces_needs_no_garbage_collector():
     """Its second Context goes with the integrator; a collector might delete the System of that one first."""
     system, positions = system_of(chains())
-    integrator = SIER4GIntegrator(0.002, fastForceGroups={FAST})
+    integrator = SIERIntegrator(0.002, fastForceGroups={FAST})
     context = started(system, integrator, positions, steps=1)
     motion = weakref.ref(integrator.binding.engine.motion)
     gc.disable()

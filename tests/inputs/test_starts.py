@@ -9,9 +9,8 @@ from openmm import unit
 
 from openmm_sier import (
     SIER4G,
-    SIER2Integrator,
-    SIER4GIntegrator,
     SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     prepare_system,
 )
@@ -32,7 +31,7 @@ TEMPERATURE = 300.0
 
 
 def context_of(system, positions, integrator=None):
-    context = openmm.Context(system, integrator or SIER2Integrator(0.001), platform())
+    context = openmm.Context(system, integrator or SIERIntegrator(0.001, "SIER2"), platform())
     context.setPositions(positions)
     return context
 
@@ -143,7 +142,7 @@ def test_the_step_follows_the_bonds(fast):
     groups = prepare_system(system).fastForceGroups if fast else None
     told = Told()
     with silence():
-        context = context_of(system, positions, SIER4GIntegrator(0.002, fastForceGroups=groups))
+        context = context_of(system, positions, SIERIntegrator(0.002, fastForceGroups=groups))
         found = equilibrate(context, TEMPERATURE, time=0.05, report=told)
     period = 2 * math.pi * math.sqrt(1 / (solutes.WITH_HYDROGEN * (1 / 1.008 + 1 / 15.999)))
     step = 0.75 * (0.45 * period if fast else SIER4G.accuracy_limit * period / (2 * math.pi))
@@ -206,7 +205,7 @@ def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path, m
         return means
 
     monkeypatch.setattr(starts, "_window", growing)
-    context, other = (starts.make_context(box.system, SIER2Integrator(0.001), "Reference") for _ in range(2))
+    context, other = (starts.make_context(box.system, SIERIntegrator(0.001, "SIER2"), "Reference") for _ in range(2))
     initial = context.getState().getPeriodicBoxVolume()
     other.setPositions(box.positions)
     other.computeVirtualSites()

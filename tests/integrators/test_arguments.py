@@ -5,13 +5,10 @@ from functools import partial
 import pytest
 from openmm import unit
 
+import openmm_sier
 from openmm_sier import (
     SIER2,
     Scheme,
-    SIER2Integrator,
-    SIER4GIntegrator,
-    SIER4Integrator,
-    SIER4PIntegrator,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -52,7 +49,7 @@ REFUSED = [
     (partial(SIERThermostatIntegrator, 300, 0.002), "thermostat must be like VelocityRescaling.*, got 300"),
     (partial(langevin().setRandomNumberSeed, 2**40), "seed must be at most 2147483647, got 1099511627776"),
     (partial(SIERIntegrator, 0.002, engine=0), "engine"),
-    (partial(SIER2Integrator, 300, 1, 0.004), "bodies must be .* got 1"),
+    (partial(SIERIntegrator, 0.004, "SIER2", 1), "bodies must be .* got 1"),
     (partial(SIERIntegrator, 0.002, substeps=0), "substeps"),
     (partial(SIERIntegrator, 0.002, substeps=True), "substeps must be a whole number .* got True"),
     (partial(SIERIntegrator, 10**400), "stepSize must be finite"),
@@ -61,7 +58,7 @@ REFUSED = [
     (partial(SIERIntegrator, 0.002, ensemble=0), "ensemble must be one of .*, got 0"),
     (partial(langevin, countsHeat="no"), "countsHeat must be True, False or None, got 'no'"),
     *((partial(SIERIntegrator, 0.004, fastForceGroups=groups), "fastForceGroups") for groups in ({32}, {-1}, "a", 2.5)),
-    *((partial(SIER2Integrator, 0.001, bodies), LISTS) for bodies in (3, "0 1 2", [[0, 1.5]], [0, 1, 2])),
+    *((partial(SIERIntegrator, 0.001, "SIER2", bodies), LISTS) for bodies in (3, "0 1 2", [[0, 1.5]], [0, 1, 2])),
 ]
 
 
@@ -71,12 +68,12 @@ THERMOSTAT = VelocityRescaling(300, 1)
 
 #: Every constructor and method that takes a step, as a function of the step.
 STEPS = [
-    *(SIER2Integrator, SIER4Integrator, SIER4GIntegrator, SIER4PIntegrator, SIERIntegrator),
+    SIERIntegrator,
     partial(SIERLangevinIntegrator, 300, 1),
     partial(SIERHMCIntegrator, 300),
     partial(SIERHMCIntegrator, 300, stepsPerTrial=8),
     partial(SIERThermostatIntegrator, THERMOSTAT),
-    SIER2Integrator(0.001).setStepSize,
+    SIERIntegrator(0.001, "SIER2").setStepSize,
     trials().setSchemeStepSize,
 ]
 
@@ -100,3 +97,12 @@ def test_arguments_of_a_heat_bath_name_the_temperature(integrator):
 def test_impossible_arguments_are_named(make, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make()
+
+
+@pytest.mark.parametrize("name", ["SIER2", "SIER4", "SIER4G", "SIER4P"])
+def test_former_names_of_integrators_are_accepted_with_a_warning(name):
+    with pytest.warns(
+        FutureWarning, match=rf'{name}Integrator is a former name.*: use SIERIntegrator\(stepSize, "{name}"'
+    ):
+        integrator = getattr(openmm_sier, f"{name}Integrator")(0.001, engine="native")
+    assert (integrator.scheme.name, integrator.engine) == (name, "native")

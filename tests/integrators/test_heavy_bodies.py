@@ -7,7 +7,7 @@ import openmm
 import pytest
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import SIER4GIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.system.mobilities import mobilities
 from tests.support.cages import cage
@@ -74,7 +74,7 @@ def test_steps_grow_as_the_root_of_the_smallest_effective_mass(kind, expected):
     # As the pages round it.
     assert mass == pytest.approx(expected, rel=0.02)
     step = STEP * np.sqrt(mass / MASS)
-    integrator = SIER4GIntegrator(step, bodies=bodies)
+    integrator = SIERIntegrator(step, bodies=bodies)
     context = context_at(system, integrator, phase_point(context), "CPU")
     rows = []
     for _ in range(100):

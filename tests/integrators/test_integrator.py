@@ -5,7 +5,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2P3, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2P3, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.integrators.named import IntegratorWithScheme
 from tests.support.seeded import seeded
 from tests.support.systems import with_forces
@@ -26,7 +26,7 @@ def test_forces_changed_without_a_trace_can_be_declared(cluster):
     pull.addPerParticleParameter("k")
     pull.addParticle(0, [0.0])
     system = with_forces(system, pull)
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point, steps=1)
     before = integrator.getBodyState().p.sum(axis=1)[0]
     pull = force_of(system, openmm.CustomExternalForce)
@@ -53,7 +53,7 @@ def test_clock_runs_for_forces_that_read_it(cluster):
     for counts in ((4,), (1, 1, 1, 1)):
         colvar = openmm.CustomCVForce("0*pull")
         colvar.addCollectiveVariable("pull", openmm.PythonForce(clock_reader))
-        integrator = SIER2Integrator(0.001)
+        integrator = SIERIntegrator(0.001, "SIER2")
         _context = context_at(with_forces(cluster[1], colvar), integrator, cluster[2])
         SEEN.clear()
         for count in counts:
@@ -67,7 +67,7 @@ def test_clock_runs_for_forces_that_read_it(cluster):
 def test_andersen_thermostat_acts(box):
     _, system, point = box
     system = with_forces(system, seeded(openmm.AndersenThermostat(297.0, 1000.0), 4))
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     _context = context_at(system, integrator, (point[0], 0 * point[1]), "CPU", steps=10)
     assert sum(integrator.bodies.kinetic_energies(integrator.getBodyState())) > 100.0
 
@@ -80,7 +80,7 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
     topology, positions, system = periodic_system("tip3p" if ions else model, 216 if ions else 64, ions)
     if ions:
         assert {r.name for r in topology.residues()} == {"HOH", "NA", "CL"}
-    simulation = app.Simulation(topology, system, SIER2Integrator(0.001), platform("CPU"), {"Threads": "1"})
+    simulation = app.Simulation(topology, system, SIERIntegrator(0.001, "SIER2"), platform("CPU"), {"Threads": "1"})
     simulation.context.setPositions(positions)
     simulation.minimizeEnergy(maxIterations=50)
     simulation.context.setVelocitiesToTemperature(297.0, 1)
@@ -105,13 +105,13 @@ def test_stock_simulation_with_stock_reporters(tmp_path, model):
 
 def test_steps_without_a_context_are_refused():
     with pytest.raises(openmm.OpenMMException, match="This integrator has no Context"):
-        SIER2Integrator(0.001).step(1)
+        SIERIntegrator(0.001, "SIER2").step(1)
 
 
 @pytest.mark.parametrize("steps", [-1, 2.5, float("nan"), "3", None])
 def test_impossible_step_counts(cluster, steps):
     _, system, point = cluster
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, point)
     with pytest.raises((ValueError, TypeError), match="steps"):
         integrator.step(steps)
@@ -121,14 +121,14 @@ def test_impossible_step_counts(cluster, steps):
 @pytest.mark.parametrize("size", [-0.001, float("nan"), float("inf"), "long", 1 * unit.nanometer])
 def test_impossible_step_sizes(size):
     with pytest.raises((ValueError, TypeError), match="stepSize"):
-        SIER2Integrator(size)
-    integrator = SIER2Integrator(0.001)
+        SIERIntegrator(size, "SIER2")
+    integrator = SIERIntegrator(0.001, "SIER2")
     with pytest.raises((ValueError, TypeError), match="stepSize"):
         integrator.setStepSize(size)
     assert integrator.getStepSize() == 0.001 * unit.picosecond
 
 
-@pytest.mark.parametrize("make", [lambda: SIER2Integrator(0), lambda: SIERLangevinIntegrator(300, 1, 0)])
+@pytest.mark.parametrize("make", [lambda: SIERIntegrator(0, "SIER2"), lambda: SIERLangevinIntegrator(300, 1, 0)])
 def test_a_step_of_zero_moves_nothing(cluster, make):
     """OpenMM's users give it to the integrators of Contexts that only evaluate forces."""
     _, system, point = cluster
@@ -167,7 +167,7 @@ def test_barostats_need_no_velocities(box, barostat):
     ends, volumes = [], []
     for alone in (True, False):
         # On Reference all random numbers come from one generator, which the integrator's seed starts.
-        integrator = seeded(SIER2Integrator(0.001), 7)
+        integrator = seeded(SIERIntegrator(0.001, "SIER2"), 7)
         context = context_at(system, integrator, point)
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
         integrator.step(0)

@@ -16,10 +16,8 @@ from openmm import unit
 from openmm_sier import (
     SIER2,
     SIER4,
-    SIER2Integrator,
-    SIER4GIntegrator,
-    SIER4Integrator,
     SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     SIERThermostatIntegrator,
     prepare_system,
@@ -57,8 +55,8 @@ def rescaled(engine):
 
 
 MAKERS = {
-    "SIER2": lambda: SIER2Integrator(0.001),
-    "SIER4": lambda: SIER4Integrator(0.002),
+    "SIER2": lambda: SIERIntegrator(0.001, "SIER2"),
+    "SIER4": lambda: SIERIntegrator(0.002, "SIER4"),
     "SIER2 NVT": lambda: langevin(SIER2),
     "SIER4 NVT": lambda: langevin(SIER4),
 }
@@ -207,7 +205,7 @@ def test_geometry_of_named_bodies_travels(cluster, steps, fresh):
     while system.getNumConstraints():
         system.removeConstraint(0)
     named = [[atom.index for atom in residue.atoms()] for residue in topology.residues()]
-    one, two = SIER2Integrator(0.001, bodies=named), SIER2Integrator(0.001, bodies=named)
+    one, two = SIERIntegrator(0.001, "SIER2", bodies=named), SIERIntegrator(0.001, "SIER2", bodies=named)
     context = context_at(system, one, point, steps=steps)
     geometry = one.bodies.species[0].sites.copy()
     context.setPositions(phase_point(context)[0] + np.random.default_rng(1).uniform(-1e-4, 1e-4, point[0].shape))
@@ -304,7 +302,7 @@ def test_states_of_other_integrators_are_taken_over(tmp_path, box, make):
     one.step(5)
     one.context.setParameter(openmm.MonteCarloBarostat.Pressure(), 7.0)
     one.saveState(str(tmp_path / "state"))
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     two = simulation_of(topology, with_barostat(system, 25), integrator, "CPU")
     two.loadState(str(tmp_path / "state"))
     assert_same(everything(two.context)[:5], (*phase_point(one.context), *clock_and_box(one.context)))
@@ -317,7 +315,7 @@ def test_states_of_other_integrators_are_taken_over(tmp_path, box, make):
 
 def test_states_of_ours_are_taken_over_by_openmm(tmp_path, cluster):
     topology, system, point = cluster
-    one = simulation_of(topology, system, SIER2Integrator(0.001), point=point)
+    one = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), point=point)
     one.step(5)
     one.saveState(str(tmp_path / "state"))
     two = simulation_of(topology, system, openmm.VerletIntegrator(0.001))
@@ -341,7 +339,7 @@ def test_a_state_is_a_restart_point_if_it_has_the_parameters_of_the_integrator()
     topology, system, point = settled("box-59", topology, positions, system)
 
     def run(get_state=None, writes=False):
-        simulation = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU", point)
+        simulation = simulation_of(topology, system, SIERIntegrator(0.006), "CPU", point)
         simulation.step(8)
         state = get_state(simulation.context) if get_state else None
         xml = openmm.XmlSerializer.serialize(state) if writes else None
@@ -356,7 +354,7 @@ def test_a_state_is_a_restart_point_if_it_has_the_parameters_of_the_integrator()
     written, _, xml = run(full_state, writes=True)
     assert_same(written, end)
     for start in (state, openmm.XmlSerializer.deserialize(xml)):
-        again = simulation_of(topology, system, SIER4GIntegrator(0.006), "CPU")
+        again = simulation_of(topology, system, SIERIntegrator(0.006), "CPU")
         again.context.setState(start)
         again.step(8)
         assert_same(everything(again.context), end)
@@ -369,11 +367,11 @@ def test_forces_within_forces_have_neighbour_lists_of_their_own(box, name, engin
     _, system, point = box
     system = contained(system, name)
     prepare_system(system)
-    integrator = SIER4GIntegrator(0.004, engine=engine)
+    integrator = SIERIntegrator(0.004, engine=engine)
     context = context_at(system, integrator, point, "CPU", steps=60)
     checkpoint = context.createCheckpoint()
     integrator.step(20)
-    again = SIER4GIntegrator(0.004, engine=engine)
+    again = SIERIntegrator(0.004, engine=engine)
     other = context_at(system, again, point, "CPU")
     other.loadCheckpoint(checkpoint)
     again.step(20)

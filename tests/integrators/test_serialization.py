@@ -21,8 +21,6 @@ from openmm_sier import (
     SIER4G,
     RigidBodies,
     Scheme,
-    SIER2Integrator,
-    SIER4Integrator,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -60,8 +58,8 @@ def own_map(A, L, moments, h):
 
 #: No two of them are alike.
 DISTINCT = {
-    "SIER2": lambda: SIER2Integrator(0.002),
-    "SIER4": lambda: SIER4Integrator(0.002),
+    "SIER2": lambda: SIERIntegrator(0.002, "SIER2"),
+    "SIER4": lambda: SIERIntegrator(0.002, "SIER4"),
     "SIER2 by the general class": lambda: SIERIntegrator(0.002, SIER2),
     "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
     "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
@@ -137,7 +135,7 @@ def test_copies_of_a_bound_integrator_serialize_like_it(cluster, name):
 
 def test_a_copy_has_no_program_before_it_has_a_system(cluster, monkeypatch):
     """A program is written for a System; one for any System would be taken out again."""
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
     assert integrator.getNumComputations()
 
@@ -151,13 +149,13 @@ def test_a_copy_has_no_program_before_it_has_a_system(cluster, monkeypatch):
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
     bodies = RigidBodies.from_system(cluster[1], cluster[0])
-    back = deserialize(serialize(SIER2Integrator(0.001, bodies))).binding.settings.bodies
+    back = deserialize(serialize(SIERIntegrator(0.001, "SIER2", bodies=bodies))).binding.settings.bodies
     assert back.n_particles == bodies.n_particles
     for one, two in zip(back.species, bodies.species, strict=True):
         for name in ("atoms", "masses", "sites", "moments"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
-    assert copy.deepcopy(SIER2Integrator(0.001, bodies)).binding.settings.bodies is bodies
+    assert copy.deepcopy(SIERIntegrator(0.001, "SIER2", bodies=bodies)).binding.settings.bodies is bodies
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
@@ -192,7 +190,7 @@ def test_a_state_does_not_bring_back_settings(cluster):
 @pytest.mark.parametrize("n", [1, 5])
 def test_copy_of_a_bound_integrator_in_another_system(cluster, n):
     """OpenMM does not check that per-atom variables fit the System, and would read beyond their end."""
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     _context = context_at(cluster[1], integrator, cluster[2], steps=1)
     other, positions = copy.deepcopy(integrator), np.arange(3.0 * n).reshape(n, 3)
     context = context_at(assembled(n * [1.0]), other, (positions, np.ones((n, 3))), steps=2)
@@ -265,7 +263,7 @@ def test_classes_of_users():
 
 def test_xml_of_another_version(monkeypatch):
     monkeypatch.setattr(settings, "LAYOUT", 7)
-    xml = serialize(SIER2Integrator(0.001))
+    xml = serialize(SIERIntegrator(0.001, "SIER2"))
     monkeypatch.undo()
     with pytest.raises(
         openmm.OpenMMException, match="another version of openmm_sier, in layout 7, and this version reads layout 2"
@@ -276,7 +274,7 @@ def test_xml_of_another_version(monkeypatch):
 PRESSURE = {"pressure": None, "interval": 1}
 LANGEVIN = PRESSURE | {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None}
 LANGEVIN |= {"counts_heat": None}
-SCHEME = settings.as_json(SIER2Integrator(0.001).binding.settings)["scheme"]
+SCHEME = settings.as_json(SIERIntegrator(0.001, "SIER2").binding.settings)["scheme"]
 BODY = {
     "atoms": [[0, 1]],
     "masses": [1.0, 1.0],
@@ -352,7 +350,7 @@ WRONG = {
 def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
     for value in WRONG[field]:
         plain = openmm.CustomIntegrator(0.001)
-        values = settings.as_json(SIER2Integrator(0.001).binding.settings) | {field: value}
+        values = settings.as_json(SIERIntegrator(0.001, "SIER2").binding.settings) | {field: value}
         settings.store_text(plain, json.dumps(values))
         imported = set(sys.modules)
         with pytest.raises(openmm.OpenMMException) as refused:
@@ -398,5 +396,5 @@ def test_hooks_are_put_in_place_once(cluster):
     hooks.install()
     importlib.reload(hooks).install()
     assert depth() == before == 1
-    context = context_at(cluster[1], SIER2Integrator(0.001), cluster[2], steps=1)
+    context = context_at(cluster[1], SIERIntegrator(0.001, "SIER2"), cluster[2], steps=1)
     assert context.getStepCount() == 1

@@ -8,7 +8,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER4GIntegrator, check_forces
+from openmm_sier import SIERIntegrator, check_forces
 from openmm_sier.observe.work import BATCH
 from tests.support.containers import CONTAINERS, contained
 from tests.support.matrices import representatives
@@ -166,7 +166,7 @@ def test_more_forces_than_groups():
 
 def test_a_context_of_this_package_is_not_changed():
     _, positions, system = cluster_system(4)
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     with silence():
         context = openmm.Context(system, integrator, platform())
         context.setPositions(positions)

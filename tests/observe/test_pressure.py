@@ -8,7 +8,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER2Integrator, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.observe.force_check import check_forces
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
@@ -79,7 +79,7 @@ def pair_tensor(positions, velocities, masses, owners, q, edge, cutoff):
 def test_water_with_virtual_sites_against_pairs():
     cutoff = 0.4
     system, positions, owners, q = water_of_smooth_pairs(cutoff)
-    context = context_at(system, SIER2Integrator(0.001), (positions, 0 * positions))
+    context = context_at(system, SIERIntegrator(0.001, "SIER2"), (positions, 0 * positions))
     context.setVelocitiesToTemperature(300, 3)
     state = context.getState(positions=True, velocities=True)
     masses = np.array([system.getParticleMass(i)._value for i in range(len(q))])
@@ -229,13 +229,15 @@ def test_rows_do_not_depend_on_the_past(tmp_path, box):
 
 def test_refusals(tmp_path, box):
     topology, positions, system = cluster_system(4)
-    simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "Reference", (positions, 0 * positions))
+    simulation = simulation_of(
+        topology, system, SIERIntegrator(0.0005, "SIER2"), "Reference", (positions, 0 * positions)
+    )
     simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 1))
     with pytest.raises(ValueError, match="needs a System with periodic boundary conditions"):
         simulation.step(1)
     held = with_forces(box[1], openmm.CustomExternalForce("x"))
     with pytest.raises(ValueError, match="has a CustomExternalForce"):
-        MolecularPressure(context_at(held, SIER2Integrator(0.001), box[2]))
+        MolecularPressure(context_at(held, SIERIntegrator(0.001, "SIER2"), box[2]))
     (frozen, point), (summed, _) = salt(), salt()
     frozen.setParticleMass(7, 0)
     summed.getForce(0).setNonbondedMethod(openmm.NonbondedForce.Ewald)

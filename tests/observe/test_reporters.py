@@ -6,7 +6,7 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import SIER2, SIER2Integrator, SIERLangevinIntegrator, select_bodies
+from openmm_sier import SIER2, SIERIntegrator, SIERLangevinIntegrator, select_bodies
 from openmm_sier.observe import conservation
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.domains import domain_system, folded, topology_of
@@ -50,7 +50,7 @@ def test_conservation_report(tmp_path, box):
 def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
     columns = ["step", "time", "potentialEnergy", "kineticEnergy", "totalEnergy", "temperature", "volume", "density"]
     theirs = app.StateDataReporter(str(tmp_path / "theirs.csv"), 1, **dict.fromkeys(columns, True))
-    simulation = simulation_at(box, SIER2Integrator(0.001))
+    simulation = simulation_at(box, SIERIntegrator(0.001, "SIER2"))
     simulation.reporters += [theirs, ConservationReporter(tmp_path / "ours.csv", 1)]
     simulation.step(1)
     names, values = (tmp_path / "theirs.csv").read_text().splitlines()
@@ -94,7 +94,7 @@ def conserved(tmp_path, box, integrator, *forces, drift=0.0, steps=4):
 def test_the_conserved_energy_is_unknown_where_openmm_gives_heat(tmp_path, box, kind, engine):
     if (kind, engine) == ("thermostat", "native"):
         pytest.skip("refused")
-    found = conserved(tmp_path, box, SIER2Integrator(0.001, engine=engine), OF_OPENMM[kind]())
+    found = conserved(tmp_path, box, SIERIntegrator(0.001, "SIER2", engine=engine), OF_OPENMM[kind]())
     assert np.isnan(found).all()
 
 
@@ -122,7 +122,9 @@ def test_the_conserved_energy_is_conserved_where_all_heat_is_counted(tmp_path, b
 
 def test_without_periodic_boundaries_there_is_no_density(tmp_path):
     topology, positions, system = cluster_system(4)
-    simulation = simulation_of(topology, system, SIER2Integrator(0.0005), "Reference", (positions, 0 * positions))
+    simulation = simulation_of(
+        topology, system, SIERIntegrator(0.0005, "SIER2"), "Reference", (positions, 0 * positions)
+    )
     simulation.reporters.append(ConservationReporter(tmp_path / "log.csv", 1))
     simulation.step(1)
     assert (tmp_path / "log.csv").read_text().splitlines()[1].endswith("nan,nan")
@@ -138,7 +140,7 @@ def test_a_log_with_other_columns_is_not_continued(tmp_path):
 def test_tables_are_continued(tmp_path, box, make):
     path = tmp_path / "log.csv"
     for append in (False, True):
-        simulation = simulation_at(box, SIER2Integrator(0.001))
+        simulation = simulation_at(box, SIERIntegrator(0.001, "SIER2"))
         simulation.reporters.append(make(path, 2, append=append))
         simulation.step(4)
         simulation.reporters.pop().close()
@@ -151,7 +153,7 @@ def test_tables_are_continued(tmp_path, box, make):
 def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
     """As after a kill or on a full disk: without its end a row of step 1 and one of step 10 would be one of 110."""
     path = tmp_path / "log.csv"
-    simulation = simulation_at(box, SIER2Integrator(0.001))
+    simulation = simulation_at(box, SIERIntegrator(0.001, "SIER2"))
     simulation.reporters.append(make(path, 2))
     simulation.step(4)
     simulation.reporters.pop().close()
@@ -181,7 +183,7 @@ def test_a_heading_that_was_cut_and_a_row_without_end_are_refused(tmp_path):
 
 
 def test_body_states(tmp_path, box):
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     simulation = simulation_at(box, integrator)
     path = tmp_path / "bodies.h5"
     simulation.reporters.append(BodyStateReporter(path, 3))
@@ -204,7 +206,7 @@ def test_body_states_have_the_names_of_domains(tmp_path):
     domains = select_bodies(topology, {"head": "A:2-13", "tail": "A:24-37"})
     for number, names in enumerate((domains, {"tail": domains[1]}, {"both": range(30)}, {"none": [0, 100]})):
         simulation = simulation_of(
-            topology, system, SIER2Integrator(0.001, bodies=domains), "Reference", (positions, 0 * positions)
+            topology, system, SIERIntegrator(0.001, "SIER2", bodies=domains), "Reference", (positions, 0 * positions)
         )
         path = tmp_path / f"{number}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, names=names))
@@ -224,7 +226,9 @@ def test_body_states_have_the_names_of_domains(tmp_path):
 def test_body_states_tell_where_the_atoms_are(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)
-    simulation = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
+    simulation = simulation_of(
+        topology, system, SIERIntegrator(0.001, "SIER2"), "Reference", (positions, 0 * positions)
+    )
     path = tmp_path / "bodies.h5"
     simulation.minimizeEnergy(maxIterations=20)
     simulation.reporters.append(BodyStateReporter(path, 20))
@@ -259,7 +263,7 @@ def test_centres_are_wrapped_on_demand(tmp_path, box):
     far = positions + edge * np.array([2, -3, 0.0])
     found = {}
     for unwrapped in (True, False):
-        simulation = simulation_of(topology, system, SIER2Integrator(0.001), "CPU", (far, velocities))
+        simulation = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), "CPU", (far, velocities))
         path = tmp_path / f"{unwrapped}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, unwrapped=unwrapped))
         simulation.step(1)
@@ -279,7 +283,7 @@ def test_body_states_are_continued(tmp_path, box):
     # A run that ended before its first report.
     BodyStateReporter(path, 2)
     for _ in range(2):
-        simulation = simulation_at(box, SIER2Integrator(0.001))
+        simulation = simulation_at(box, SIERIntegrator(0.001, "SIER2"))
         reporter = BodyStateReporter(path, 2, append=True)
         simulation.reporters.append(reporter)
         simulation.step(4)
@@ -288,7 +292,7 @@ def test_body_states_are_continued(tmp_path, box):
         assert file["step"][:].tolist() == [2, 4, 2, 4]
         assert file["q"].shape == (4, 59, 3)
     topology, positions, system = cluster_system(4)
-    other = simulation_of(topology, system, SIER2Integrator(0.001), "Reference", (positions, 0 * positions))
+    other = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), "Reference", (positions, 0 * positions))
     other.reporters.append(BodyStateReporter(path, 1, append=True))
     with pytest.raises(ValueError, match=r"bodies.h5 cannot be continued: its 59 bodies are not those of this System"):
         other.step(1)

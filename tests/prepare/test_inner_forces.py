@@ -7,7 +7,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator, balance_pme, prepare_system
+from openmm_sier import RigidBodies, SIERIntegrator, balance_pme, prepare_system
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.prepare.pme import meshed_forces
 from openmm_sier.stability.vibrations import Vibrations
@@ -59,10 +59,10 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
     system = contained(water[1], name)
     with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*PME jumps"):
-        openmm.Context(system, SIER4GIntegrator(0.004), platform())
+        openmm.Context(system, SIERIntegrator(0.004), platform())
     prepare_system(system)
     with silence():
-        openmm.Context(system, SIER4GIntegrator(0.004), platform())
+        openmm.Context(system, SIERIntegrator(0.004), platform())
 
 
 def charges(kind):
@@ -117,7 +117,7 @@ def test_librations_are_seen_wherever_the_charges_are(water, name):
     with pytest.warns(
         UserWarning, match=r"A step of 20 fs is long: .*can swing among other molecules with a period of 31\.5 fs"
     ):
-        judged(contained(water[1], name), SIER2Integrator(0.02))
+        judged(contained(water[1], name), SIERIntegrator(0.02, "SIER2"))
 
 
 def test_librations_by_multipoles():
@@ -152,7 +152,7 @@ def test_a_factor_of_energies_counts():
     # Of an expression that is not linear nothing is known, and it is said.
     bare.addForce(scaled(inner, energy="factor*U^2"))
     with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce \(CustomCVForce\)"):
-        judged(bare, SIER2Integrator(0.003))
+        judged(bare, SIERIntegrator(0.003, "SIER2"))
 
 
 def test_derivatives_that_are_constant():
@@ -240,7 +240,7 @@ def test_drude_particles_are_refused_wherever_they_are():
     force.addParticle(1, 0, -1, -1, -1, -1.0, 1e-3, 1, 1)
     system.addForce(at_rest(system, force))
     with pytest.raises(openmm.OpenMMException, match="DrudeForce in ATMForce is a DrudeForce"):
-        openmm.Context(system, SIER2Integrator(0.001), platform())
+        openmm.Context(system, SIERIntegrator(0.001, "SIER2"), platform())
 
 
 def test_inner_forces_are_of_their_own_class_and_can_be_changed():

@@ -10,8 +10,6 @@ import pytest
 from openmm_sier import (
     RigidBodies,
     RigidityError,
-    SIER2Integrator,
-    SIER4GIntegrator,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -253,7 +251,7 @@ def test_several_nonbonded_forces_and_others_that_exclude_pairs(peptide):
 # --- what integrators find ---
 
 INTEGRATORS = {
-    "constant energy": lambda **options: SIER4GIntegrator(0.004, **options),
+    "constant energy": lambda **options: SIERIntegrator(0.004, **options),
     "Langevin": lambda **options: SIERLangevinIntegrator(300, 1, 0.004, **options),
     "hybrid Monte Carlo": lambda **options: SIERHMCIntegrator(300, 0.004, stepsPerTrial=2, **options),
 }
@@ -288,7 +286,7 @@ def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
 
 
 def test_an_argument_wins(peptide, prepared):
-    made = SIER4GIntegrator(0.002, fastForceGroups=set())
+    made = SIERIntegrator(0.002, fastForceGroups=set())
     for integrator in (openmm.XmlSerializer.clone(made), made):
         context_of(copy.deepcopy(prepared), peptide[1], integrator)
         assert integrator.fastForceGroups == set()
@@ -322,7 +320,7 @@ def keep_inertia(system):
 def test_a_system_with_a_context_is_not_prepared(change):
     _, positions, system = periodic_system("tip3p", 64)
     before = openmm.XmlSerializer.serialize(system)
-    context = context_of(system, positions, SIER2Integrator(0.001))
+    context = context_of(system, positions, SIERIntegrator(0.001, "SIER2"))
     # `getSystem` makes another Python object for the same System.
     for each in (system, context.getSystem()):
         with pytest.raises(ValueError, match="has a Context already: prepare Systems before"):
@@ -337,7 +335,7 @@ def test_a_system_whose_context_was_refused_can_be_prepared():
     """A notebook keeps the error, and with it the Context that was not completed."""
     _, positions, system = periodic_system("tip3p", 64)
     with pytest.raises(RigidityError) as refused:
-        context_of(system, positions, SIER2Integrator(0.001, bodies=[[0, 3]]))
+        context_of(system, positions, SIERIntegrator(0.001, "SIER2", bodies=[[0, 3]]))
     prepare_system(system)
     assert refused.tb is not None
 
@@ -361,7 +359,7 @@ def test_integrators_of_fourth_order_tell_of_pme(kind):
 def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
     _, positions, system = periodic_system("tip3p", 64)
     with silence():
-        context_of(system, positions, SIER2Integrator(0.001))
+        context_of(system, positions, SIERIntegrator(0.001, "SIER2"))
         remedy(system)
         context_of(system, positions, SIERIntegrator(0.004, SIER4G))
 
@@ -381,7 +379,7 @@ def test_a_free_group_is_taken_where_the_first_has_other_forces():
     assert force_of(system, openmm.HarmonicBondForce).getForceGroup() == 0
     done = prepare_system(system)
     assert done.fastForceGroups == {3}
-    integrator = SIER4GIntegrator(0.003)
+    integrator = SIERIntegrator(0.003)
     context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1
     assert integrator.fastForceGroups == {3}
@@ -401,9 +399,9 @@ def test_forces_that_were_regrouped_are_to_be_prepared_again(peptide, prepared, 
     with pytest.raises(
         openmm.OpenMMException, match=r"was changed after prepare_system.*prepare_system\(system\) again"
     ):
-        context_of(system, peptide[1], SIER4GIntegrator(0.002))
+        context_of(system, peptide[1], SIERIntegrator(0.002))
     (group,) = prepare_system(system).fastForceGroups
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context_of(system, peptide[1], integrator)
     assert integrator.fastForceGroups == {group}
     names = {force.getName() for force in system.getForces() if force.getForceGroup() == group}
@@ -415,13 +413,13 @@ def test_forces_that_are_added_later_stay_in_the_kicks(peptide, prepared):
     restraint = openmm.CustomBondForce("10*r^2")
     restraint.addBond(0, 10, [])
     restraint = system.getForce(system.addForce(restraint))
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     with silence():
         context_of(system, peptide[1], integrator)
     assert integrator.fastForceGroups == {FAST}
     restraint.setForceGroup(FAST)
     with pytest.raises(openmm.OpenMMException, match="CustomBondForce was changed after prepare_system"):
-        context_of(system, peptide[1], SIER4GIntegrator(0.002))
+        context_of(system, peptide[1], SIERIntegrator(0.002))
 
 
 # --- what is given ---
@@ -437,7 +435,7 @@ def test_bodies_as_plain_lists():
 
 def test_a_simulation_is_refused_with_what_to_give():
     system, positions = system_of(chains())
-    context = started(system, SIER2Integrator(0.001), positions)
+    context = started(system, SIERIntegrator(0.001, "SIER2"), positions)
     with pytest.raises(
         TypeError, match=r"system must be an openmm.System, got a SIERContext: .*simulation.system before"
     ):

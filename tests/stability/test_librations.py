@@ -7,8 +7,6 @@ from openmm_sier import (
     SIER2V2,
     SIER4G,
     RigidBodies,
-    SIER2Integrator,
-    SIER4GIntegrator,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -37,13 +35,13 @@ def test_steps_in_use_are_taken(model, engine):
     """The usual step, in a bath 9 fs, of SIER2 6 fs, and Verlet's 3 fs without a word; 4 and 12 fs are spoken of."""
     _, _, system = cluster_system(3, model)
     for integrator in (
-        SIER4GIntegrator(SIER4G.constant_energy_step, engine=engine),
+        SIERIntegrator(SIER4G.constant_energy_step, engine=engine),
         SIERLangevinIntegrator(297, 1, 0.009, SIER4G, engine=engine),
         SIERLangevinIntegrator(297, 1, 0.006, engine=engine),
-        SIER2Integrator(0.003, engine=engine),
+        SIERIntegrator(0.003, "SIER2", engine=engine),
     ):
         silently(system, integrator)
-    for integrator in (SIER4GIntegrator(0.012, engine=engine), SIER2Integrator(0.004, engine=engine)):
+    for integrator in (SIERIntegrator(0.012, engine=engine), SIERIntegrator(0.004, "SIER2", engine=engine)):
         with pytest.warns(
             UserWarning,
             match=r"is long: .* and similar bodies can swing among other molecules with a period of 31\.5 fs",
@@ -56,7 +54,7 @@ def test_a_step_at_which_the_energy_walks(engine):
     """It is told once, with what to expect and what to take; nothing is said where the energy need not hold."""
     _, positions, system = cluster_system(3)
     told = r"With steps of 6 fs the total energy wanders: .* is about 0\.[67] %, and 0\.0\d+ % with SIER4G at 4 fs"
-    integrator = SIER4GIntegrator(0.006, engine=engine)
+    integrator = SIERIntegrator(0.006, engine=engine)
     with pytest.warns(UserWarning, match=told):
         context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     with silence():
@@ -68,18 +66,18 @@ def test_a_step_at_which_the_energy_walks(engine):
     silently(system, SIERIntegrator(0.006, SIER2V2, engine=engine))
     if engine == "exact":  # the native one takes no AndersenThermostat
         with_collisions = with_forces(system, openmm.AndersenThermostat(297, 1))
-        silently(with_collisions, SIER4GIntegrator(0.006, engine=engine))
+        silently(with_collisions, SIERIntegrator(0.006, engine=engine))
     for i in range(9):
         system.setParticleMass(i, 4 * system.getParticleMass(i))
-    silently(system, SIER4GIntegrator(0.008, engine=engine))
+    silently(system, SIERIntegrator(0.008, engine=engine))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_picoseconds_in_place_of_femtoseconds(engine):
     _, positions, system = cluster_system(3)
     with pytest.raises(openmm.OpenMMException, match=r"A step of 6 ps is too long: .* give 6\*unit\.femtoseconds"):
-        judged(system, SIER4GIntegrator(6, engine=engine))
-    integrator = SIER4GIntegrator(0.006, engine=engine)
+        judged(system, SIERIntegrator(6, engine=engine))
+    integrator = SIERIntegrator(0.006, engine=engine)
     context = context_at(system, integrator, (positions, 0 * positions))
     integrator.setStepSize(6)
     with pytest.raises(openmm.OpenMMException, match="is too long"):
@@ -132,7 +130,7 @@ def behind_hydrogens(count):
 def test_every_atom_counts(engine):
     """Charges of one atom of a mass say nothing of the others: those of water may come after a large solute."""
     with pytest.warns(UserWarning, match=r"is long: .* swing among other molecules with a period of 31\.5 fs"):
-        judged(behind_hydrogens(200), SIER4GIntegrator(0.012, engine=engine))
+        judged(behind_hydrogens(200), SIERIntegrator(0.012, engine=engine))
 
 
 def gas(charge=0.0, epsilon=0.0):
@@ -148,7 +146,7 @@ def test_what_nothing_holds_takes_any_step(engine):
     alone, with_frozen = cluster_system(1)[2], cluster_system(2)[2]
 
     def long():
-        return SIER4GIntegrator(6, engine=engine)
+        return SIERIntegrator(6, engine=engine)
 
     bend = openmm.HarmonicAngleForce()
     bend.addAngle(1, 0, 2, 1.9, 300)
@@ -159,7 +157,7 @@ def test_what_nothing_holds_takes_any_step(engine):
     for system in (gas(charge=0.5), gas(epsilon=1.0), with_frozen):
         with pytest.raises(openmm.OpenMMException, match="is too long"):
             judged(system, long())
-    silently(gas(charge=0.5), SIER4GIntegrator(0, engine=engine))
+    silently(gas(charge=0.5), SIERIntegrator(0, engine=engine))
     ignored = long()
     ignored.setIntegrationForceGroups({1})
     silently(gas(charge=0.5), ignored)

@@ -7,7 +7,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2Integrator, SIER4GIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.stability import runaway
 from tests.support.silence import silence
 from tests.support.systems import assembled
@@ -23,7 +23,7 @@ def test_a_runaway_stops_with_an_error(box, monkeypatch):
     """
     monkeypatch.setattr(runaway, "INTERVAL", 1)
     _, system, point = box
-    integrator = SIER2Integrator(0.012, engine="exact")
+    integrator = SIERIntegrator(0.012, "SIER2", engine="exact")
     with pytest.warns(UserWarning, match="is long"):
         # OpenMM's PME on the Reference platform writes past its mesh where positions are not finite.
         context = context_at(system, integrator, point, "CPU", steps=0)
@@ -56,7 +56,7 @@ def looks(integrator, calls=3):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_hot_starts_and_hot_baths_are_the_users_own(engine):
     system, positions = gas()
-    integrator = SIER4GIntegrator(0.002, engine=engine)
+    integrator = SIERIntegrator(0.002, engine=engine)
     context = openmm.Context(system, integrator, platform())
     context.setPositions(positions)
     for temperature in (300, 20000, 100, 50000):
@@ -88,7 +88,7 @@ def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
     _, system, (positions, _) = box
     overlapping = positions.copy()
     overlapping[:3] += positions[3] - positions[0] + 0.02
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, (overlapping, 0 * positions))
     openmm.LocalEnergyMinimizer.minimize(context, maxIterations=100)
     context.setVelocitiesToTemperature(300, 1)
@@ -97,7 +97,7 @@ def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
     for charge in (1, -1):
         coulomb.addParticle(charge, 0.2, 0.5)
     ions = assembled(2 * [23.0], coulomb)
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context = context_at(ions, integrator, (np.array([[0, 0, 0], [0.8, 0, 0]]), np.zeros((2, 3))))
     # They fall onto each other.
     hottest = 0.0
@@ -115,7 +115,7 @@ def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
 def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity, complaint):
     """The first dozen steps show the worst runaways; here the steps themselves set the velocities."""
     system, positions = gas()
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     context = openmm.Context(system, integrator, platform())
     context.setPositions(positions)
     context.setVelocitiesToTemperature(300, 1)
@@ -129,7 +129,7 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity,
 
 def test_copies_have_a_watch_of_their_own(box):
     _, system, point = box
-    integrator = SIER4GIntegrator(0.002)
+    integrator = SIERIntegrator(0.002)
     original = context_at(system, integrator, point)
     clone = copy.deepcopy(integrator)
     context = context_at(system, clone, point, steps=1)

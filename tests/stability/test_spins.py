@@ -1,10 +1,12 @@
 """Steps in which bodies with a small moment of inertia turn too far: spoken of, and refused at two kicks a turn."""
 
+from functools import partial
+
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, SIER2Integrator, SIER4GIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.starts import equilibrate
 from openmm_sier.stability.spins import FAST, Spins
@@ -40,7 +42,7 @@ def made(system, integrator, silently=True):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("make", [SIER2Integrator, SIER4GIntegrator])
+@pytest.mark.parametrize("make", [partial(SIERIntegrator, scheme="SIER2"), SIERIntegrator])
 def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
     system, _ = trimers(177)
     scheme = make(0.001).scheme
@@ -67,16 +69,16 @@ def test_the_temperature_of_a_bath_counts():
 def test_where_nothing_turns_them():
     """A body alone, or among others without forces; a field turns it."""
     alone, _ = trimers(178, edge=1)
-    made(alone, SIER2Integrator(0.006))
+    made(alone, SIERIntegrator(0.006, "SIER2"))
     without, _ = trimers(178)
     without.removeForce(0)
-    made(without, SIER2Integrator(0.006))
+    made(without, SIERIntegrator(0.006, "SIER2"))
     empty = openmm.NonbondedForce()
     for _ in range(without.getNumParticles()):
         empty.addParticle(0, 0.3, 0)
-    made(with_forces(without, empty), SIER2Integrator(0.006))
+    made(with_forces(without, empty), SIERIntegrator(0.006, "SIER2"))
     with pytest.warns(UserWarning, match="is long: the body of atoms 0, 1, 2"):
-        made(with_forces(alone, field("100*y^2", range(3))), SIER2Integrator(0.006), silently=False)
+        made(with_forces(alone, field("100*y^2", range(3))), SIERIntegrator(0.006, "SIER2"), silently=False)
 
 
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew"])
@@ -84,7 +86,7 @@ def test_molecules_that_are_no_lines_may_take_the_longest_steps(model):
     _, _, system = cluster_system(3, model)
     bodies = RigidBodies.from_system(system)
     with silence():
-        Spins(system, bodies.species, bodies.describe_atoms).check(SIER2Integrator(0.001).scheme, 0.0098, 1)
+        Spins(system, bodies.species, bodies.describe_atoms).check(SIERIntegrator(0.001, "SIER2").scheme, 0.0098, 1)
 
 
 def named(degrees):

@@ -15,7 +15,6 @@ from openmm_sier import (
     SIER2,
     SIER4G,
     RigidBodies,
-    SIER2Integrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
     prepare_system,
@@ -83,7 +82,7 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
     integrator.setStepSize(0.001)
     integrator.step(1)
     with pytest.warns(UserWarning, match="is long"):
-        judged(system, SIER2Integrator(0.001))
+        judged(system, SIERIntegrator(0.001, "SIER2"))
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
@@ -117,7 +116,7 @@ def test_bonds_inside_bodies_do_not_count(flexible):
 
 
 def test_bonds_that_do_not_act_do_not_count():
-    integrator = SIER2Integrator(0.006)
+    integrator = SIERIntegrator(0.006, "SIER2")
     integrator.setIntegrationForceGroups({0})
     context = judged(diatomic(2e5, group=1), integrator)
     context.setPositions(np.array([[0, 0, 0], [0.1, 0, 0]]))
@@ -146,9 +145,9 @@ def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
 
     monkeypatch.setattr(advice, "hydrogens_among", looked_for)
     _, _, system = cluster_system(2)
-    judged(system, SIER2Integrator(0.001))
+    judged(system, SIERIntegrator(0.001, "SIER2"))
     with pytest.raises(AssertionError):
-        judged(system, SIER2Integrator(0.006))
+        judged(system, SIERIntegrator(0.006, "SIER2"))
 
 
 @pytest.mark.parametrize("masses", [(1.0, 16.0), (1.0, 0.0), (12.0, 12.0)])
@@ -158,9 +157,9 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
     inverse = sum(1 / mass for mass in masses if mass)
     period = 2 * math.pi / math.sqrt(1e5 * inverse)
     stable, _ = limits(SIER2, period)
-    judged(system, SIER2Integrator(0.999 * stable))
+    judged(system, SIERIntegrator(0.999 * stable, "SIER2"))
     with pytest.raises(openmm.OpenMMException, match=f"period of {1000 * period:.3g} fs"):
-        judged(system, SIER2Integrator(1.001 * stable))
+        judged(system, SIERIntegrator(1.001 * stable, "SIER2"))
 
 
 @pytest.mark.parametrize(
@@ -268,8 +267,8 @@ def test_a_remedy_is_one_that_helps(kind, prepared):
 
 
 def test_bonds_without_strength_are_no_oscillators():
-    judged(diatomic(strength=0.0), SIER2Integrator(1.0))
-    judged(diatomic(masses=(0.0, 0.0)), SIER2Integrator(1.0))
+    judged(diatomic(strength=0.0), SIERIntegrator(1.0, "SIER2"))
+    judged(diatomic(masses=(0.0, 0.0)), SIERIntegrator(1.0, "SIER2"))
 
 
 def test_a_bond_at_a_body_moves_the_body(rng):
@@ -321,7 +320,8 @@ def test_the_step_that_a_refusal_in_a_bath_names_draws_no_warning():
 
 
 @pytest.mark.parametrize(
-    ("make", "h", "inner"), [(partial(SIERLangevinIntegrator, 300, 1), 3, 1), (SIER2Integrator, 4, 2)]
+    ("make", "h", "inner"),
+    [(partial(SIERLangevinIntegrator, 300, 1), 3, 1), (partial(SIERIntegrator, scheme="SIER2"), 4, 2)],
 )
 @pytest.mark.filterwarnings("error:An inner step")
 def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, inner):
@@ -369,7 +369,7 @@ def test_a_drude_force_is_refused_with_what_to_take():
     drude = openmm.DrudeForce()
     drude.addParticle(1, 0, -1, -1, -1, -1.7, 1e-3, 1, 1)
     system.addForce(drude)
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     with pytest.raises(openmm.OpenMMException, match=r"DrudeForce.*openmm\.DrudeLangevinIntegrator"):
         openmm.Context(system, integrator, platform())
     openmm.Context(diatomic(), integrator, platform())

@@ -8,8 +8,8 @@ import openmm
 import pytest
 from openmm import app, unit
 
+from openmm_sier import SIERIntegrator
 from openmm_sier.inputs import forcefields
-from openmm_sier.integrators.named import SIER2Integrator
 from studies.bench import peers
 from tests.support.commands import SYSTEMS
 from tests.support.flexible_systems import started
@@ -20,7 +20,7 @@ from tests.support.waters import plain_context
 def liquid():
     """512 molecules of TIP3P with velocities: the System, a State, and what peers are told."""
     found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
-    context = started(found.system, SIER2Integrator(0.001), found.positions, 297, seed=1)
+    context = started(found.system, SIERIntegrator(0.001, "SIER2"), found.positions, 297, seed=1)
     state = context.getState(positions=True, velocities=True)
     return found.system, state, peers.liquid_of(found.system, state)
 

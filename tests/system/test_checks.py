@@ -3,7 +3,7 @@
 import openmm
 import pytest
 
-from openmm_sier import SIER2Integrator
+from openmm_sier import SIERIntegrator
 from openmm_sier.system.checks import acting_forces
 from openmm_sier.system.forces import FORCES
 from tests.support.systems import assembled, field, with_forces
@@ -60,7 +60,7 @@ def test_what_a_force_contains_acts(outer):
 def test_an_unknown_force_acts(monkeypatch):
     """One of a plugin, or of a later OpenMM: the exact engine updates and reads the Context at each step."""
     monkeypatch.delitem(FORCES, openmm.CustomExternalForce)
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = openmm.Context(assembled([1.0], field("x", [0])), integrator, platform())
     context.setPositions([[0, 0, 0]])
     integrator.step(1)

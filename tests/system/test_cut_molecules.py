@@ -9,7 +9,7 @@ import pytest
 from openmm_sier import (
     RigidBodies,
     RigidityError,
-    SIER2Integrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     make_whole,
     set_inertia,
@@ -112,7 +112,7 @@ def test_molecules_that_are_whole_across_the_boundary_are_taken(engine):
     system, whole = chain()
     for shift in (0, BOX, -2 * BOX):
         x = whole + np.array([shift, 0, 0])
-        integrator = SIER2Integrator(0.001, engine=engine)
+        integrator = SIERIntegrator(0.001, "SIER2", engine=engine)
         context = context_at(system, integrator, (x, 0 * x), steps=1)
         openmm.LocalEnergyMinimizer.minimize(context, maxIterations=2)
         assert np.abs(phase_point(context)[0] - x).max() < 0.1
@@ -125,7 +125,7 @@ def test_a_bond_that_is_made_longer_in_a_context_is_not_cut(engine):
     system = body_system(x)
     restraint = system.getForce(1)
     restraint.addBond(0, 1, 0.5, 1000.0)
-    integrator = SIER2Integrator(0.001, engine=engine)
+    integrator = SIERIntegrator(0.001, "SIER2", engine=engine)
     context = context_at(system, integrator, (x, np.zeros_like(x)))
     integrator.step(1)
     x[1, 0] = 2.0
@@ -141,7 +141,7 @@ def test_without_a_box_the_question_is_asked(engine):
     """A System that is not periodic with positions of one that was: nothing tells that they were cut."""
     system, whole = chain(periodic=False)
     broken = cut(system, whole)
-    integrator = SIER2Integrator(0.001, engine=engine)
+    integrator = SIERIntegrator(0.001, "SIER2", engine=engine)
     _context = context_at(system, integrator, (broken, 0 * broken))
     with pytest.raises(RigidityError, match=r"Does the periodic boundary cut the molecule\? .*make_whole\("):
         integrator.step(1)
@@ -174,7 +174,7 @@ def body_system(x, strength=None, periodic_bonds=False):
 
 
 def step_at(system, bodies, x):
-    integrator = SIER2Integrator(0.001, bodies=bodies)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
     context = context_at(system, integrator, (x, 0 * x))
     integrator.step(1)
     return context

@@ -6,7 +6,7 @@ import openmm
 import pytest
 from openmm import app
 
-from openmm_sier import SIER2Integrator
+from openmm_sier import SIERIntegrator
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, platform
 
@@ -48,7 +48,7 @@ def expression():
 def created(system):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        openmm.Context(system, SIER2Integrator(0.0005), platform())
+        openmm.Context(system, SIERIntegrator(0.0005, "SIER2"), platform())
 
 
 LOOSE = {
@@ -72,7 +72,7 @@ HELD = {
 @pytest.mark.parametrize("system", LOOSE.values(), ids=LOOSE)
 def test_hydrogens_that_nothing_holds_are_told_of(system):
     with pytest.warns(UserWarning, match="Nothing fixes the angle of atoms 1, 0 and 2, nor that of 0 other molecules"):
-        openmm.Context(system, SIER2Integrator(0.0005), platform())
+        openmm.Context(system, SIERIntegrator(0.0005, "SIER2"), platform())
 
 
 @pytest.mark.parametrize("system", HELD.values(), ids=HELD)

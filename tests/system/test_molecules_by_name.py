@@ -4,7 +4,7 @@ import openmm
 import pytest
 from openmm import app
 
-from openmm_sier import RigidBodies, SIER4GIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator, prepare_system
 from tests.support import solutes
 from tests.support.flexible import residual
 from tests.support.flexible_systems import started, total_energy
@@ -25,7 +25,7 @@ def alanine():
 
 def largest_deviation(system, positions, h, steps, groups, bodies=None):
     """Of the total energy from its start, kJ/mol, over steps of h."""
-    integrator = SIER4GIntegrator(h, bodies=bodies, fastForceGroups=groups)
+    integrator = SIERIntegrator(h, bodies=bodies, fastForceGroups=groups)
     context = started(system, integrator, positions, steps=0)
     start, found = total_energy(context), []
     for _ in range(steps):

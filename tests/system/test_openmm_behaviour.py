@@ -5,7 +5,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4Integrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.restarts import simulation_of
 from tests.support.seeded import seeded
 from tests.support.systems import with_forces
@@ -13,8 +13,8 @@ from tests.support.waters import array, context_at, phase_point
 
 INTEGRATORS = {
     "LangevinMiddle": lambda: seeded(openmm.LangevinMiddleIntegrator(297.0, 1.0, 0.001)),
-    "SIER4": lambda: SIER4Integrator(0.001),
-    "SIER4 native": lambda: SIER4Integrator(0.001, engine="native"),
+    "SIER4": lambda: SIERIntegrator(0.001, "SIER4"),
+    "SIER4 native": lambda: SIERIntegrator(0.001, "SIER4", engine="native"),
     "SIERLangevin": lambda: seeded(SIERLangevinIntegrator(297.0, 1.0, 0.001, scheme=SIER2)),
 }
 every_integrator = pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS.keys())
@@ -63,7 +63,7 @@ def test_the_state_is_that_of_its_positions(cluster):
     """Forces, energies and parameters agree with a Context that was never stepped."""
     topology, system, point = cluster
     system = with_parameter(system)
-    simulation = simulation_of(topology, system, SIER4Integrator(0.001), point=point)
+    simulation = simulation_of(topology, system, SIERIntegrator(0.001, "SIER4"), point=point)
     simulation.step(5)
     simulation.context.setParameter("strength", 3.0)
     other = context_at(system, openmm.VerletIntegrator(0.001), phase_point(simulation.context))
@@ -84,7 +84,7 @@ def test_force_groups_choose_the_forces_that_move(cluster, engine):
     system.getForce(system.getNumForces() - 1).setForceGroup(7)
     for i in range(system.getNumForces() - 1):
         system.getForce(i).setForceGroup(2)
-    integrator = SIER4Integrator(0.001, engine=engine)
+    integrator = SIERIntegrator(0.001, "SIER4", engine=engine)
     integrator.setIntegrationForceGroups({7})
     simulation = simulation_of(topology, system, integrator, point=point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])

@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, RigidityError, SIER2Integrator
+from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.dynamics.species import FIT_FRACTION, FIT_TOLERANCE, Species
 from tests.support.oracles import random_attitudes
 from tests.support.silence import silence
@@ -59,7 +59,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
     """1490 waters came from a PDB file of another model, and OpenMM's own integrators pull such in."""
     _, positions, _ = cluster_system(6, "spce")
     topology, _, system = cluster_system(6, "tip3p")
-    integrator = SIER2Integrator(0.001, bodies=RigidBodies.from_system(system, topology))
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=RigidBodies.from_system(system, topology))
     context = context_at(system, integrator, (positions, 0 * positions))
     with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape of their constraints") as said:
         integrator.step(1)
@@ -78,7 +78,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
 
 def test_rounding_is_not_said():
     _, positions, system = cluster_system(6)
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, (np.round(positions, 4), 0 * positions))
     with silence():
         integrator.step(1)
@@ -130,7 +130,7 @@ def test_hands_are_told_apart_within_the_tolerance(height, rng):
 def test_points_may_all_be_at_the_origin(n, name):
     """OpenMM itself knows whether positions were set."""
     system = assembled(n * [20.0], field("-x", range(n)))
-    integrator = SIER2Integrator(0.001)
+    integrator = SIERIntegrator(0.001, "SIER2")
     context = openmm.Context(system, integrator, platform(name))
     for ask in (lambda: integrator.step(1), integrator.getBodyState, integrator.computeSystemTemperature):
         with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):

@@ -12,8 +12,8 @@ from openmm_sier import (
     SIER2,
     BodyState,
     RigidBodies,
-    SIER2Integrator,
     SIERHMCIntegrator,
+    SIERIntegrator,
     SIERLangevinIntegrator,
     SIERThermostatIntegrator,
 )
@@ -34,7 +34,7 @@ def box():
 
 
 def nve():
-    return SIER2Integrator(0.001)
+    return SIERIntegrator(0.001, "SIER2")
 
 
 def langevin(friction=1.0, **options):
@@ -232,7 +232,7 @@ def test_canonical_temperatures_of_domains_that_linkers_join(conserved):
 def test_temperatures_are_quantities():
     """`computeTemperatures` and `computeSystemTemperature` agree in value and unit; numbers are had by name."""
     system, positions, bodies = domains(chains=1)
-    integrator = SIER2Integrator(0.001, bodies=bodies)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
     _context = started(system, integrator, positions)
     found = integrator.computeTemperatures()
     assert found.total == integrator.computeSystemTemperature()
