@@ -57,6 +57,18 @@ def test_steps_agree(mixture):
         assert np.abs(one - other).max() < 100 * ROUNDING * np.abs(one).max(), name
 
 
+def test_kicks_from_displaced_points_agree(mixture, rng):
+    """A force that does not depend on positions has no lever there, since it displaces along itself."""
+    _, state, _ = mixture
+    F, tau, apart = rng.normal(size=(3, *state.q.shape))
+
+    def kicked():
+        return backend.active().kick(state.p, state.L, F, tau, 0.1, state.q, state.q + apart)
+
+    for one, other in zip(*both(kicked), strict=True):
+        assert np.abs(one - other).max() < ROUNDING * np.abs(one).max()
+
+
 def test_baths_agree(mixture):
     bodies, state, _ = mixture
 
