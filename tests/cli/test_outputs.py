@@ -122,6 +122,27 @@ def test_a_new_file_has_the_permissions_of_others():
     assert Path("made").stat().st_mode == Path("there").stat().st_mode
 
 
+def test_what_a_checkpoint_notes_is_on_the_disk_before_it_replaces_the_old_one(monkeypatch):
+    """After a power failure the file is the old or the new one, and the log has the rows that it notes."""
+    log, done = records.Log(Path("a.csv"), ["Step"], None), []
+
+    def watch(name):
+        original = getattr(os, name)
+
+        def watched(*arguments):
+            done.append(name)
+            return original(*arguments)
+
+        monkeypatch.setattr(os, name, watched)
+
+    for name in ("fsync", "replace"):
+        watch(name)
+    log.noted()
+    assert done == ["fsync"]
+    records.replace(Path("a.chk"), memoryview(b"new"))
+    assert done == ["fsync", "fsync", "replace"]
+
+
 @pytest.mark.parametrize("option", ["--plot", "--save-config"])
 def test_a_picture_and_settings_replace_only_such(box, capsys, no_equilibration, option):
     name = {"--plot": "a.png", "--save-config": "a.toml"}[option]

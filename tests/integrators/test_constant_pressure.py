@@ -236,6 +236,30 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     assert made.getGlobalVariableByName(MOVES) == 10
 
 
+@both_engines
+def test_a_move_scales_centres_of_molecules_and_leaves_their_shapes(monkeypatch, engine):
+    """Of springs at rest in a bath at 0 K, so that nothing else moves the atoms."""
+    monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)
+    spring, masses = openmm.HarmonicBondForce(), [12.0, 16.0]
+    spring.setUsesPeriodicBoundaryConditions(True)
+    centres = np.array([[0.3, 0.4, 0.5], [1.2, 1.1, 0.2], [0.6, 1.5, 1.7]])
+    # On either side of the centre of mass, by the mass of the other atom.
+    arms = 0.01 / 28 * np.array([[16.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
+    for i in range(len(centres)):
+        spring.addBond(2 * i, 2 * i + 1, 0.01, 1000.0)
+    system = assembled(len(centres) * masses, spring)
+    system.setDefaultPeriodicBoxVectors(*(2 * np.eye(3)))
+    positions = (centres[:, None] + arms).reshape(-1, 3)
+    bath = seeded(SIERLangevinIntegrator(0.0, 2.0, 0.001, SIER2, pressure=1.0, barostatInterval=1, engine=engine))
+    context = context_at(system, bath, (positions, 0 * positions), steps=1)
+    state = context.getState(positions=True)
+    factor = state.getPeriodicBoxVectors()[0][0]._value / 2
+    assert abs(factor - 1) > 1e-3
+    # Rounding of positions of 2 nm, and of the forces that follow from it.
+    expected = (factor * centres[:, None] + arms).reshape(-1, 3)
+    np.testing.assert_allclose(state.getPositions(asNumpy=True)._value, expected, rtol=0, atol=1e-13)
+
+
 # --- in a Context -----------------------------------------------------------------------------------------------------
 
 

@@ -6,18 +6,9 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2P3, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
-from openmm_sier.integrators.named import IntegratorWithScheme
 from tests.support.seeded import seeded
 from tests.support.systems import with_forces
 from tests.support.waters import context_at, energies, force_of, periodic_system, phase_point, platform
-
-
-@pytest.mark.parametrize("kind", IntegratorWithScheme.__subclasses__(), ids=lambda kind: kind.__name__)
-def test_docstrings_of_schemes_tell_the_usual_steps(kind):
-    usual = f"{1e3 * kind.SCHEME.constant_energy_step:g} fs at constant energy, {1e3 * kind.SCHEME.bath_step:g} fs in"
-    heavy = kind.SCHEME.heavy_bath_step
-    assert usual in kind.__doc__
-    assert ("9 fs with heavy hydrogens" in kind.__doc__) == (heavy == 0.009) == (heavy is not None)
 
 
 def test_forces_changed_without_a_trace_can_be_declared(cluster):

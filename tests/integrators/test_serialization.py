@@ -60,7 +60,6 @@ def own_map(A, L, moments, h):
 DISTINCT = {
     "SIER2": lambda: SIERIntegrator(0.002, "SIER2"),
     "SIER4": lambda: SIERIntegrator(0.002, "SIER4"),
-    "SIER2 by the general class": lambda: SIERIntegrator(0.002, SIER2),
     "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
     "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
     "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.mrdl),

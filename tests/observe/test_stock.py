@@ -7,7 +7,7 @@ from openmm import unit
 
 from openmm_sier import RigidBodies
 from openmm_sier.observe import conservation, stock
-from tests.support.waters import context_at, periodic_system, settled
+from tests.support.waters import context_at, periodic_system, phase_point, settled
 
 NVE, NVT = (), (297.0,)
 
@@ -68,3 +68,26 @@ def test_noise_is_that_of_the_seed_and_the_step(box):
         seen |= {force.getRandomNumberSeed() for force in noisy}
     assert len(seen) == 8
     assert 0 not in seen
+
+
+def test_noise_after_a_checkpoint_is_that_of_a_restart(box):
+    """Without a new seed the noise of the first steps would come again after each checkpoint."""
+
+    def begun(point, step):
+        system, integrator = stock.make_stock(box[0], "langevinmiddle", 0.002, *NVT)
+        stock.seed_noise(system, integrator, 7, step)
+        return context_at(system, integrator, point)
+
+    whole = begun(box[1], 0)
+    whole.getIntegrator().step(3)
+    saved = phase_point(whole)
+    stock.go_on_as_a_restart(whole, 7)
+    whole.getIntegrator().step(2)
+    ends = [phase_point(whole)]
+    # With the noise of the step of the checkpoint, and with that of the start.
+    for step in (3, 0):
+        again = begun(saved, step)
+        again.getIntegrator().step(2)
+        ends.append(phase_point(again))
+    assert np.array_equal(ends[0], ends[1])
+    assert not np.array_equal(ends[0], ends[2])
