@@ -74,7 +74,7 @@ def test_noise_after_a_checkpoint_is_that_of_a_restart(box):
     """Without a new seed the noise of the first steps would come again after each checkpoint."""
 
     def begun(point, step):
-        system, integrator = stock.make_stock(box[0], "langevinmiddle", 0.002, *NVT)
+        system, integrator = stock.make_stock(box[0], box[1][0], "langevinmiddle", 0.002, *NVT)
         stock.seed_noise(system, integrator, 7, step)
         return context_at(system, integrator, point)
 
