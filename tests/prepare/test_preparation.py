@@ -458,5 +458,7 @@ def test_bodies_as_plain_lists():
 def test_a_simulation_is_refused_with_what_to_give():
     system, positions = system_of(chains())
     context = started(system, SIER2Integrator(0.001), positions)
-    with pytest.raises(TypeError, match=r"system must be an openmm.System, got a SIERContext: .*simulation.system before"):
+    with pytest.raises(
+        TypeError, match=r"system must be an openmm.System, got a SIERContext: .*simulation.system before"
+    ):
         prepare_system(context)
