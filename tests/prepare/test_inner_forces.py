@@ -65,20 +65,6 @@ def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
         openmm.Context(system, SIER4GIntegrator(0.004), platform())
 
 
-@pytest.mark.parametrize("name", CONTAINERS)
-def test_pme_that_is_changed_too_late_is_refused(water, name):
-    positions, system = water[0], contained(water[1], name)
-    balance_pme(system)
-    integrator = SIER2Integrator(0.001)
-    context = openmm.Context(system, integrator, platform())
-    context.setPositions(positions)
-    integrator.step(1)
-    for force in meshed_forces(system):
-        force.setPMEParameters(4, 24, 24, 24)
-    with pytest.raises(openmm.OpenMMException, match=rf"PME parameters of Force [\d.]+, a .*{name}"):
-        integrator.step(1)
-
-
 def charges(kind):
     """A Force of a kind for two unit charges of opposite sign, with PME, a cut-off of 0.9 nm and nothing else."""
     force = kind()
