@@ -33,9 +33,8 @@ def forget(context: openmm.Context) -> None:
     """
     inner = {part.group for part in parts(context.getSystem()) if part.within and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
-    positions = (
-        openmm.Context.getState(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-    )
+    state = openmm.Context.getState(context, positions=True)
+    positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     try:
         openmm.Context.setPositions(context, positions + FAR)
         openmm.Context.getState(context, forces=True, groups=groups)

@@ -39,9 +39,9 @@ class Binding:
 
     A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
     is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step` advances it.
-    What happens to the Context from outside is told by `moved`, `box_changed`, `forces_changed`, `groups_changed`,
-    `take_over`, `take_over_state` and `start_anew`, which do nothing without a Context. `change` replaces settings at
-    any time.
+    `SIERContext` and `hooks` tell what happens to the Context from outside by `moved`, `box_changed`, `forces_changed`,
+    `groups_changed`, `take_over`, `take_over_state` and `start_anew`, which do nothing without an engine. `change`
+    replaces settings at any time.
 
     Attributes:
         settings: all that the integrator was asked for.
@@ -323,7 +323,7 @@ class Binding:
             self._engine.groups_changed()
 
     def start_anew(self) -> None:
-        """Go on from a restart point that was written as a restart would, bit for bit."""
+        """Go on from a restart point that was made as a restart would, bit for bit."""
         if self._engine is not None:
             self._engine.start_anew()
 
