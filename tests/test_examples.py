@@ -20,6 +20,7 @@ def output(directory, name, *arguments):
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_free_body_turns_over_and_conserves(tmp_path):
     text = output(tmp_path, "free_body.py", "--time", "40")
     assert "turned over 3 times" in text
@@ -30,6 +31,7 @@ def test_free_body_turns_over_and_conserves(tmp_path):
     assert attitude < 1e-10
 
 
+@pytest.mark.thorough
 def test_water_box_conserves_energy(tmp_path):
     text = output(tmp_path, "water_box.py", "--steps", "20")
     share = float(re.search(r"([\d.]+)% of it", text).group(1))

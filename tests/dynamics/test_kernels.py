@@ -3,6 +3,7 @@
 import os
 
 import numpy as np
+import pytest
 
 from openmm_sier.dynamics import kernels, operators
 from tests.support.steps import every_kind
@@ -37,6 +38,7 @@ for array in arrays:
 """
 
 
+@pytest.mark.thorough
 def test_python_executes_what_numba_compiles():
     found = []
     for disabled in ("1", "0"):

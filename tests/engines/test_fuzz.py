@@ -323,5 +323,5 @@ def test_any_sequence_of_calls_is_its_replay(number):
     machine = seed(number)(type("Calls", (Calls,), {}))
     # It would explain a failure by tracing lines, as the faults do.
     phases = (Phase.generate, Phase.shrink)
-    options = {"max_examples": 15, "stateful_step_count": 25, "deadline": None, "derandomize": True, "database": None}
+    options = {"max_examples": 10, "stateful_step_count": 25, "deadline": None, "derandomize": True, "database": None}
     run_state_machine_as_test(machine, settings=settings(phases=phases, **options))

@@ -63,6 +63,7 @@ def forces_made(context):
     return context.getIntegrator().forceEvaluations
 
 
+@pytest.mark.thorough
 def test_equal_seeds_tune_alike(monkeypatch):
     monkeypatch.setattr(tuning, "_seconds", forces_made)
     one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))

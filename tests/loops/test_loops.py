@@ -26,7 +26,7 @@ def test_one_command_line_goes_on_after_every_kill(tmp_path, kills):
     assert met["steps"] >= 10 * min(kills, 3)
 
 
-@pytest.mark.parametrize("files", representatives([50, 200], 50))
+@pytest.mark.parametrize("files", representatives([30, 200], 30))
 def test_damaged_and_crafted_files(tmp_path, files):
     """The same files in every run; `python -m tests.loops.hostile_files` tries others."""
     counts = hostile_files.search(tmp_path, files)

@@ -50,7 +50,7 @@ def test_many_bodies_of_each_family(rng, family, bodies):
 def test_bodies_that_share_their_moments(rng, families):
     families = STATES if families == "all states" else [families]
     for h in times(rng, 6):
-        A, L, moments, angle = sample(rng, families, 300 * len(families), h, alike=True)
+        A, L, moments, angle = sample(rng, families, 100 * len(families), h, alike=True)
         check(A, L, moments[:, 0], angle, h)
 
 
