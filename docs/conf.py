@@ -83,6 +83,8 @@ nitpick_ignore_regex = [
     ("py:class", r"(openmm|numpy|collections|os|pathlib)\..*"),
     ("py:class", rf"openmm_sier\..*\.({'|'.join(INNER)})"),
     ("py:exc", r".*(Error|Exception)"),
+    # Signatures of OpenMM that overrides of its methods have.
+    ("py:class", "Context"),
 ]
 
 # Letters up to which a cell of a table stays on one line, and beyond which it gets a column of some width.
