@@ -57,13 +57,15 @@ def test_engines_call_openmms_own_methods(box, engine, make, monkeypatch):
 
         return wrapper
 
-    options = {"stepsPerTrial": 2} if make is SIERHMCIntegrator else {"frictionCoeff": 1.0}
-    integrator = make(temperature=300.0, stepSize=0.002, pressure=1.0, engine=engine, **options)
+    if make is SIERHMCIntegrator:
+        integrator, steps = SIERHMCIntegrator(300.0, 0.002, stepsPerTrial=2, pressure=1.0, engine=engine), 2
+    else:
+        integrator, steps = SIERLangevinIntegrator(300.0, 1.0, 0.002, pressure=1.0, engine=engine), 50
     context = context_at(system, integrator, point)
     for name in OVERRIDDEN:
         monkeypatch.setattr(SIERContext, name, noted(name))
     # Two moves of the volume.
-    integrator.step(50)
+    integrator.step(steps)
     integrator.getWholeStepState()
     integrator.computeTemperatures()
     openmm.LocalEnergyMinimizer.minimize(context, maxIterations=1)

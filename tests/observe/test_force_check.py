@@ -66,7 +66,7 @@ def test_a_peptide_is_sound(name):
     assert check_forces(plain_context(system, positions, name)).faults == ()
 
 
-@pytest.mark.parametrize("name", representatives(CONTAINERS, "CustomCVForce in ATMForce"))
+@pytest.mark.parametrize("name", representatives(CONTAINERS))
 def test_forces_within_forces_are_sound(name):
     _, positions, system = periodic_system("tip3p", 64)
     assert check_forces(plain_context(contained(system, name), positions, "CPU")).faults == ()
