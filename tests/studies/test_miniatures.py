@@ -261,11 +261,11 @@ def whole_runs(found):
 @miniature(
     "heat-bath",
     heat_bath,
-    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 2 --equilibrate 0.2 --friction 20',
+    '{dipeptide} --methods "LangevinMiddle, 4 fs" "SIER2, 8 fs" --time 5 --equilibrate 0.2 --friction 20',
 )
 def bath_averages(found):
     rows = found["rows"].set_index("method")
-    # Means of 2 ps of 22 atoms, and of 233 molecules, after a sudden start.
+    # Means of 5 ps of 22 atoms, and of 233 molecules, after a sudden start.
     assert rows["water"].between(250, 350).all()
     assert rows["solute"].between(150, 450).all()
     assert rows["bonds"].between(5, 100).all()
@@ -285,13 +285,11 @@ def costs_of_trials(found):
     assert (rows["milliseconds"] > 0).all()
 
 
-@miniature(
-    "native-substeps", native_substeps, "{tip3p_64} --substeps 1 --steps 9 --time 3 --equilibrate 0.5 --starts 1"
-)
+@miniature("native-substeps", native_substeps, "{tip3p_64} --substeps 1 --steps 9 --time 5 --equilibrate 1 --starts 1")
 def averages_of_both_engines(found):
     rows = found["rows"]
     assert rows["engine"].tolist() == ["exact", "native", "exact"]
-    # Of 192 degrees of freedom, 15 samples over 3 ps: each scatters by 30 K. If only four are independent, 150 K are
+    # Of 192 degrees of freedom, 25 samples over 5 ps: each scatters by 30 K. If only four are independent, 150 K are
     # ten times the error of their mean.
     assert rows[["translation", "rotation"]].stack().between(150, 450).all()
 
