@@ -51,8 +51,9 @@ class SolverTrial:
             RigidityError: see `tables.constraints`.
         """
         masses, (pairs, lengths) = tables.masses(system), tables.constraints(system)
-        component = joined(len(masses), pairs)[pairs[:, 0]]
-        sizes = np.bincount(joined(len(masses), pairs), minlength=len(masses))
+        of_atoms = joined(len(masses), pairs)
+        component = of_atoms[pairs[:, 0]]
+        sizes = np.bincount(of_atoms, minlength=len(masses))
         is_ring = (np.bincount(component, minlength=len(masses)) >= sizes)[component]
         self._system = system
         self._atoms, numbers = np.unique(pairs[is_ring], return_inverse=True)

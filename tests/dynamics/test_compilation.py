@@ -107,7 +107,8 @@ class ElapsedTimer:
     """A timer whose time is over at once."""
 
     def __init__(self, _, function):
-        self.start, self.cancel = function, lambda: None
+        self.start = function
+        self.cancel = lambda: None
 
 
 def test_a_long_compilation_is_announced_once(folder, monkeypatch, caplog):

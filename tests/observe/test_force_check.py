@@ -66,7 +66,8 @@ def test_a_peptide_is_sound(name):
     assert check_forces(plain_context(system, positions, name)).faults == ()
 
 
-@pytest.mark.parametrize("name", representatives(CONTAINERS))
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", CONTAINERS)
 def test_forces_within_forces_are_sound(name):
     _, positions, system = periodic_system("tip3p", 64)
     assert check_forces(plain_context(contained(system, name), positions, "CPU")).faults == ()
