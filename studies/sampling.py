@@ -16,7 +16,7 @@ import pandas as pd
 
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import slope_and_error
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.inputs.starts import make_context, prepare
@@ -87,7 +87,7 @@ class Liquid:
     """
 
     system: openmm.System
-    bodies: RigidBodies
+    bodies: BodySet
     start: openmm.State
     platform: str | None = None
 
@@ -271,7 +271,7 @@ def over_starts(runs: pd.DataFrame, names: Sequence[str]) -> dict[str, Any]:
 
 
 def sample(
-    context: openmm.Context, bodies: RigidBodies, steps: int, every: int, progress: Callable[[int], None] | None = None
+    context: openmm.Context, bodies: BodySet, steps: int, every: int, progress: Callable[[int], None] | None = None
 ) -> Series:
     """Run a Context and record energies and temperatures at whole steps.
 
@@ -304,7 +304,7 @@ def sample(
     return Series(*np.array(rows).T)
 
 
-def _conserves_momentum(context: openmm.Context, bodies: RigidBodies) -> bool:
+def _conserves_momentum(context: openmm.Context, bodies: BodySet) -> bool:
     """Tell whether a Context with one of `studies.methods` conserves the total momentum."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
@@ -333,7 +333,7 @@ class Sample(NamedTuple):
         return f"temperatures of {self.translation:.0f} K and {self.rotation:.0f} K, V = {self.potential:.4g} kJ/mol"
 
 
-def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sample:
+def observe(context: openmm.Context, bodies: BodySet, conserved: bool) -> Sample:
     """Energies and temperatures of a Context at a whole step.
 
     Args:
@@ -347,7 +347,7 @@ def observe(context: openmm.Context, bodies: RigidBodies, conserved: bool) -> Sa
     return Sample(time, potential, kinetic, found.translation, found.rotation, md(state.getPeriodicBoxVolume()))
 
 
-def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:
     """The state of the bodies at a whole step, for any integrator; see `sample`."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
@@ -355,7 +355,7 @@ def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
     return stock.body_state(context, bodies)
 
 
-def steepness(context: openmm.Context, bodies: RigidBodies, samples: int, every: int) -> tuple[float, float]:
+def steepness(context: openmm.Context, bodies: BodySet, samples: int, every: int) -> tuple[float, float]:
     """Temperature times the mean squared frequency of translation and of rotation, K/ps^2.
 
     In equilibrium <F M^-1 F> = kT <tr M^-1 V''>, and likewise with torques and moments, so it follows from forces.

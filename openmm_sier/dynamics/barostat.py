@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import RigidBodies, molecule_of_atoms
+from openmm_sier.dynamics.bodies import BodySet, molecule_of_atoms
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.noise import generator
 
@@ -138,7 +138,7 @@ class MoleculeCentres:
         count: number of molecules.
     """
 
-    def __init__(self, bodies: RigidBodies, molecules: Sequence[Sequence[int]]):
+    def __init__(self, bodies: BodySet, molecules: Sequence[Sequence[int]]):
         """
         Args:
             bodies: rigid and point bodies. Molecules that a body joins are one.

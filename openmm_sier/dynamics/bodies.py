@@ -37,7 +37,7 @@ class NotFiniteError(ValueError):
         what: names that vector and the body.
     """
 
-    def __init__(self, quantity: str, vectors: np.ndarray, bodies: "RigidBodies") -> None:
+    def __init__(self, quantity: str, vectors: np.ndarray, bodies: "BodySet") -> None:
         """
         Args:
             quantity: names a vector, with a preposition: "force on".
@@ -79,7 +79,7 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     return numbers
 
 
-class RigidBodies:
+class BodySet:
     """Hold the rigid and point bodies of a system, and the constraints between them.
 
     Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
@@ -192,7 +192,7 @@ class RigidBodies:
                     f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
                 )
 
-    def restricted(self, bodies: np.ndarray) -> "RigidBodies":
+    def restricted(self, bodies: np.ndarray) -> "BodySet":
         """Return some of the bodies with the constraints between them. Their atoms keep their numbers.
 
         Args:
@@ -209,7 +209,7 @@ class RigidBodies:
                 kinds.append(species.of_atoms(species.atoms[rows]))
         between = self.constraints.restricted(wanted)
         links = between.pairs, between.lengths
-        return RigidBodies(kinds, self.n_particles, self.labels, links, self.molecules[wanted])
+        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[wanted])
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return particle indices of one body."""

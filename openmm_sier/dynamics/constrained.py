@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import kernels, operators
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI
 from openmm_sier.dynamics.ledger import Ledger
@@ -49,7 +49,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 
 
 def constrained_operators(
-    bodies: RigidBodies,
+    bodies: BodySet,
     forces: CachedForces,
     constraints: Constraints,
     rotation: Rotation = exact,
@@ -110,7 +110,7 @@ def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -
     return apply
 
 
-def bath_operator(bath: Thermostat, bodies: RigidBodies, ledger: Ledger) -> Operator:
+def bath_operator(bath: Thermostat, bodies: BodySet, ledger: Ledger) -> Operator:
     """Return a bath as an operator on bodies, some of which may be constrained to each other.
 
     Args:
@@ -123,7 +123,7 @@ def bath_operator(bath: Thermostat, bodies: RigidBodies, ledger: Ledger) -> Oper
 
 
 def constrained_gradient_kick(
-    bodies: RigidBodies, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
+    bodies: BodySet, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
     """Return the gradient kick of bodies some of which are constrained; see the module and `operators.gradient_kick`.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.vectors import body_frame, rotation_matrix, turned
 
@@ -38,7 +38,7 @@ class Iterate(NamedTuple):
     rms: float
 
 
-def descent(bodies: RigidBodies, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Iterate]:
+def descent(bodies: BodySet, forces: Forces, q: np.ndarray, A: np.ndarray) -> Iterator[Iterate]:
     """Yield bodies on their way to a minimum of the potential energy, beginning with the start, without end.
 
     FIRE: unit masses move under the forces; the motion is turned towards the force, and stopped whenever it goes

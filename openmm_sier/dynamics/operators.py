@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from openmm_sier.dynamics import kernels
-from openmm_sier.dynamics.bodies import BodyState, Pair, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
 from openmm_sier.dynamics.schemes import Scheme
@@ -90,7 +90,7 @@ class CachedForces:
         return found
 
 
-def body_operators(bodies: RigidBodies, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
+def body_operators(bodies: BodySet, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
     """Return the operators of all schemes without a heat bath."""
     return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), **drifts(drift(bodies, rotation))}
 
@@ -112,7 +112,7 @@ def kick(forces: CachedForces) -> Operator:
     return apply
 
 
-def gradient_kick(bodies: RigidBodies, forces: CachedForces) -> Operator:
+def gradient_kick(bodies: BodySet, forces: CachedForces) -> Operator:
     """Return a kick by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau).
 
     Its force F + s (grad F) M^-1 F is, to first order in s, the force at positions that are displaced by s M^-1 F, with
@@ -145,7 +145,7 @@ def momenta_kicked_at(at: np.ndarray, state: BodyState, F: np.ndarray, tau: np.n
     return p, L
 
 
-def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
+def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
     """Return the free motion of bodies (van Zon and Schofield 2007, Eq. 5 (U1)) with any free-rotation map.
 
     The operator raises ValueError for a state with another number of bodies.
@@ -162,7 +162,7 @@ def drift(bodies: RigidBodies, rotation: Rotation = exact) -> Operator:
     return apply
 
 
-def _exact_drift(bodies: RigidBodies) -> FreeMotion:
+def _exact_drift(bodies: BodySet) -> FreeMotion:
     rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
     edges = np.array([0, *(part.stop for part in bodies.parts)], dtype=np.int64)
     inverse_masses = bodies.inverse_masses
@@ -177,7 +177,7 @@ def _exact_drift(bodies: RigidBodies) -> FreeMotion:
     return move
 
 
-def _drift_by(bodies: RigidBodies, rotation: Rotation) -> FreeMotion:
+def _drift_by(bodies: BodySet, rotation: Rotation) -> FreeMotion:
     def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
         A, L = state.A.copy(), state.L.copy()
         for species, part in zip(bodies.species, bodies.parts, strict=True):

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from openmm_sier.dynamics import kernels
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import Operator
@@ -29,7 +29,7 @@ class Thermostat(ABC):
     rotational_friction: float
 
     @abstractmethod
-    def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
+    def operator(self, bodies: BodySet, ledger: Ledger) -> Operator:
         """Return the thermostat as an operator of a splitting scheme.
 
         Args:
@@ -62,7 +62,7 @@ class OrnsteinUhlenbeck(Thermostat):
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
-    def operator(self, bodies: RigidBodies, ledger: Ledger) -> Operator:
+    def operator(self, bodies: BodySet, ledger: Ledger) -> Operator:
         thermal = GAS_CONSTANT * self.temperature
         spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
         inverses = bodies.inverse_masses, bodies.inverse_moments

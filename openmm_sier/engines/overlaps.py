@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.engines import interrupts
 from openmm_sier.system.notices import notify
 
@@ -19,7 +19,7 @@ STIFFEST = 5e6
 _FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
-def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
+def tell_of_overlaps(context: openmm.Context, bodies: BodySet) -> None:
     """Warn of bodies that still overlap with others after a minimization.
 
     Forces do not tell, since they cancel at a minimum, and those within a rigid body may be of any size. So all bodies
@@ -45,7 +45,7 @@ def tell_of_overlaps(context: openmm.Context, bodies: RigidBodies) -> None:
     )
 
 
-def _stiffness(context: openmm.Context, bodies: RigidBodies) -> np.ndarray:
+def _stiffness(context: openmm.Context, bodies: BodySet) -> np.ndarray:
     """Return the change of the force on each body over its displacement, (n,), kJ/mol/nm^2; 0 if it is not finite."""
     positions = openmm.Context.getState(context, positions=True).getPositions(asNumpy=True)
     moved = bodies.owners >= 0

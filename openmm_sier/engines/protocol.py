@@ -13,7 +13,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Mark
@@ -90,7 +90,7 @@ class Engine(ABC):
 
     name: ClassVar[str]
     repeats_noise: ClassVar[bool] = False
-    moving: RigidBodies
+    moving: BodySet
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
 
@@ -120,7 +120,7 @@ class Engine(ABC):
         return self._integrator.getIntegrationForceGroups()
 
     @property
-    def bodies(self) -> RigidBodies:
+    def bodies(self) -> BodySet:
         """Return the rigid and point bodies of the System."""
         return self.moving
 

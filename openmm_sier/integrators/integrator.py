@@ -5,7 +5,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
@@ -131,7 +131,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self.binding.settings.rotation
 
     @property
-    def bodies(self) -> RigidBodies:
+    def bodies(self) -> BodySet:
         """Return the rigid bodies of the integrator's Context."""
         return self.binding.engine.bodies
 

@@ -16,7 +16,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import rotation
-from openmm_sier.dynamics.bodies import RigidBodies as DynamicsBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
@@ -161,7 +161,7 @@ def as_json(settings: Settings) -> dict[str, Any]:
     values["scheme"] = asdict(settings.scheme)
     values["rotation"] = name_of_rotation(settings.rotation)
     values["ensemble"] = {"name": type(settings.ensemble).__name__, **asdict(settings.ensemble)}
-    if isinstance(settings.bodies, DynamicsBodies):
+    if isinstance(settings.bodies, BodySet):
         values["bodies"] = _table_of_bodies(settings.bodies)
     return {"layout": LAYOUT, **values}
 
@@ -217,7 +217,7 @@ def _ensemble(values: Any) -> Ensemble:
     return _made(ENSEMBLES[values["name"]], {name: value for name, value in values.items() if name != "name"})
 
 
-def _table_of_bodies(bodies: DynamicsBodies) -> dict[str, Any]:
+def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     """Return bodies bit for bit, without the names of residues."""
     arrays = [{field.name: getattr(each, field.name).tolist() for field in fields(each)} for each in bodies.species]
     return {"particles": bodies.n_particles, "species": arrays}

@@ -19,7 +19,7 @@ import openmm
 from numpy.typing import ArrayLike
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.names import as_ranges
 from openmm_sier.observe import conservation
 from openmm_sier.system.body_selection import SelectedBodies
@@ -82,7 +82,7 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     return {name: np.asarray(values) for name, values in found.items()}
 
 
-def names_of(bodies: RigidBodies, names: Names) -> list[str]:
+def names_of(bodies: BodySet, names: Names) -> list[str]:
     """Return for each body its name, or an empty one.
 
     Args:
@@ -111,7 +111,7 @@ def names_of(bodies: RigidBodies, names: Names) -> list[str]:
 
 
 def begin(
-    file: h5py.File, bodies: RigidBodies, frame: Mapping[str, np.ndarray], unwrapped: bool, names: Names = None
+    file: h5py.File, bodies: BodySet, frame: Mapping[str, np.ndarray], unwrapped: bool, names: Names = None
 ) -> None:
     """Describe the bodies in an empty file, or check that a file with frames goes on with these.
 
@@ -154,7 +154,7 @@ def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
     file.flush()
 
 
-def _constants(bodies: RigidBodies) -> dict[str, np.ndarray]:
+def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
     """Return the constants of all frames, by the names of datasets."""
     sizes = [len(species.atoms) for species in bodies.species]
     found = {"species": np.repeat(np.arange(len(sizes)), sizes), "masses": bodies.masses, "moments": bodies.moments.T}

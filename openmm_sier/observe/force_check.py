@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.observe.work import Mismatch, Motions
-from openmm_sier.system.find_bodies import RigidBodies as KnownBodies
+from openmm_sier.system.find_bodies import RigidBodies
 
 #: Bodies are looked at in so many parts, so that what is wrong in few of many shows too.
 PARTS = 8
@@ -136,7 +136,7 @@ class _Place(NamedTuple):
     force: float = 0.0
 
 
-def _places(motions: Motions, bodies: RigidBodies) -> Iterator[_Place]:
+def _places(motions: Motions, bodies: BodySet) -> Iterator[_Place]:
     """Divide all bodies into parts, each of which is shifted, and turned where bodies can turn."""
     for turns in (False, True):
         able = np.flatnonzero(motions.radii > 0) if turns else np.arange(bodies.n)
@@ -178,7 +178,7 @@ def _located(motions: Motions, number: int, place: _Place) -> _Place:
     return place._replace(error=place.error * unit_of_one, force=place.force * unit_of_one)
 
 
-def _fault(bodies: RigidBodies, number: int, name: str, place: _Place) -> ForceFault:
+def _fault(bodies: BodySet, number: int, name: str, place: _Place) -> ForceFault:
     atoms = bodies.atoms_of(int(place.bodies[0]))
     body = bodies.describe_atoms(atoms[:NAMED]) + (" and others of its body" if len(atoms) > NAMED else "")
     return ForceFault(name, number, tuple(map(int, atoms)), body, place.turns, place.error, place.force)
@@ -189,6 +189,6 @@ def _name(force: openmm.Force) -> str:
     return kind if force.getName() == kind else f"{force.getName()} ({kind})"
 
 
-def _bodies(context: openmm.Context) -> RigidBodies:
+def _bodies(context: openmm.Context) -> BodySet:
     found = getattr(context.getIntegrator(), "bodies", None)
-    return found if isinstance(found, RigidBodies) else KnownBodies.from_system(context.getSystem())
+    return found if isinstance(found, BodySet) else RigidBodies.from_system(context.getSystem())

@@ -16,7 +16,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
@@ -38,12 +38,12 @@ class StockIntegrator(openmm.Integrator):
         forceEvaluations: number of steps done, since each needs one.
     """
 
-    bodies: RigidBodies
+    bodies: BodySet
 
     #: Whether a bath or barostat of OpenMM gives heat that is not counted.
     _bathed = False
 
-    def bind(self, context: openmm.Context, bodies: RigidBodies) -> None:
+    def bind(self, context: openmm.Context, bodies: BodySet) -> None:
         """Tell the integrator about its Context and the bodies in it."""
         self.bodies = bodies
         # The Context holds the integrator.
@@ -152,7 +152,7 @@ def go_on_as_a_restart(context: openmm.Context, seed: int) -> None:
     context.setState(state)
 
 
-def body_state(context: openmm.Context, bodies: RigidBodies) -> BodyState:
+def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:
     """Return the state of the bodies at a whole step, from atoms that one of OpenMM's integrators moves.
 
     Raises:

@@ -12,7 +12,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.second_context import second_context
 
@@ -58,7 +58,7 @@ class Motions:
         radii: of gyration of the bodies, not weighted by mass, (n,), nm; 0 for points.
     """
 
-    def __init__(self, context: openmm.Context, bodies: RigidBodies, seed: int):
+    def __init__(self, context: openmm.Context, bodies: BodySet, seed: int):
         """
         Args:
             context: with positions; it is not changed.

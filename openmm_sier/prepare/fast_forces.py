@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.prepare.close_pairs import NAME, fast_force_groups, own_forces
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pairs
@@ -118,7 +118,7 @@ def _groups(force: openmm.Force) -> set[int]:
 
 def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> np.ndarray:
     """Return for each particle the number of its body, (N,), -1 where it has none."""
-    if isinstance(bodies, RigidBodies):
+    if isinstance(bodies, BodySet):
         return linked(system, bodies).owners.copy()
     plan = bodies if isinstance(bodies, BodyPlan) else BodyPlan(system, rigid=bodies)
     owner = np.full(system.getNumParticles(), -1)

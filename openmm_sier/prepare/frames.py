@@ -161,15 +161,15 @@ class FramedSystem:
         return checked_positions(positions, self.system.getNumParticles())
 
     @property
-    def _moving(self) -> dynamics.RigidBodies:
+    def _moving(self) -> dynamics.BodySet:
         """Return the frames as bodies of the copy."""
         species = [
             Species.from_sites(frame.particles[None], frame.shape.masses, frame.shape.corners) for frame in self.frames
         ]
-        return dynamics.RigidBodies(species, self.system.getNumParticles())
+        return dynamics.BodySet(species, self.system.getNumParticles())
 
     @staticmethod
-    def _turned(bodies: dynamics.RigidBodies, x: np.ndarray, v: np.ndarray) -> _Turned:
+    def _turned(bodies: dynamics.BodySet, x: np.ndarray, v: np.ndarray) -> _Turned:
         _, A = bodies.fit(x)
         p, L = bodies.momenta(v, A)
         spin = np.einsum("axn,an,ayn,yn->xn", A, bodies.inverse_moments, A, L)
@@ -269,7 +269,7 @@ def _copied(system: openmm.System) -> openmm.System:
         raise ValueError(f"with_frames cannot copy the System by XML: {error}") from error
 
 
-def _frames(system: openmm.System, bodies: dynamics.RigidBodies, x: np.ndarray) -> Iterator[Frame]:
+def _frames(system: openmm.System, bodies: dynamics.BodySet, x: np.ndarray) -> Iterator[Frame]:
     """Give the frames of all bodies that need one, whose particles come after those of the System."""
     q, A = bodies.fit(x)
     followers = _virtual_sites(system, bodies)
@@ -304,7 +304,7 @@ def _is_solved(species: Species) -> bool:
     return not SolverTrial(alone).unsolved(lambda: species.sites.T)
 
 
-def _virtual_sites(system: openmm.System, bodies: dynamics.RigidBodies) -> dict[int, list[int]]:
+def _virtual_sites(system: openmm.System, bodies: dynamics.BodySet) -> dict[int, list[int]]:
     """Give the virtual sites that move with a body, as all particles do that they depend on, by its number."""
     owners = bodies.owners.copy()
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
@@ -102,7 +102,7 @@ def prepare_system(
         known = FastForces(system, found)
         group = known.free_group() if group is None else group
         _refuse_others_in(group, known)
-        if heavy is not None and isinstance(bodies, RigidBodies):
+        if heavy is not None and isinstance(bodies, BodySet):
             raise ValueError(
                 "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, "
                 "hydrogenMass=…) before RigidBodies.from_system"
@@ -174,9 +174,9 @@ def _gather_fast_forces(
     return fast, done
 
 
-def _coarse_motion(system: openmm.System, bodies: RigidBodies | BodyPlan, owner: np.ndarray) -> Stiffest | None:
+def _coarse_motion(system: openmm.System, bodies: BodySet | BodyPlan, owner: np.ndarray) -> Stiffest | None:
     """Return the stiffest motion by bonded Forces if it is so slow that no force need be fast."""
-    found = stiffest(system, bodies if isinstance(bodies, RigidBodies) else None, owner)
+    found = stiffest(system, bodies if isinstance(bodies, BodySet) else None, owner)
     return found if found is not None and found.is_coarse else None
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, working_terms
@@ -40,7 +40,7 @@ class Stiffest(NamedTuple):
         return self.period >= COARSE
 
 
-def stiffest(system: openmm.System, bodies: RigidBodies | None, owner: np.ndarray) -> Stiffest | None:
+def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -> Stiffest | None:
     """Return the stiffest bond or angle that does work; None without one, or if the stiffness of some is not known.
 
     Args:

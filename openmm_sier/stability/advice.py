@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
@@ -86,7 +86,7 @@ LIGHT = 2.0
 class Remedies:
     """Find remedies for a System's fast motions, by their atoms."""
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies, links: Links):
+    def __init__(self, system: openmm.System, bodies: BodySet, links: Links):
         """Take a System, its bodies, and what joins its atoms."""
         self._owner = bodies.owners.copy()
         self._moving = bodies.owners >= 0

@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.stability.curvature import FAR, Vibration
 from openmm_sier.system.forces import kind_of
@@ -47,7 +47,7 @@ def is_collective(force: openmm.Force) -> bool:
     return kind_of(force).stiffness == "collective"
 
 
-def fastest_motion(force: openmm.Force, context: openmm.Context, bodies: RigidBodies) -> Vibration | None:
+def fastest_motion(force: openmm.Force, context: openmm.Context, bodies: BodySet) -> Vibration | None:
     """Return the fastest motion that a Force causes where the atoms are; None if there is none.
 
     As with `curvature.fastest_vibration`, what is far from its minimum is no vibration. Motions are those that bodies
@@ -73,7 +73,7 @@ class _Alone:
     Directions are momenta. They are multiplied with inverse masses between them.
     """
 
-    def __init__(self, force: openmm.Force, context: openmm.Context, bodies: RigidBodies):
+    def __init__(self, force: openmm.Force, context: openmm.Context, bodies: BodySet):
         system = openmm.XmlSerializer.clone(context.getSystem())
         while system.getNumForces():
             system.removeForce(0)

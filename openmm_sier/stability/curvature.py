@@ -14,7 +14,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system.second_context import follow_parameters, reference_context
 
 #: Displacement in nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
@@ -46,7 +46,7 @@ def fastest_vibration(
     force: openmm.Force,
     weight: float,
     context: openmm.Context,
-    bodies: RigidBodies,
+    bodies: BodySet,
     mobility: np.ndarray,
     held: Collection[tuple[int, int]],
 ) -> Vibration | None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability.spins import ROOM_TEMPERATURE, Spins
@@ -17,7 +17,7 @@ class StepCheck:
     def __init__(
         self,
         system: openmm.System,
-        bodies: RigidBodies,
+        bodies: BodySet,
         inner_step: Callable[[Flow, float], float] | None = None,
         rigid: Sequence[Species] | None = None,
     ):

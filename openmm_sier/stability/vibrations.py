@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.step_limits import nested_is_stable
@@ -111,7 +111,7 @@ class Vibrations:
     `check` says so.
     """
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies):
+    def __init__(self, system: openmm.System, bodies: BodySet):
         self._bodies, self._mobility = bodies, mobilities(bodies)
         self._links = links = Links(system)
         self._constraints = links.constraints
@@ -399,7 +399,7 @@ def _fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
 
 
-def _has_surroundings(system: openmm.System, bodies: RigidBodies, links: Links) -> bool:
+def _has_surroundings(system: openmm.System, bodies: BodySet, links: Links) -> bool:
     """Tell whether there are several molecules, or frozen atoms, so that a molecule can swing among others."""
     joins = np.concatenate([links.constraints.pairs, links.bonds, links.terms, links.custom])
     molecules = joined(bodies.n_particles, joins)[bodies.owners >= 0]

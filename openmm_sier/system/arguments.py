@@ -12,14 +12,14 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 #: Values of the argument `bodies` of integrators.
-Bodies = RigidBodies | Sequence[Sequence[int]] | None
+Bodies = BodySet | Sequence[Sequence[int]] | None
 
 #: Values of the argument `fastForceGroups` of integrators: numbers of groups, or a bit mask.
 ForceGroups = Iterable[int] | int
@@ -40,7 +40,7 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     Raises:
         TypeError: they are none of these, or a mask of booleans.
     """
-    if bodies is None or isinstance(bodies, RigidBodies):
+    if bodies is None or isinstance(bodies, BodySet):
         return bodies
     try:
         clusters = [list(cluster) for cluster in bodies]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies, RigidityError, molecule_of_atoms
+from openmm_sier.dynamics.bodies import BodySet, RigidityError, molecule_of_atoms
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
@@ -80,7 +80,7 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
         )
 
 
-def refuse_constant_pressure(system: openmm.System, bodies: RigidBodies) -> None:
+def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
     Raises:
@@ -115,7 +115,7 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
             )
 
 
-def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: RigidBodies) -> None:
+def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: BodySet) -> None:
     """Refuse a barostat that moves atoms of one body apart; molecules are those of `Context.getMolecules()`.
 
     Raises:
@@ -174,7 +174,7 @@ def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
     return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
 
 
-def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None:
+def refuse_constrained_lines(system: openmm.System, bodies: BodySet) -> None:
     """Refuse rigid bodies of three or more atoms on a line, within `RESOLUTION`, that constraints hold.
 
     OpenMM's own constraint solvers divide by zero there: minimization, `applyConstraints` and
@@ -195,7 +195,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: RigidBodies) -> None
             )
 
 
-def tell_of_misfit(bodies: RigidBodies, misfit: np.ndarray) -> bool:
+def tell_of_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:
     """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
 
     Returns whether there were any. The misfit of a body is the largest distance of an atom from its place, (n,), nm.

@@ -29,13 +29,13 @@ HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 #: nm. The longest covalent bonds, those of iodine and of heavy metals.
 LONGEST_COVALENT = 0.3
 
-Linked = TypeVar("Linked", bound=dynamics.RigidBodies)
+Linked = TypeVar("Linked", bound=dynamics.BodySet)
 
 #: Values of the argument `rigid`.
 Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 
-class RigidBodies(dynamics.RigidBodies):
+class RigidBodies(dynamics.BodySet):
     """Hold the rigid and point bodies of an OpenMM System; `from_system` finds them.
 
     >>> bodies = RigidBodies.from_system(system, topology)
@@ -229,14 +229,14 @@ class BodyPlan:
             self._wholeness.refuse_cut(positions, kind.clusters, self._describe, box)
 
 
-def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.RigidBodies | BodyPlan:
+def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.BodySet | BodyPlan:
     """Return a System's bodies from what a user gave; their plan if only positions can tell the geometry.
 
     Raises:
         ValueError: the System has another number of particles or other masses.
         RigidityError: see `BodyPlan` and `linked`.
     """
-    if isinstance(given, dynamics.RigidBodies):
+    if isinstance(given, dynamics.BodySet):
         return linked(system, given)
     plan = BodyPlan(system, rigid=given)
     return plan if plan.needs_positions else plan.bodies()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 
 #: ps. Slower bonds and angles are those of beads, and need no inner steps: those of atoms have periods of 0.01 to
 #: 0.1 ps, those of one bead a residue 0.3 to 0.5 ps. Of two chains of 40 beads SIER4G's energy at 30 fs was off by
@@ -10,7 +10,7 @@ from openmm_sier.dynamics.bodies import RigidBodies
 COARSE = 0.2
 
 
-def mobilities(bodies: RigidBodies) -> np.ndarray:
+def mobilities(bodies: BodySet) -> np.ndarray:
     """Return the largest inverse effective mass of each particle in any direction, 1/dalton; 0 without a body.
 
     A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.

@@ -16,7 +16,7 @@ def make_whole(
     system: openmm.System,
     positions: Positions,
     topology: app.Topology | None = None,
-    bodies: dynamics.RigidBodies | Rigid = None,
+    bodies: dynamics.BodySet | Rigid = None,
 ) -> np.ndarray:
     """Return positions at which the periodic boundary cuts no molecule and no rigid body.
 
@@ -53,12 +53,12 @@ def make_whole(
 
 
 def _clusters(
-    system: openmm.System, topology: app.Topology | None, bodies: dynamics.RigidBodies | Rigid
+    system: openmm.System, topology: app.Topology | None, bodies: dynamics.BodySet | Rigid
 ) -> list[np.ndarray]:
     """Return particle indices of each body of several atoms."""
     if bodies is None:
         return []
-    if isinstance(bodies, dynamics.RigidBodies):
+    if isinstance(bodies, dynamics.BodySet):
         kinds = [species.atoms for species in bodies.species]
     else:
         kinds = [kind.clusters for kind in BodyPlan(system, topology, bodies).kinds]

@@ -22,7 +22,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.system.inner_forces import parts
@@ -87,7 +87,7 @@ class MomentumConservation:
         removed: there is a CMMotionRemover.
     """
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies):
+    def __init__(self, system: openmm.System, bodies: BodySet):
         """Read a System with its bodies; a particle that belongs to no body is fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
@@ -116,7 +116,7 @@ def _is_external(force: openmm.Force) -> bool:
     return False
 
 
-def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom:
+def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
     """Return degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
     apart = _counted_apart(bodies)
     count = int(apart.sum())
@@ -128,7 +128,7 @@ def degrees_of_freedom(bodies: RigidBodies, conserved: bool) -> DegreesOfFreedom
     return DegreesOfFreedom(max(0, translation), turning, max(0, flexible))
 
 
-def _counted_apart(bodies: RigidBodies) -> np.ndarray:
+def _counted_apart(bodies: BodySet) -> np.ndarray:
     """Tell which bodies have temperatures of translation and rotation, (n,): their momenta are independent.
 
     No constraint joins a rigid body to anything else, so that this also holds for the domains of a flexible molecule.
@@ -136,7 +136,7 @@ def _counted_apart(bodies: RigidBodies) -> np.ndarray:
     return ~bodies.flexible | bodies.moments.any(axis=0)
 
 
-def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> tuple[float, float, float]:
+def thermal_energies(bodies: BodySet, state: BodyState, conserved: bool) -> tuple[float, float, float]:
     """Return kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
 
     Where the total momentum is `conserved`, the motion with the centre of mass is left out.
@@ -150,7 +150,7 @@ def thermal_energies(bodies: RigidBodies, state: BodyState, conserved: bool) -> 
     return float(moving[apart].sum()), float(turning[apart].sum()), float(moving[~apart].sum())
 
 
-def temperatures(bodies: RigidBodies, state: BodyState, conserved: bool) -> Temperatures:
+def temperatures(bodies: BodySet, state: BodyState, conserved: bool) -> Temperatures:
     """Return temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)

@@ -23,7 +23,7 @@ import pandas as pd
 
 from openmm_sier.analysis.statistics import Estimate, jackknife
 from openmm_sier.dynamics import operators, rotation
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.dynamics.vectors import body_frame
 from studies import text
@@ -98,7 +98,7 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
     return Record(asdict(settings), {"curves": pd.concat(curves), "taus": pd.DataFrame(taus)}, {})
 
 
-def _start(n: int, settings: FreeRotationSettings) -> tuple[RigidBodies, BodyState]:
+def _start(n: int, settings: FreeRotationSettings) -> tuple[BodySet, BodyState]:
     """Molecules with a canonical L~ whose axes lie along the lab's.
 
     Free motion has no preferred direction, and this attitude has no rounding error of its own.
@@ -146,7 +146,7 @@ def _squares_beyond_double(state: BodyState, start: BodyState, moments: np.ndarr
     return reference.squared_deviations(state.A, start.L, moments, h, count)
 
 
-def _energies(state: BodyState, bodies: RigidBodies) -> np.ndarray:
+def _energies(state: BodyState, bodies: BodySet) -> np.ndarray:
     return 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
 
 

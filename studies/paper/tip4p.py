@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.species import Species
 
@@ -32,19 +32,19 @@ GEOMETRY = np.array(
 )
 
 
-def molecules(n: int) -> RigidBodies:
+def molecules(n: int) -> BodySet:
     """Rigid bodies for n molecules of three massive sites each."""
-    return RigidBodies([Species.from_coordinates(np.arange(3 * n).reshape(n, 3), MASSES, GEOMETRY)], 3 * n)
+    return BodySet([Species.from_coordinates(np.arange(3 * n).reshape(n, 3), MASSES, GEOMETRY)], 3 * n)
 
 
-def dipole_direction(bodies: RigidBodies) -> np.ndarray:
+def dipole_direction(bodies: BodySet) -> np.ndarray:
     """Unit vector from the oxygen to the hydrogens in the principal frame, (3,)."""
     sites = bodies.species[0].sites
     axis = sites[:, 1] + sites[:, 2] - 2 * sites[:, 0]
     return axis / np.linalg.norm(axis)
 
 
-def canonical_rotation(bodies: RigidBodies, temperature: float, rng: np.random.Generator) -> BodyState:
+def canonical_rotation(bodies: BodySet, temperature: float, rng: np.random.Generator) -> BodyState:
     """Molecules at rest at the origin that turn as in a gas: uniform attitudes, Maxwell-distributed angular momenta.
 
     Args:

@@ -7,7 +7,7 @@ import pytest
 
 from openmm_sier import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.schemes import CATALOGUE, alternating
 from openmm_sier.dynamics.species import Species
 from openmm_sier.dynamics.step_limits import INEQUALITY
@@ -27,7 +27,7 @@ def motion(scheme, z, steps):
     """
     mass, strength = 3.0, 7.0
     omega = math.sqrt(strength / mass)
-    bodies = RigidBodies([Species.from_coordinates([[0], [1], [2]], [mass], [[0, 0, 0]])], 3)
+    bodies = BodySet([Species.from_coordinates([[0], [1], [2]], [mass], [[0, 0, 0]])], 3)
     forces = operators.CachedForces(lambda q, A: (-strength * q, np.zeros_like(q)))
     step = operators.stepper(scheme, operators.body_operators(bodies, forces), z / omega)
     q, p = np.zeros((3, 3)), np.zeros((3, 3))

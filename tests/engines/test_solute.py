@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, solute_forces
 from tests.support.systems import assembled
@@ -63,7 +63,7 @@ def whole_system(forces):
 
 def solute_of(system, owner=OWNER):
     points = Species.from_sites(np.sort(FLEXIBLE)[:, None], np.array([12.011]), np.zeros((3, 1)))
-    bodies = RigidBodies([points], system.getNumParticles())
+    bodies = BodySet([points], system.getNumParticles())
     forces = solute_forces(system, {FAST}, owner, MOVING)
     return SoluteForces(forces, bodies, openmm.Platform.getPlatformByName("Reference"), {})
 

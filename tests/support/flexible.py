@@ -4,7 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from openmm_sier import BodyState
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.species import Species
@@ -63,7 +63,7 @@ class Points:
     def bodies(self):
         n = len(self.masses)
         kinds = [Species(np.array([[i]]), self.masses[i : i + 1], np.zeros((3, 1)), np.zeros(3)) for i in range(n)]
-        return RigidBodies(kinds, n)
+        return BodySet(kinds, n)
 
     def start(self, rng, temperature=300.0):
         constraints = self.constraints()

@@ -16,7 +16,7 @@ from openmm import unit
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.stages import KICK
@@ -101,7 +101,7 @@ class ExactEngine(Engine):
         self._integrator.setPerDofVariableByName(SITES, sites_of_atoms(made.bodies))
 
     @property
-    def moving(self) -> RigidBodies:  # type: ignore[override]
+    def moving(self) -> BodySet:  # type: ignore[override]
         return self._made.bodies
 
     @property

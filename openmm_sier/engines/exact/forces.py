@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
@@ -26,7 +26,7 @@ class BodyForces:
 
     _placed: tuple[np.ndarray | None, np.ndarray | None]
 
-    def __init__(self, context: openmm.Context, bodies: RigidBodies):
+    def __init__(self, context: openmm.Context, bodies: BodySet):
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
         self.bodies = bodies

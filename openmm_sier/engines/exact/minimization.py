@@ -12,13 +12,13 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.minimizer import descent
 from openmm_sier.engines import interrupts
 from openmm_sier.system import tables
 
 
-def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
+def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
     """Tell whether every distance inside every body is constrained."""
     constraints = tables.constraints(system)
     return all(constraints.hold(species.atoms).all() for species in bodies.species)
@@ -26,7 +26,7 @@ def constraints_hold(system: openmm.System, bodies: RigidBodies) -> bool:
 
 def minimize_bodies(
     context: openmm.Context,
-    bodies: RigidBodies,
+    bodies: BodySet,
     forces: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
     start: BodyState,
     tolerance: Any,

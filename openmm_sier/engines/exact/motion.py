@@ -7,7 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics import constrained, operators
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
@@ -40,7 +40,7 @@ class Motion:
     def __init__(
         self,
         context: openmm.Context,
-        bodies: RigidBodies,
+        bodies: BodySet,
         forces: CachedForces,
         rotation: Rotation,
         fast_groups: int,
@@ -102,7 +102,7 @@ class Motion:
             self.fast.invalidate()
 
     def _nested_drifts(
-        self, bodies: RigidBodies, forces: CachedForces, scheme: Scheme, longest: float
+        self, bodies: BodySet, forces: CachedForces, scheme: Scheme, longest: float
     ) -> dict[str, Operator]:
         """Return drifts in which fast forces move some bodies."""
         # One RATTLE step in each drift beside a bath: SIER2's own errors are larger.
@@ -128,7 +128,7 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _fast_forces(system: openmm.System, bodies: RigidBodies, groups: int) -> list[openmm.Force]:
+def _fast_forces(system: openmm.System, bodies: BodySet, groups: int) -> list[openmm.Force]:
     """Return copies of the Forces of some groups, a bit mask, that move bodies.
 
     Forces that cannot be fast are refused even where there is nothing to move.
@@ -141,7 +141,7 @@ def _fast_forces(system: openmm.System, bodies: RigidBodies, groups: int) -> lis
     return solute_forces(system, groups_of(groups), owner, moving)
 
 
-def _touched(bodies: RigidBodies, forces: Sequence[openmm.Force]) -> np.ndarray:
+def _touched(bodies: BodySet, forces: Sequence[openmm.Force]) -> np.ndarray:
     """Return the bodies on which forces act, and those that are constrained to one of them, ascending, (m,)."""
     touched = np.zeros(bodies.n, dtype=bool)
     touched[bodies.owners[particles_of(forces)]] = True
@@ -149,14 +149,14 @@ def _touched(bodies: RigidBodies, forces: Sequence[openmm.Force]) -> np.ndarray:
     return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
 
 
-def _solute(context: openmm.Context, bodies: RigidBodies, forces: Sequence[openmm.Force]) -> SoluteForces:
+def _solute(context: openmm.Context, bodies: BodySet, forces: Sequence[openmm.Force]) -> SoluteForces:
     """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
     solute = SoluteForces(forces, bodies, *_platform_of_solute(context, len(particles_of(forces))))
     solute.follow(context)
     return solute
 
 
-def _flexible_points(bodies: RigidBodies) -> np.ndarray:
+def _flexible_points(bodies: BodySet) -> np.ndarray:
     """Return the number of the molecule of each point body in a molecule that is not rigid, (n,); -1 for others."""
     points = bodies.flexible & ~bodies.moments.any(axis=0)
     groups = np.full(bodies.n, -1)

@@ -6,7 +6,7 @@ from functools import cached_property
 import openmm
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces
@@ -29,7 +29,7 @@ class MovingBodies:
         packing: their phase point as variables of the integrator.
     """
 
-    def __init__(self, context: openmm.Context, bodies: RigidBodies, flow: Flow, ledger: Ledger):
+    def __init__(self, context: openmm.Context, bodies: BodySet, flow: Flow, ledger: Ledger):
         """
         Args:
             context: openmm.Context.

@@ -5,7 +5,7 @@ The numbers of the bodies follow one another without regard to whose atoms the v
 
 import numpy as np
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 
 
 class Packing:
@@ -15,7 +15,7 @@ class Packing:
         bodies: the bodies.
     """
 
-    def __init__(self, bodies: RigidBodies):
+    def __init__(self, bodies: BodySet):
         self.bodies = bodies
         #: Ranges of bodies that are all points, or all not.
         self._runs: list[tuple[slice, bool]] = []
@@ -59,7 +59,7 @@ class Packing:
         ]
 
 
-def sites_of_atoms(bodies: RigidBodies) -> np.ndarray:
+def sites_of_atoms(bodies: BodySet) -> np.ndarray:
     """Return the atoms' places in the principal frames of their bodies, (N, 3), nm; zero for particles of no body."""
     values = np.zeros((bodies.n_particles, 3))
     for species in bodies.species:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodyState, NotFiniteError, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.snapshot import Snapshot
@@ -45,7 +45,7 @@ def stored_point(context: openmm.Context, packing: Packing, now: Snapshot, moved
     return with_velocities(bodies, state, now) if moved else None
 
 
-def with_velocities(bodies: RigidBodies, state: BodyState, now: Snapshot) -> BodyState:
+def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodyState:
     """Return a state with the momenta that the velocities of the atoms carry.
 
     Raises:
@@ -67,7 +67,7 @@ class Fitting:
         self._told_of_misfit = False
 
     def __call__(
-        self, bodies: RigidBodies, now: Snapshot, previous: BodyState | None = None
+        self, bodies: BodySet, now: Snapshot, previous: BodyState | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return centres, (3, n), and attitudes, (3, 3, n), of bodies at the positions of a snapshot.
 
@@ -88,7 +88,7 @@ class Fitting:
         return q, A
 
 
-def _onto_constraints(bodies: RigidBodies, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _onto_constraints(bodies: BodySet, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points on their constraints, and the distance by which each was moved.
 
     Raises:

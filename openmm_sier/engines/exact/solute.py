@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system.bonded_terms import bonded_terms, with_working_terms, working_terms
 from openmm_sier.system.forces import FORCES, kind_of
 
@@ -80,7 +80,7 @@ class SoluteForces:
     def __init__(
         self,
         forces: Sequence[openmm.Force],
-        bodies: RigidBodies,
+        bodies: BodySet,
         platform: openmm.Platform,
         properties: dict[str, str],
     ):

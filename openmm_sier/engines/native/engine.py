@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
@@ -106,7 +106,7 @@ class NativeEngine(Engine):
         refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
 
     @property
-    def bodies(self) -> RigidBodies:
+    def bodies(self) -> BodySet:
         """Return the rigid and point bodies of the System.
 
         Raises:

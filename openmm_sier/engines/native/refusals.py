@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import RigidBodies
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
@@ -50,7 +50,7 @@ def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
     """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if given is None:
         return None
-    rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, RigidBodies) else given
+    rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, BodySet) else given
     held, masses = tables.constraints(system).by_pair(), tables.masses(system)
     for row in rows:
         massive = sorted(int(i) for i in row if 0 <= i < len(masses) and masses[i] > 0)
@@ -99,9 +99,9 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             )
 
 
-def points(system: openmm.System) -> RigidBodies:
+def points(system: openmm.System) -> BodySet:
     """Return the massive atoms of a System, each a body of its own."""
     masses = tables.masses(system)
     kinds = [(mass, np.flatnonzero(masses == mass)[:, None]) for mass in np.unique(masses[masses > 0])]
     point = np.zeros((3, 1))
-    return RigidBodies([Species.from_sites(atoms, np.array([mass]), point) for mass, atoms in kinds], len(masses))
+    return BodySet([Species.from_sites(atoms, np.array([mass]), point) for mass, atoms in kinds], len(masses))

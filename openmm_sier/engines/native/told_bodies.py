@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodyState, RigidBodies, RigidityError
+from openmm_sier.dynamics.bodies import BodySet, BodyState, RigidityError
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
@@ -25,7 +25,7 @@ from openmm_sier.system.temperature import (
 class ToldBodies:
     """Hold the bodies that constraints form or users named; where constraints form none, the atoms still move."""
 
-    def __init__(self, system: openmm.System, given: Bodies, points: RigidBodies):
+    def __init__(self, system: openmm.System, given: Bodies, points: BodySet):
         """
         Args:
             system: openmm.System.
@@ -35,7 +35,7 @@ class ToldBodies:
         self._points, self._constraints = points, len(tables.constraints(system).pairs)
         #: Degrees of freedom, by whether the total momentum is conserved. Each trial asks for them twice.
         self._freedoms: dict[bool, float] = {}
-        self._found: RigidBodies | BodyPlan | RigidityError
+        self._found: BodySet | BodyPlan | RigidityError
         try:
             self._found = known_or_planned(system, given)
         except RigidityError as error:
@@ -46,7 +46,7 @@ class ToldBodies:
         """Return the kinds of body; none where constraints form none."""
         return () if isinstance(self._found, RigidityError) else tuple(self._found.species)
 
-    def bodies(self, positions: Callable[[], np.ndarray]) -> RigidBodies:
+    def bodies(self, positions: Callable[[], np.ndarray]) -> BodySet:
         """Return the bodies.
 
         Args:
