@@ -21,7 +21,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.inputs.starts import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.observe import stock
+from openmm_sier.observe import openmm_integrators
 from openmm_sier.system import find_bodies
 from openmm_sier.system.temperature import MomentumConservation, degrees_of_freedom, temperatures
 from studies import boxes
@@ -211,7 +211,7 @@ def follow(
     """
     step = dt * method.forces
     integrator = method.make(1e-3 * step)
-    integrator.setConstraintTolerance(stock.CONSTRAINT_TOLERANCE)
+    integrator.setConstraintTolerance(openmm_integrators.CONSTRAINT_TOLERANCE)
     context = _context(liquid, integrator)
     steps = max(1, round(1e3 * time / step))
     every = min(steps, max(1, round(interval / step)))
@@ -352,7 +352,7 @@ def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.getBodyState()
-    return stock.body_state(context, bodies)
+    return openmm_integrators.body_state(context, bodies)
 
 
 def steepness(context: openmm.Context, bodies: BodySet, samples: int, every: int) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.observe import stock
+from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL, make_integrator, seed_noise
 from openmm_sier.prepare.preparation import prepare_system
 
 
@@ -69,16 +69,16 @@ class Simulated:
         settings = self.settings
         if settings.method.scheme is not None:
             return self.context_of(self.integrator(settings))
-        if settings.moves_volume and settings.interval(settings.checkpoint_every) < stock.BAROSTAT_INTERVAL:
+        if settings.moves_volume and settings.interval(settings.checkpoint_every) < BAROSTAT_INTERVAL:
             raise Misused(
                 f"--checkpoint-every {settings.checkpoint_every:g} is too short: OpenMM's barostat counts its "
-                f"{stock.BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give "
-                f"{stock.BAROSTAT_INTERVAL * settings.step_time:g} ps or more"
+                f"{BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give "
+                f"{BAROSTAT_INTERVAL * settings.step_time:g} ps or more"
             )
         bath = settings.temperature if settings.ensemble != "nve" else None
         piston = settings.pressure if settings.moves_volume else None
         dt = settings.dt / 1000
-        system, integrator = stock.make_stock(
+        system, integrator = make_integrator(
             self.box.system,
             self.box.positions.value_in_unit(unit.nanometer),
             settings.scheme,
@@ -87,7 +87,7 @@ class Simulated:
             settings.friction,
             piston,
         )
-        stock.seed_noise(system, integrator, settings.seed, step)
+        seed_noise(system, integrator, settings.seed, step)
         context = make_context(system, integrator, settings.platform)
         integrator.bind(context, self.bodies)
         return context

@@ -18,7 +18,8 @@ from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.inputs.pdb_files import first_line
-from openmm_sier.observe import conservation, stock
+from openmm_sier.observe import conservation
+from openmm_sier.observe.openmm_integrators import OpenMMIntegrator, continue_as_restart
 from openmm_sier.system.temperature import degrees_of_freedom
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
@@ -139,8 +140,8 @@ class Run:
         if "log" in due or "checkpoint" in due:
             values = dict(zip(conservation.columns(context.getIntegrator()), conservation.row(context), strict=True))
         self.outputs.write(due, context, values)
-        if "checkpoint" in due and isinstance(context.getIntegrator(), stock.StockIntegrator):
-            stock.go_on_as_a_restart(context, self.settings.seed)
+        if "checkpoint" in due and isinstance(context.getIntegrator(), OpenMMIntegrator):
+            continue_as_restart(context, self.settings.seed)
 
     @contextmanager
     def _saying_how_to_go_on(self) -> Iterator[None]:

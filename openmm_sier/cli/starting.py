@@ -22,7 +22,7 @@ from openmm_sier.cli.stopping import StopRequests
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.inputs.pdb_files import first_line
 from openmm_sier.inputs.starts import prepare, stop_centre_of_mass
-from openmm_sier.observe import stock
+from openmm_sier.observe.openmm_integrators import shift_velocities
 
 
 class Origin(NamedTuple):
@@ -106,7 +106,7 @@ def begin(simulated: Simulated, origin: Origin | None = None) -> tuple[openmm.Co
     context = simulated.context()
     context.setState(begun.getState(positions=True, velocities=True))
     if settings.method.leapfrog:
-        stock.shift_velocities(context, -settings.dt / 2000)
+        shift_velocities(context, -settings.dt / 2000)
     return context, unsettled
 
 
@@ -131,7 +131,7 @@ def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, cont
         note(f"starts from the positions and box of {start}; hydrogens had another mass: velocities are drawn anew")
         return
     if origin.settings.method.leapfrog:
-        stock.shift_velocities(context, origin.settings.dt / 2000)
+        shift_velocities(context, origin.settings.dt / 2000)
     note(f"starts from the positions, velocities and box of {start}")
 
 

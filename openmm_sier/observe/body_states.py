@@ -52,7 +52,7 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     """Return the bodies of a Context at its last completed step, by the names of the datasets over frames.
 
     Args:
-        context: of an integrator of this package, or of a `StockIntegrator`.
+        context: of an integrator of this package, or of a `OpenMMIntegrator`.
         state: a State of it.
         unwrapped: centres as they are in the Context, along continuous paths; otherwise their images in the box.
 

@@ -10,7 +10,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.observe.stock import StockIntegrator
+from openmm_sier.observe.openmm_integrators import OpenMMIntegrator
 from openmm_sier.system import checks
 from openmm_sier.system.temperature import temperatures
 
@@ -45,14 +45,14 @@ def density(mass: float, volume: Volume) -> Volume:
     return mass / volume / GRAM_PER_CM3
 
 
-def sier_integrator(context: openmm.Context) -> SIERIntegrator | StockIntegrator:
-    """Return the integrator of a Context, one of this package or a `StockIntegrator`.
+def sier_integrator(context: openmm.Context) -> SIERIntegrator | OpenMMIntegrator:
+    """Return the integrator of a Context, one of this package or a `OpenMMIntegrator`.
 
     Raises:
         TypeError: it is of another kind.
     """
     integrator = context.getIntegrator()
-    if not isinstance(integrator, SIERIntegrator | StockIntegrator):
+    if not isinstance(integrator, SIERIntegrator | OpenMMIntegrator):
         raise TypeError(f"this report needs a SIER integrator, but the Context has a {type(integrator).__name__}")
     return integrator
 
@@ -74,7 +74,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic boundaries.
 
     Args:
-        context: of an integrator of this package, or of a `StockIntegrator`.
+        context: of an integrator of this package, or of a `OpenMMIntegrator`.
         observed: a State of it with energies; None asks for one, which costs an evaluation of the energy.
 
     Raises:
@@ -86,7 +86,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     potential = observed.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     kinetic = sum(bodies.kinetic_energies(motion))
     conserved = kinetic
-    if isinstance(integrator, StockIntegrator):
+    if isinstance(integrator, OpenMMIntegrator):
         found = temperatures(bodies, motion, integrator.conservesMomentum)
     else:
         found = integrator.computeTemperatures().in_kelvin()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.observe.stock import shift_velocities
+from openmm_sier.observe.openmm_integrators import shift_velocities
 from tests.support.flexible_systems import started
 from tests.support.molecules import CARBON_DIOXIDE, GEOMETRIES, METHANE, TETRAHEDRON
 from tests.support.seeded import seeded

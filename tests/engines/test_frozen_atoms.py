@@ -17,8 +17,8 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.inputs.starts import stop_centre_of_mass
+from openmm_sier.observe.openmm_integrators import shift_velocities
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
-from openmm_sier.observe.stock import shift_velocities
 from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield
 from tests.support.restarts import simulation_of
 from tests.support.seeded import seeded

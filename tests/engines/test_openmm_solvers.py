@@ -9,7 +9,7 @@ from scipy.linalg import null_space
 
 from openmm_sier import RigidityError, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.observe.stock import make_stock
+from openmm_sier.observe.openmm_integrators import make_integrator
 from tests.support.braced import benzene, formate, gas, methane, triangle
 from tests.support.waters import energies, phase_point, platform
 
@@ -165,7 +165,7 @@ def test_a_line_has_a_remedy_of_its_own():
 def test_integrators_of_openmm_are_not_given_them():
     system, positions = gas(methane())
     with pytest.raises(openmm.OpenMMException, match="OpenMM cannot satisfy the constraints of atoms 0"):
-        make_stock(system, positions, "verlet", 0.002)
+        make_integrator(system, positions, "verlet", 0.002)
 
 
 def test_surplus_constraints_make_nothing_hotter():

@@ -5,7 +5,7 @@ from pathlib import Path
 import openmm
 import pytest
 
-from openmm_sier.observe import stock
+from openmm_sier.observe import openmm_integrators
 from openmm_sier.stability.runaway import RunawayError
 from tests.support.commands import complaint, log, run
 
@@ -46,7 +46,7 @@ def test_a_step_that_is_too_long_is_told_of(box, capsys, monkeypatch, error):
     def fails(*_):
         raise error
 
-    monkeypatch.setattr(stock.StockIntegrator, "step", fails)
+    monkeypatch.setattr(openmm_integrators.OpenMMIntegrator, "step", fails)
     chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0", *FAST[2:4]]
     said = complaint(capsys, "run", box, *chosen, code=3)
     assert f"became unstable at step 0 (0 ps): {error}; the step of 60 fs is too long for OpenMM LangevinMiddle" in said

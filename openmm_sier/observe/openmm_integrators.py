@@ -30,7 +30,7 @@ CONSTRAINT_TOLERANCE = 1e-7
 BAROSTAT_INTERVAL = 25
 
 
-class StockIntegrator(openmm.Integrator):
+class OpenMMIntegrator(openmm.Integrator):
     """Give OpenMM's integrators the interface of this package's integrators. Call `bind` before anything else.
 
     Attributes:
@@ -88,18 +88,18 @@ class StockIntegrator(openmm.Integrator):
         return {}
 
 
-class StockVerlet(StockIntegrator, openmm.VerletIntegrator):
+class OpenMMVerletIntegrator(OpenMMIntegrator, openmm.VerletIntegrator):
     """OpenMM's VerletIntegrator."""
 
 
-class StockLangevinMiddle(StockIntegrator, openmm.LangevinMiddleIntegrator):
+class OpenMMLangevinMiddleIntegrator(OpenMMIntegrator, openmm.LangevinMiddleIntegrator):
     """OpenMM's LangevinMiddleIntegrator."""
 
     def _has_friction(self) -> bool:
         return self.getFriction() > 0 / unit.picosecond
 
 
-def make_stock(
+def make_integrator(
     system: openmm.System,
     positions: np.ndarray,
     name: str,
@@ -107,7 +107,7 @@ def make_stock(
     temperature: float | None = None,
     friction: float = 1.0,
     pressure: float | None = None,
-) -> tuple[openmm.System, StockIntegrator]:
+) -> tuple[openmm.System, OpenMMIntegrator]:
     """Make an integrator of OpenMM, and a copy of a System; add the thermostat and barostat to the copy.
 
     Args:
@@ -124,7 +124,11 @@ def make_stock(
     """
     SolverTrial(system).refuse(lambda: positions)
     system = openmm.XmlSerializer.clone(system)
-    integrator: Any = StockVerlet(step) if name == "verlet" else StockLangevinMiddle(temperature, friction, step)
+    integrator: Any = (
+        OpenMMVerletIntegrator(step)
+        if name == "verlet"
+        else OpenMMLangevinMiddleIntegrator(temperature, friction, step)
+    )
     if name == "verlet" and temperature is not None:
         system.addForce(openmm.AndersenThermostat(temperature, friction))
     if pressure is not None:
@@ -143,8 +147,8 @@ def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, 
         one.setRandomNumberSeed(word % (2**31 - 1) + 1)
 
 
-def go_on_as_a_restart(context: openmm.Context, seed: int) -> None:
-    """Make a Context of a `StockIntegrator` continue from a checkpoint exactly as a restart from it would."""
+def continue_as_restart(context: openmm.Context, seed: int) -> None:
+    """Make a Context of a `OpenMMIntegrator` continue from a checkpoint exactly as a restart from it would."""
     state = context.getState(positions=True, velocities=True, parameters=True)
     seed_noise(context.getSystem(), context.getIntegrator(), seed, context.getStepCount())
     # Keeping the state here would keep the old noise.

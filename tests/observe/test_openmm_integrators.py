@@ -6,7 +6,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import RigidBodies
-from openmm_sier.observe import conservation, stock
+from openmm_sier.observe import conservation, openmm_integrators
 from tests.support.waters import context_at, periodic_system, phase_point, settled
 
 NVE, NVT = (), (297.0,)
@@ -18,7 +18,7 @@ def box():
 
 
 def simulated(box, name, around=NVE):
-    system, integrator = stock.make_stock(box[0], box[1][0], name, 0.002, *around)
+    system, integrator = openmm_integrators.make_integrator(box[0], box[1][0], name, 0.002, *around)
     context = context_at(system, integrator, box[1])
     integrator.bind(context, RigidBodies.from_system(box[0]))
     return context
@@ -51,20 +51,20 @@ def test_a_shift_of_velocities_starts_verlet_at_the_phase_point(box):
     masses = np.array([box[0].getParticleMass(i)._value for i in range(box[0].getNumParticles())])
     wanted = 0.5 * masses @ (velocities._value**2).sum(axis=1)
     assert openmm_kinetic(context) != pytest.approx(wanted, rel=1e-4)
-    stock.shift_velocities(context, -0.001)
+    openmm_integrators.shift_velocities(context, -0.001)
     assert openmm_kinetic(context) == pytest.approx(wanted, rel=1e-6)
-    stock.shift_velocities(context, 0.001)
+    openmm_integrators.shift_velocities(context, 0.001)
     back = context.getState(velocities=True).getVelocities(asNumpy=True)
     assert np.abs((back - velocities)._value).max() < 1e-5
 
 
 def test_noise_is_that_of_the_seed_and_the_step(box):
-    system, integrator = stock.make_stock(box[0], box[1][0], "verlet", 0.002, 297.0, 1.0, 1.0)
+    system, integrator = openmm_integrators.make_integrator(box[0], box[1][0], "verlet", 0.002, 297.0, 1.0, 1.0)
     seen = set()
     noisy = [force for force in system.getForces() if hasattr(force, "setRandomNumberSeed")]
     assert {type(force) for force in noisy} == {openmm.AndersenThermostat, openmm.MonteCarloBarostat}
     for seed, step in ((1, 0), (1, 100), (2, 0), (2, 100)):
-        stock.seed_noise(system, integrator, seed, step)
+        openmm_integrators.seed_noise(system, integrator, seed, step)
         seen |= {force.getRandomNumberSeed() for force in noisy}
     assert len(seen) == 8
     assert 0 not in seen
@@ -74,14 +74,14 @@ def test_noise_after_a_checkpoint_is_that_of_a_restart(box):
     """Without a new seed the noise of the first steps would come again after each checkpoint."""
 
     def begun(point, step):
-        system, integrator = stock.make_stock(box[0], box[1][0], "langevinmiddle", 0.002, *NVT)
-        stock.seed_noise(system, integrator, 7, step)
+        system, integrator = openmm_integrators.make_integrator(box[0], box[1][0], "langevinmiddle", 0.002, *NVT)
+        openmm_integrators.seed_noise(system, integrator, 7, step)
         return context_at(system, integrator, point)
 
     whole = begun(box[1], 0)
     whole.getIntegrator().step(3)
     saved = phase_point(whole)
-    stock.go_on_as_a_restart(whole, 7)
+    openmm_integrators.continue_as_restart(whole, 7)
     whole.getIntegrator().step(2)
     ends = [phase_point(whole)]
     # With the noise of the step of the checkpoint, and with that of the start.
