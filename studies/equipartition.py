@@ -22,7 +22,7 @@ from openmm import unit
 
 from openmm_sier.analysis.statistics import mean_and_error, slope_and_error
 from openmm_sier.dynamics.schemes import SIER2
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe.conservation import density
 from studies import records, sampling, style, text

@@ -36,7 +36,7 @@ from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.inputs import forcefields
-from openmm_sier.inputs.starts import equilibrate, make_context
+from openmm_sier.inputs.equilibration import equilibrate, make_context
 from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command

@@ -19,7 +19,7 @@ from openmm_sier.analysis.statistics import slope_and_error
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
-from openmm_sier.inputs.starts import make_context, prepare
+from openmm_sier.inputs.equilibration import make_context, prepare
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.observe import openmm_integrators
 from openmm_sier.system import find_bodies
@@ -152,7 +152,7 @@ def equilibrated(
     kept: Path | None = None,
     report: Report = SILENT,
 ) -> openmm.State:
-    """Positions and velocities after an equilibration, see `openmm_sier.inputs.starts.prepare`.
+    """Positions and velocities after an equilibration, see `openmm_sier.inputs.equilibration.prepare`.
 
     Args:
         kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.

@@ -28,7 +28,7 @@ from openmm_sier import prepare_system
 from openmm_sier.analysis.observables import energy_walk
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.inputs import forcefields
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.prepare.pme import DIRECT_SHARE
 from openmm_sier.stability.vibrations import WATER
 from openmm_sier.system import find_bodies

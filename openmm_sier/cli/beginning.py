@@ -12,9 +12,9 @@ from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.ensembles import VelocityRescaling
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.inputs.forcefields import describe
 from openmm_sier.inputs.inputs import fingerprints, read_input
-from openmm_sier.inputs.starts import make_context
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator

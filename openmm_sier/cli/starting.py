@@ -20,8 +20,8 @@ from openmm_sier.cli.running import Run, check_extras, tell_of_settings
 from openmm_sier.cli.settings import RunSettings, checkpoint_of
 from openmm_sier.cli.stopping import StopRequests
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.inputs.equilibration import prepare, stop_centre_of_mass
 from openmm_sier.inputs.pdb_files import first_line
-from openmm_sier.inputs.starts import prepare, stop_centre_of_mass
 from openmm_sier.observe.openmm_integrators import shift_velocities
 
 

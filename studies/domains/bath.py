@@ -13,7 +13,7 @@ import openmm
 from openmm_sier import SIERHMCIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
 from studies.domains.methods import METHODS, TRIAL, Made
 from studies.domains.models import INTERACTIONS, SPRINGS, Model

@@ -11,7 +11,7 @@ import openmm
 from openmm_sier import SIERIntegrator
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.analysis.statistics import rms, slope_and_error
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.domains import bath
 from studies.domains.methods import METHODS
 from studies.domains.models import FAST, JOINTS, LINKERS, Model

@@ -11,7 +11,7 @@ from typing import Any
 import openmm
 
 from openmm_sier.analysis.statistics import Estimate
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.bench.timing import median_and_error, turns
 from studies.domains import bath, energy, lammps
 from studies.domains.methods import METHODS, TRIAL

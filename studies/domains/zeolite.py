@@ -14,7 +14,7 @@ import openmm
 
 from openmm_sier import balance_pme
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.domains.fullerenes import rotation
 from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within
 from studies.units import md

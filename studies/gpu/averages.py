@@ -12,7 +12,7 @@ from openmm_sier import SIERHMCIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.system import tables
 from studies.gpu.calls import advance
 from studies.gpu.settings import GpuSettings

@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 
 from openmm_sier import SIERLangevinIntegrator, with_frames
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.domains import chain
 from studies.domains.methods import METHODS, Made
 from studies.domains.models import INTERACTIONS, Model

@@ -8,7 +8,7 @@ from typing import Any
 import openmm
 import pandas as pd
 
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies import text
 from studies.boxes import BoxSystem
 from studies.command import chosen

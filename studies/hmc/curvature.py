@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.units import md
 
 #: The motion of rigid molecules as wholes, their turning, and that of the parts of other molecules.

@@ -28,7 +28,7 @@ from openmm_sier import SIER4G, RigidBodies, SIERHMCIntegrator, prepare_system
 from openmm_sier.analysis import validation
 from openmm_sier.analysis.statistics import Estimate, jackknife, mean_and_error, pooled
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.observe.conservation import density
 from openmm_sier.system.temperature import temperatures
 from studies import records, text

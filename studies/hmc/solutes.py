@@ -9,8 +9,8 @@ import openmm
 from openmm import app
 
 from openmm_sier import prepare_system
+from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.inputs.forcefields import Interactions
-from openmm_sier.inputs.starts import make_context
 from studies import boxes
 from studies.command import BoxSettings, RunsSettings
 from studies.sampling import warmed

@@ -18,7 +18,7 @@ import pandas as pd
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies import boxes, text
 from studies.command import BoxSettings, chosen, command
 from studies.methods import of_scheme

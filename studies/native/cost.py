@@ -18,7 +18,7 @@ import pandas as pd
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies import boxes, text
 from studies.bench.timing import interleaved, median_and_error
 from studies.command import BoxSettings, chosen, command

@@ -10,7 +10,7 @@ import openmm
 
 from openmm_sier.dynamics.schemes import SIER2
 from openmm_sier.inputs import forcefields
-from openmm_sier.inputs.starts import equilibrate
+from openmm_sier.inputs.equilibration import equilibrate
 from openmm_sier.integrators.integrator import SIERIntegrator
 from studies import boxes
 from studies.command import SYSTEMS

@@ -9,7 +9,7 @@ from openmm import app, unit
 from openmm_sier.cli import console
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.inputs import starts
+from openmm_sier.inputs import equilibration
 from tests.support.commands import SMALL, SYSTEMS, complaint, frames, log, run, write_lattice
 
 
@@ -132,7 +132,7 @@ def test_unwrapped_frames_have_molecules_where_they_went():
 
 def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys, monkeypatch):
     """Also after a restart; an equilibration that nobody made is not missed."""
-    monkeypatch.setattr(starts, "_are_within_bounds", lambda *_: False)
+    monkeypatch.setattr(equilibration, "_are_within_bounds", lambda *_: False)
     write_lattice(Path("box.pdb"), 8)
     short = ["--platform", "Reference", "--dt", "2", "--temperature", "297", "--no-minimize"]
     run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0.1")

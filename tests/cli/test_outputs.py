@@ -15,7 +15,7 @@ from openmm_sier.cli import main, streams
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.settings import OUTPUTS, SETTINGS
-from openmm_sier.inputs import starts
+from openmm_sier.inputs import equilibration
 from tests.support.commands import SMALL, complaint, contents, frames, write_lattice
 
 
@@ -35,7 +35,7 @@ def box(tmp_path, monkeypatch, lattice):
 @pytest.fixture
 def no_equilibration(monkeypatch):
     """Fails where something that could be refused at once is not."""
-    monkeypatch.setattr(starts, "equilibrate", lambda *_: pytest.fail("the equilibration was begun"))
+    monkeypatch.setattr(equilibration, "equilibrate", lambda *_: pytest.fail("the equilibration was begun"))
 
 
 def test_each_option_of_an_output_has_a_kind_and_each_kind_its_interval():
@@ -67,7 +67,7 @@ def test_no_output_is_the_pdb_file(box, tmp_path, capsys, lattice, no_equilibrat
 
 def test_no_output_is_a_force_field(box, capsys, no_equilibration):
     field = Path("mine.xml")
-    field.write_bytes((Path(starts.openmm.app.__file__).parent / "data" / "tip3p.xml").read_bytes())
+    field.write_bytes((Path(equilibration.openmm.app.__file__).parent / "data" / "tip3p.xml").read_bytes())
     before = field.read_bytes()
     message = complaint(capsys, "run", box, "--forcefield", "mine.xml", "--report", "mine.xml", "--overwrite")
     assert "mine.xml would overwrite the input mine.xml" in message

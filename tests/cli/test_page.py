@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from openmm_sier.inputs import starts
+from openmm_sier.inputs import equilibration
 from openmm_sier.version import __version__
 from tests.support.commands import SMALL, run
 from tests.support.logs import write_log
@@ -51,7 +51,7 @@ def read(path):
 
 
 def test_a_page_has_settings_means_warnings_and_versions(box, monkeypatch):
-    monkeypatch.setattr(starts, "_are_within_bounds", lambda *_: False)
+    monkeypatch.setattr(equilibration, "_are_within_bounds", lambda *_: False)
     run("run", box, *SMALL, "--time", "0.2", "--seed", "7", "--plot", "a.html")
     texts = read("a.html")
     headings = ["Means", "Course", "Settings", "Versions, where this page was made"]

@@ -10,7 +10,7 @@ import pytest
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.cli.logged_runs import finding, read_run, read_runs
 from openmm_sier.cli.pictures import drawing, series
-from openmm_sier.inputs import starts
+from openmm_sier.inputs import equilibration
 from tests.support.commands import SMALL, SYSTEMS, complaint, contents, run
 from tests.support.logs import NOISE, write_log
 from tests.support.matrices import representatives
@@ -341,7 +341,7 @@ def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):
 @pytest.mark.thorough
 def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys, monkeypatch):
     # Whatever a lattice of water does in 0.1 ps, it is not equilibrated.
-    monkeypatch.setattr(starts, "_are_within_bounds", lambda *_: False)
+    monkeypatch.setattr(equilibration, "_are_within_bounds", lambda *_: False)
     for out, options in (("a", []), ("b", ["--seed", "2"]), ("c", ["--seed", "2", "--dt", "2"])):
         run("run", box, *SMALL, "--steps", "20", "--report-every", "0.004", *options, "--out", f"{out}.dcd")
     capsys.readouterr()

@@ -11,7 +11,7 @@ import pytest
 from openmm_sier.cli import results, run_checks
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.planning import new_settings
-from openmm_sier.inputs import starts
+from openmm_sier.inputs import equilibration
 from openmm_sier.observe import conservation
 from openmm_sier.stability.runaway import HOTTEST, RunawayError
 from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
@@ -87,8 +87,8 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
 
 
 def test_equilibration_that_breaks_down(box, capsys, monkeypatch):
-    monkeypatch.setattr(starts, "STEP", 0.034)
-    monkeypatch.setattr(starts, "SHARE_OF_LONGEST", 10.0)
+    monkeypatch.setattr(equilibration, "STEP", 0.034)
+    monkeypatch.setattr(equilibration, "SHARE_OF_LONGEST", 10.0)
     message = complaint(capsys, "run", box, *SMALL, "--equilibrate", "200", code=run_checks.EXIT_CODE)
     assert "the equilibration failed" in message
     assert not list(Path().iterdir())

@@ -81,7 +81,7 @@ def test_a_call_in_vain_is_found():
         context.setPositions([[1, 0, 0]])
         return context.getState()
 
-    copied.__module__ = displaced.__module__ = "openmm_sier.inputs.starts"
+    copied.__module__ = displaced.__module__ = "openmm_sier.inputs.equilibration"
     context = openmm.Context(assembled([1.0]), openmm.VerletIntegrator(0.001), platform())
     context.setPositions([[0, 0, 0]])
     names = {"context": context, "copied": copied, "displaced": displaced}

@@ -16,7 +16,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
-from openmm_sier.inputs.starts import stop_centre_of_mass
+from openmm_sier.inputs.equilibration import stop_centre_of_mass
 from openmm_sier.observe.openmm_integrators import shift_velocities
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
 from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield

@@ -8,7 +8,7 @@ import pytest
 
 from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.inputs.starts import equilibrate
+from openmm_sier.inputs.equilibration import equilibrate
 from openmm_sier.stability.spins import FAST, Spins
 from tests.support.braced import gas, triangle
 from tests.support.reports import Told

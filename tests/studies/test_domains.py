@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.cli import main
-from openmm_sier.inputs.starts import make_context
+from openmm_sier.inputs.equilibration import make_context
 from studies.domains import chain, fullerenes, lammps, methods, models, patchy, study, zeolite
 from studies.units import md
 from tests.support.commands import SYSTEMS

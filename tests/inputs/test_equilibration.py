@@ -15,8 +15,8 @@ from openmm_sier import (
     prepare_system,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.inputs import forcefields, starts
-from openmm_sier.inputs.starts import EquilibrationWarning, equilibrate, prepare
+from openmm_sier.inputs import equilibration, forcefields
+from openmm_sier.inputs.equilibration import EquilibrationWarning, equilibrate, prepare
 from tests.support import solutes
 from tests.support.commands import write_lattice
 from tests.support.reports import Told
@@ -47,7 +47,7 @@ def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     found = equilibrate(context_of(*tethered), TEMPERATURE, report=told)
     # One in a hundred windows is out of bounds by chance, so that 17 of them are so with a probability of 1e-34.
     assert found.settled
-    assert 3 <= found.time < starts.LONGEST
+    assert 3 <= found.time < equilibration.LONGEST
     # 180 degrees of freedom each: the bounds, within which what has settled is.
     bound = TEMPERATURE * math.sqrt(2 / 180)
     assert abs(found.means.translation - TEMPERATURE) < bound
@@ -68,7 +68,7 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
     Translations are warmer by m v^2/3R = 16 K, within the bound of 27 K, but 160 kJ/mol of potential energy a ps go to
     the bath, where two standard deviations of the kinetic energy are 77 kJ/mol.
     """
-    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    monkeypatch.setattr(equilibration, "LONGEST", 4.0)
     with pytest.warns(EquilibrationWarning, match="not equilibrated after 4"):
         found = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
     assert not found.settled
@@ -76,7 +76,7 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
 
 
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
-    monkeypatch.setattr(starts, "LONGEST", 4.0)
+    monkeypatch.setattr(equilibration, "LONGEST", 4.0)
     system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
     with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
         found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
@@ -101,13 +101,13 @@ def test_the_context_is_equilibrated(tethered, monkeypatch):
     context = context_of(system, positions, SIERHMCIntegrator(TEMPERATURE, 0.001))
     context.setTime(2.0)
     context.setStepCount(7)
-    make, baths = starts._bath_context, []
+    make, baths = equilibration._bath_context, []
 
     def kept(*arguments):
         baths.append(make(*arguments))
         return baths[0]
 
-    monkeypatch.setattr(starts, "_bath_context", kept)
+    monkeypatch.setattr(equilibration, "_bath_context", kept)
     equilibrate(context, TEMPERATURE, time=0.06)
     np.testing.assert_array_equal(phase_point(context), phase_point(baths[0]))
     # At 300 K a molecule of water moves by 0.02 nm in 0.06 ps.
@@ -122,7 +122,7 @@ def test_a_context_whose_equilibration_fails_stays_as_it_was(tethered, monkeypat
     def fail(*_):
         raise openmm.OpenMMException("Particle coordinate is NaN")
 
-    monkeypatch.setattr(starts, "_window", fail)
+    monkeypatch.setattr(equilibration, "_window", fail)
     before = np.array(phase_point(context))
     with pytest.raises(openmm.OpenMMException, match="is NaN"):
         equilibrate(context, TEMPERATURE)
@@ -196,7 +196,7 @@ def test_a_run_with_a_bath_starts_from_the_snapshot(tethered):
 def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path, monkeypatch):
     """Positions and volume at the end of the equilibration are those at the start of the run."""
     box = forcefields.read_box(write_lattice(tmp_path / "box.pdb"))
-    window = starts._window
+    window = equilibration._window
 
     def growing(bath, *arguments):
         """As a barostat makes the box grow, which none would do for certain."""
@@ -204,8 +204,10 @@ def test_start_at_constant_pressure_has_the_box_of_its_equilibration(tmp_path, m
         bath.setPeriodicBoxVectors(*(1.01 * bath.getState().getPeriodicBoxVectors(asNumpy=True)))
         return means
 
-    monkeypatch.setattr(starts, "_window", growing)
-    context, other = (starts.make_context(box.system, SIERIntegrator(0.001, "SIER2"), "Reference") for _ in range(2))
+    monkeypatch.setattr(equilibration, "_window", growing)
+    context, other = (
+        equilibration.make_context(box.system, SIERIntegrator(0.001, "SIER2"), "Reference") for _ in range(2)
+    )
     initial = context.getState().getPeriodicBoxVolume()
     other.setPositions(box.positions)
     other.computeVirtualSites()
@@ -224,11 +226,11 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
     """OpenMM counts those of the machine; who has set fewer keeps them."""
     cpu = platform("CPU")
     usual = cpu.getPropertyDefaultValue("Threads")
-    monkeypatch.setattr(starts, "cores", lambda: 2)
+    monkeypatch.setattr(equilibration, "cores", lambda: 2)
     try:
         for default, found in (("3", "2"), ("1", "1")):
             cpu.setPropertyDefaultValue("Threads", default)
-            context = starts.make_context(system_of([spc()])[0], openmm.VerletIntegrator(0.001), "CPU")
+            context = equilibration.make_context(system_of([spc()])[0], openmm.VerletIntegrator(0.001), "CPU")
             assert cpu.getPropertyValue(context, "Threads") == found
             assert cpu.getPropertyDefaultValue("Threads") == default
     finally:
@@ -243,4 +245,4 @@ def test_the_force_that_calls_for_a_minimization_does_not_grow_with_a_molecule()
             bonds.addBond(i - 1, i, 0.15, 0.0)
     system = assembled(200 * [12.0], bonds, field("-7*x", range(200)))
     line = np.arange(200)[:, None] * [0.15, 0.0, 0.0]
-    assert starts._strongest_force(context_of(system, line)) == pytest.approx(70.0)
+    assert equilibration._strongest_force(context_of(system, line)) == pytest.approx(70.0)
