@@ -6,7 +6,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.engines import interrupts
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: nm, by which bodies are moved to find how stiffly others hold them. Forces in single precision, rounded to 1e-6 of
 #: 1e5 kJ/mol/nm, give the stiffness to 1e3 kJ/mol/nm^2 then.
@@ -19,7 +19,7 @@ STIFFEST = 5e6
 _FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
-def tell_of_overlaps(context: openmm.Context, bodies: BodySet) -> None:
+def warn_about_overlaps(context: openmm.Context, bodies: BodySet) -> None:
     """Warn of bodies that still overlap with others after a minimization.
 
     Forces do not tell, since they cancel at a minimum, and those within a rigid body may be of any size. So all bodies
@@ -37,7 +37,7 @@ def tell_of_overlaps(context: openmm.Context, bodies: BodySet) -> None:
     # Of two that hold each other the lighter is the one to move.
     worst = int(overlapping[np.argmax(stiffness[overlapping] / bodies.masses[overlapping])])
     energy = openmm.Context.getState(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    notify(
+    warn(
         f"After the minimization, at {energy:.5g} kJ/mol, {overlapping.size} bodies or atoms still overlap with "
         f"others, most of all {bodies.describe(worst)}: the stiffness of its contacts is {stiffness[worst]:.2g} "
         "kJ/mol/nm2, and that of all bonds of an atom is up to 1e6. Minimize for longer if the iterations were "

@@ -21,8 +21,8 @@ from openmm_sier.system import tables
 from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import parts
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.notices import notify
 from openmm_sier.system.untrusted_files import open_regular
+from openmm_sier.system.user_warnings import warn
 
 #: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -320,7 +320,7 @@ def density_of(box: Box) -> float | None:
     return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
 
 
-def tell_of_thin_box(path: str | Path, box: Box) -> None:
+def warn_about_thin_box(path: str | Path, box: Box) -> None:
     """Warn of a box that is too thin for a liquid, as one is whose file was cut off, or with the box of another system.
 
     Without a mesh for charges, as of many coarse-grained models, nothing is expected of a density.
@@ -333,7 +333,7 @@ def tell_of_thin_box(path: str | Path, box: Box) -> None:
     if found is None or found >= THINNEST or not meshed_forces(box.system):
         return
     end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
-    notify(
+    warn(
         f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {found:.2g} g/ml, less "
         f"than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is wrong"
     )

@@ -20,8 +20,8 @@ from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named
 from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.notices import notify
 from openmm_sier.system.untrusted_files import open_regular, read_system
+from openmm_sier.system.user_warnings import warn
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
 IGNORED = {
@@ -70,7 +70,7 @@ def read_input(
             box = _box_of_system(source, interactions)
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
-    forcefields.tell_of_thin_box(path, box)
+    forcefields.warn_about_thin_box(path, box)
     return box._replace(sources=sources_of(path, topology, files))
 
 
@@ -162,7 +162,7 @@ def _box_of_topology(
         )
     refuse_other_atoms(path, found, file.topology, topology)
     if kind == TOP:
-        _tell_of_rigid_water(topology, file)
+        _warn_about_rigid_water(topology, file)
     try:
         system = forcefields.build_system(create, found.box, constraints, interactions)
     except ForceFieldError as error:
@@ -170,12 +170,12 @@ def _box_of_topology(
     return _box(source, system, file.topology, files)
 
 
-def _tell_of_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
+def _warn_about_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
     """Warn of a top file that asks for flexible water, which is rigid here in all files."""
     # OpenMM defines it as True by itself, to read the bonds of water, and then makes them constraints.
     asks = file._defines.get("FLEXIBLE", True) is not True
     if asks and any(residue.name == "HOH" for residue in file.topology.residues()):
-        notify(
+        warn(
             f"{path} defines FLEXIBLE, but its water is rigid here. For flexible water give a System of OpenMM as the "
             "topology, made with rigidWater=False"
         )

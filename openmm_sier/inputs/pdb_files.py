@@ -12,7 +12,7 @@ from openmm.unit import Quantity
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.system.boxes import reduced
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
 TWICE = "WARNING: duplicate atom "
@@ -84,7 +84,7 @@ def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
     records = sum(line.startswith(("ATOM", "HETATM")) for line in lines)
     # Models have as many atoms each.
     if records % max(topology.getNumAtoms(), 1):
-        notify(
+        warn(
             f"{path} has atoms in alternate locations, of which the first is taken. If another one is more frequent, "
             "keep its atoms alone (by the letter in column 17 of a PDB file, label_alt_id of a PDBx/mmCIF file)"
         )

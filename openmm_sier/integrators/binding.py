@@ -20,18 +20,18 @@ from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
-from openmm_sier.engines.overlaps import tell_of_overlaps
+from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
-from openmm_sier.prepare.pme import tell_of_pme
+from openmm_sier.prepare.pme import warn_about_pme
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import bound_systems, checks
-from openmm_sier.system.loose_hydrogens import tell_of_loose_hydrogens
-from openmm_sier.system.notices import notify
+from openmm_sier.system.loose_hydrogens import warn_about_loose_hydrogens
+from openmm_sier.system.user_warnings import warn
 
 
 class Binding:
@@ -177,7 +177,7 @@ class Binding:
             self._flow = None
         self._write_program(system, platform)
         if given.scheme.without_bath().order >= 4:
-            tell_of_pme(system, given.scheme.name)
+            warn_about_pme(system, given.scheme.name)
         self.stored.ledger.clear()
         self.stored.ledger.seed = 0
         self.stored.write()
@@ -215,8 +215,8 @@ class Binding:
         if not keeps_ledger:
             ledger.clear()
         system, given = context.getSystem(), self.settings
-        checks.tell_of_frozen_atoms_that_move(system)
-        tell_of_loose_hydrogens(system)
+        checks.warn_about_moving_frozen_atoms(system)
+        warn_about_loose_hydrogens(system)
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self.watch = RunawayWatch(system)
@@ -266,7 +266,7 @@ class Binding:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
         if bath in (0.0, self._bath_seen) or self._told_of_temperatures:
             return
-        self._bath_seen, self._told_of_temperatures = bath, checks.tell_of_other_temperatures(context, bath)
+        self._bath_seen, self._told_of_temperatures = bath, checks.warn_about_other_temperatures(context, bath)
 
     def check_step(self) -> None:
         """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
@@ -296,7 +296,7 @@ class Binding:
         """Minimize the energy, see `Actions.minimize`, and warn of bodies that still overlap."""
         self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
         self.moved()
-        tell_of_overlaps(self._context(), self.engine.bodies)
+        warn_about_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
         """Make positions, or velocities, satisfy the constraints; see `Actions`."""
@@ -364,7 +364,7 @@ class Binding:
         is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
         if is_lost and not self._told_of_noise and BATH in self.flow().scheme.operators:
             self._told_of_noise = True
-            notify(
+            warn(
                 "With the native engine a State does not hold the noise of Langevin dynamics, which is OpenMM's: the "
                 "run continues in the same ensemble, but on another trajectory. To continue the same trajectory, load "
                 "a checkpoint"

@@ -9,7 +9,7 @@ from openmm import app
 
 from openmm_sier.observe import body_states, conservation, pressure
 from openmm_sier.system.arguments import whole_number
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: Bytes; rows are shorter.
 LONGEST_ROW = 2**16
@@ -80,9 +80,7 @@ class _TableReporter(_Reporter):
                 )
             file.truncate(end - len(row))
         if row:
-            notify(
-                f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of the row"
-            )
+            warn(f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of the row")
 
     def _write(self, columns: tuple[str, ...], row: tuple[float, ...]) -> None:
         """Write one row, and flush it."""

@@ -119,7 +119,7 @@ class FramedSystem:
         """
         x = checked_positions(positions, self.numAtoms)
         q, A, misfit = self.bodies.fit_with_misfit(x)
-        checks.tell_of_misfit(self.bodies, misfit)
+        checks.warn_about_misfit(self.bodies, misfit)
         found = np.zeros((self.system.getNumParticles(), 3))
         found[: self.numAtoms] = self.bodies.place(q, A, x)
         for frame in self.frames:

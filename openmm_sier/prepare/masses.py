@@ -14,8 +14,8 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
-from openmm_sier.system.notices import notify
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
+from openmm_sier.system.user_warnings import warn
 
 #: Dalton, below which no atom is made lighter for its hydrogens.
 LIGHTEST_CENTRE = 6.0
@@ -68,7 +68,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
         for atom in (centre, *found):
             system.setParticleMass(int(atom), float(masses[atom]))
     if not given:
-        notify("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
+        warn("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
     said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
     return f"{said}: averages of positions do not change, but motion is slower."

@@ -8,7 +8,7 @@ from openmm import unit
 from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import parts, pme_parameters
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
 #: 15 to 25 times that of the mesh. In water the forces are most accurate with 10 to 20, for tolerances from 1e-5 to
@@ -66,11 +66,11 @@ def balance_pme(system: openmm.System) -> None:
         force.setPMEParameters(alpha, *mesh)
 
 
-def tell_of_pme(system: openmm.System, scheme: str) -> None:
+def warn_about_pme(system: openmm.System, scheme: str) -> None:
     """Warn of PME as OpenMM splits it, with an integrator of fourth order, whose scheme has this name."""
     loose = [force for force in meshed_forces(system) if not pme_parameters(force)[0]]
     if loose:
-        notify(
+        warn(
             "Call prepare_system(system) before the Context is made. Without it the energy of PME jumps at the "
             f"cut-off, and {scheme} is hardly better than Verlet: at OpenMM's defaults the energy error of water "
             "within 1 ps is 1.2 to 1.6 %, and 0.1 % on a prepared System, at the same cost. The ewaldErrorTolerance "

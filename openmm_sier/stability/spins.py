@@ -22,7 +22,7 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: K, where no heat bath tells the temperature.
 ROOM_TEMPERATURE = 300.0
@@ -84,7 +84,7 @@ class Spins:
         if not self._told:
             self._told = True
             message = advice.advised(f"A step of {1000 * h:.3g} fs is long: {described}", *remedies)
-            notify(advice.StepWarning(message))
+            warn(advice.StepWarning(message))
 
 
 def _field_groups(system: openmm.System, atoms: int) -> int:

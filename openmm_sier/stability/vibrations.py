@@ -28,7 +28,7 @@ from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import Part, is_linear, parts
 from openmm_sier.system.mobilities import COARSE, mobilities
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: Longest step, as a fraction of the period of a bond whose forces act within drifts.
 RESONANCE = 0.45
@@ -347,7 +347,7 @@ class Vibrations:
         words = re.sub(r"[\d.]+", "", message)
         if words not in self._told:
             self._told.add(words)
-            notify(advice.StepWarning(message))
+            warn(advice.StepWarning(message))
 
 
 def accurate_step(scheme: Scheme, period: float) -> float:

@@ -11,8 +11,8 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import parts
-from openmm_sier.system.notices import notify
 from openmm_sier.system.solver_trial import LINE_REMEDY
+from openmm_sier.system.user_warnings import warn
 
 
 def acting_forces(system: openmm.System) -> list[openmm.Force]:
@@ -137,17 +137,17 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
             )
 
 
-def tell_of_frozen_atoms_that_move(system: openmm.System) -> None:
+def warn_about_moving_frozen_atoms(system: openmm.System) -> None:
     """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
     if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
-        notify(
+        warn(
             f"{type(barostats(system)[0]).__name__} moves all molecules with the box, those of frozen atoms too (of "
             f"the mass 0, such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To "
             "hold atoms in place at constant pressure, restrain them by forces"
         )
 
 
-def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> bool:
+def warn_about_other_temperatures(context: openmm.Context, temperature: float) -> bool:
     """Warn of a barostat or an AndersenThermostat of OpenMM that has another temperature in K than a heat bath now.
 
     Returns:
@@ -158,7 +158,7 @@ def tell_of_other_temperatures(context: openmm.Context, temperature: float) -> b
         theirs = context.getParameter(force.Temperature())
         if not math.isclose(theirs, temperature, rel_tol=1e-6):
             others = True
-            notify(
+            warn(
                 f"The {type(force).__name__} has {theirs:g} K, but the heat bath of the integrator has "
                 f"{temperature:g} K: averages belong to neither temperature. Set both to the same; for the "
                 f"{type(force).__name__} call context.setParameter({type(force).__name__}.Temperature(), "
@@ -195,7 +195,7 @@ def refuse_constrained_lines(system: openmm.System, bodies: BodySet) -> None:
             )
 
 
-def tell_of_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:
+def warn_about_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:
     """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
 
     Returns whether there were any. The misfit of a body is the largest distance of an atom from its place, (n,), nm.
@@ -204,7 +204,7 @@ def tell_of_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:
     if not off:
         return False
     worst = int(misfit.argmax())
-    notify(
+    warn(
         f"{off} of {bodies.n} bodies do not quite have the shape of their constraints, or the geometry that they were "
         f"given, and are corrected: an atom moves by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Were "
         "the positions made with another force field?"

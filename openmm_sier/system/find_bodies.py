@@ -21,7 +21,7 @@ from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
 from openmm_sier.system.inner_forces import parts
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
@@ -160,7 +160,7 @@ class BodyPlan:
         first = max(shared, key=lambda some: some.deviations.max())
         others = sum(len(some.clusters) for some in shared) - len(first.clusters)
         more = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
-        notify(
+        warn(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
             f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
             f"{self._describe(first.clusters[first.deviations.argmax()])}){more}"

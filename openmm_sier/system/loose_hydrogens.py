@@ -8,10 +8,10 @@ import openmm
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.notices import notify
+from openmm_sier.system.user_warnings import warn
 
 
-def tell_of_loose_hydrogens(system: openmm.System) -> None:
+def warn_about_loose_hydrogens(system: openmm.System) -> None:
     """Warn of molecules H-X-H that have two bonds or constraints, and nothing between their hydrogens.
 
     Their charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins; any integrator
@@ -25,7 +25,7 @@ def tell_of_loose_hydrogens(system: openmm.System) -> None:
     loose = molecules[~_held(system, molecules)]
     if len(loose):
         first, centre, second = loose[0].tolist()
-        notify(
+        warn(
             f"Nothing fixes the angle of atoms {first}, {centre} and {second}, nor that of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
             "constraints, of which a file of another program may have only two: call createSystem with rigidWater=True"

@@ -84,7 +84,7 @@ class Fitting:
             q, moved = _onto_constraints(bodies, q)
             misfit = np.maximum(misfit, moved)
         if not self._told_of_misfit:
-            self._told_of_misfit = checks.tell_of_misfit(bodies, misfit)
+            self._told_of_misfit = checks.warn_about_misfit(bodies, misfit)
         return q, A
 
 

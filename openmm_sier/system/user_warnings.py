@@ -13,7 +13,7 @@ _FOLDERS = Path(__file__).parent.parent, Path(openmm.__file__).parent
 _PACKAGES = (*(f"{folder}{os.sep}" for folder in _FOLDERS), contextlib.__file__)
 
 
-def notify(message: str | Warning) -> None:
+def warn(message: str | Warning) -> None:
     """Warn of behaviour that a user may not expect; the warning names the line that called the package."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGES):
