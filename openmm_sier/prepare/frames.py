@@ -14,7 +14,7 @@ from openmm import app, unit
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.species import Species
-from openmm_sier.prepare.carried_forces import Added, carry_forces
+from openmm_sier.prepare.added_particles import AddedParticles, add_to_forces
 from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.prepare.frame_topology import with_frame_atoms
 from openmm_sier.system import checks, tables
@@ -254,7 +254,7 @@ def with_frames(
     _hold(framed, frames)
     held = np.concatenate([frame.atoms for frame in frames])
     added = sum(len(frame.particles) for frame in frames)
-    carry_forces(framed, Added(tables.masses(system), held, added))
+    add_to_forces(framed, AddedParticles(tables.masses(system), held, added))
     of_frames = [frame.particles.tolist() for frame in frames]
     named = None if topology is None else with_frame_atoms(topology, of_frames)
     found = FramedSystem(framed, named, np.empty((0, 3)), known, frames)

@@ -7,10 +7,10 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.cutoff_discontinuities import describe_discontinuities
 from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import join_bodies
-from openmm_sier.prepare.jumps import describe_jumps
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.split_terms import divided
@@ -116,7 +116,7 @@ def prepare_system(
         coarse = _coarse_motion(system, found, known.owner) if fastForceGroup is None else None
         fast, said = _gather_fast_forces(system, known, group, coarse)
         done += _join(system, known) + said + _useless_terms(system, known.owner)
-        limits = describe_jumps(system)
+        limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(done), limits)
 

@@ -15,7 +15,7 @@ LEAST = 1e-4
 SWITCHED_FROM = 5 / 6
 
 
-def describe_jumps(system: openmm.System) -> tuple[str, ...]:
+def describe_discontinuities(system: openmm.System) -> tuple[str, ...]:
     """Return a sentence for each NonbondedForce of a System that ends with a jump, with the remedy."""
     sentences = []
     for part in parts(system):

@@ -13,7 +13,7 @@ IS_ATOM = "openmm_sier_is_atom"
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedParticles:
     """Particles at the end of a System that interact with nothing.
 
     Attributes:
@@ -27,7 +27,7 @@ class Added:
     number: int
 
 
-def carry_forces(system: openmm.System, added: Added) -> None:
+def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
     """Give the Forces of a System entries for added particles, also those that other Forces contain.
 
     Energies and forces of all other particles stay what they were, but for long-range corrections: for N particles
@@ -56,7 +56,7 @@ def carry_forces(system: openmm.System, added: Added) -> None:
             )
 
 
-def _add_to_expression(force: openmm.CustomNonbondedForce, added: Added) -> None:
+def _add_to_expression(force: openmm.CustomNonbondedForce, added: AddedParticles) -> None:
     """Add particles, with the parameters of the first one, whose energy is 0 whatever its expression is there."""
     model = list(force.getParticleParameters(0))
     if force.getNumInteractionGroups():
@@ -73,7 +73,7 @@ def _add_to_expression(force: openmm.CustomNonbondedForce, added: Added) -> None
     force.setEnergyFunction(f"select({IS_ATOM}1*{IS_ATOM}2, {energy}, 0){separator}{definitions}")
 
 
-def _keep_weights(force: openmm.CustomCentroidBondForce, added: Added) -> None:
+def _keep_weights(force: openmm.CustomCentroidBondForce, added: AddedParticles) -> None:
     """Give groups the weights that masses were."""
     for i in range(force.getNumGroups()):
         particles, weights = force.getGroupParameters(i)
