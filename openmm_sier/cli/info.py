@@ -11,7 +11,7 @@ from openmm import app, unit
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.planning import new_settings
-from openmm_sier.dynamics.names import FEW
+from openmm_sier.dynamics.index_ranges import MAX_LISTED
 from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
@@ -89,7 +89,7 @@ def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int,
     return [
         " ".join(names),
         str(len(species.atoms)),
-        " ".join(atoms[i].name for i in first) if len(first) <= FEW else f"{len(first)} atoms",
+        " ".join(atoms[i].name for i in first) if len(first) <= MAX_LISTED else f"{len(first)} atoms",
         " ".join(atoms[i].name for i in riders.get(int(first[0]), [])) or "-",
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",

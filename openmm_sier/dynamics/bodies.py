@@ -15,7 +15,7 @@ import numpy as np
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.dynamics.names import FEW, as_ranges
+from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
 from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
@@ -224,7 +224,7 @@ class BodySet:
 
     def describe_atoms(self, atoms: Sequence[int] | np.ndarray) -> str:
         """Return a name for messages: residues, if known, and atoms; those of large bodies as ranges."""
-        is_few = len(atoms) <= FEW
+        is_few = len(atoms) <= MAX_LISTED
         numbers = ", ".join(str(int(i)) for i in atoms) if is_few else as_ranges(atoms)
         names = f"atoms {numbers}" if len(atoms) > 1 else f"atom {numbers}"
         if self.labels is None:

@@ -30,7 +30,7 @@ from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodie
 from openmm_sier.prepare.pme import warn_about_pme
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import bound_systems, checks
-from openmm_sier.system.loose_hydrogens import warn_about_loose_hydrogens
+from openmm_sier.system.unconstrained_angles import warn_about_unconstrained_angles
 from openmm_sier.system.user_warnings import warn
 
 
@@ -216,7 +216,7 @@ class Binding:
             ledger.clear()
         system, given = context.getSystem(), self.settings
         checks.warn_about_moving_frozen_atoms(system)
-        warn_about_loose_hydrogens(system)
+        warn_about_unconstrained_angles(system)
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self.watch = RunawayWatch(system)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.names import as_ranges
+from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.observe import conservation
 from openmm_sier.system.body_selection import SelectedBodies
 from openmm_sier.system.boxes import wrapped

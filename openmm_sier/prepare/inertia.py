@@ -14,7 +14,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.names import as_ranges
+from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import Positions, Quantity, checked_positions, checked_system, quantity_to_float

@@ -9,7 +9,7 @@ from typing import Any, overload
 
 from openmm import app
 
-from openmm_sier.dynamics.names import as_ranges
+from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.system.residue_ranges import ResidueRanges
 
 #: A description of bodies, or of several.

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 #: A list of at most this many numbers is written out.
-FEW = 8
+MAX_LISTED = 8
 
 
 def ranges(numbers: Iterable[int]) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from openmm_sier.system.forces import kind_of
 from openmm_sier.system.user_warnings import warn
 
 
-def warn_about_loose_hydrogens(system: openmm.System) -> None:
+def warn_about_unconstrained_angles(system: openmm.System) -> None:
     """Warn of molecules H-X-H that have two bonds or constraints, and nothing between their hydrogens.
 
     Their charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins; any integrator
