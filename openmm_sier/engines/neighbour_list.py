@@ -10,7 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
@@ -21,7 +21,7 @@ def is_remembered(context: openmm.Context) -> bool:
     platform = context.getPlatform()
     if platform.getName() != "CPU" or platform.getPropertyValue(context, "Threads") != "1":
         return False
-    return any(_has_cutoff(part.force) for part in parts(context.getSystem()))
+    return any(_has_cutoff(part.force) for part in all_forces(context.getSystem()))
 
 
 def forget(context: openmm.Context) -> None:
@@ -31,7 +31,7 @@ def forget(context: openmm.Context) -> None:
     list, a fifth of a force evaluation. Forces within other Forces have lists of their own, which OpenMM checks only
     where it evaluates these.
     """
-    inner = {part.group for part in parts(context.getSystem()) if part.within and _has_cutoff(part.force)}
+    inner = {part.group for part in all_forces(context.getSystem()) if part.containers and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
     state = openmm.Context.getState(context, positions=True)
     positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)

@@ -19,7 +19,7 @@ from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.cut_molecules import Bonds, joined_by
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.untrusted_files import open_regular
 from openmm_sier.system.user_warnings import warn
@@ -340,7 +340,7 @@ def warn_about_thin_box(path: str | Path, box: Box) -> None:
 
 
 def _described_interactions(system: openmm.System) -> str:
-    force = next((part.force for part in parts(system) if isinstance(part.force, openmm.NonbondedForce)), None)
+    force = next((part.force for part in all_forces(system) if isinstance(part.force, openmm.NonbondedForce)), None)
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")

@@ -15,7 +15,7 @@ from openmm_sier.engines import neighbour_list
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.boxes import wrapped
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.second_context import follow_parameters, second_context
 
 #: Components of a symmetric tensor in the order of `MolecularPressure.components`.
@@ -114,7 +114,7 @@ def _check(system: openmm.System) -> None:
     needs = "a pressure tensor needs"
     if not system.usesPeriodicBoundaryConditions():
         raise ValueError(f"{needs} a System with periodic boundary conditions, but this one has none")
-    for force in (part.force for part in parts(system)):
+    for force in (part.force for part in all_forces(system)):
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(
                 f"{needs} forces that act between particles, and the System has a CustomExternalForce: remove it"

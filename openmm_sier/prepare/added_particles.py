@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: Name of the parameter by which custom Forces tell atoms, for which it is 1, from added particles.
 IS_ATOM = "openmm_sier_is_atom"
@@ -40,7 +40,7 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
     Raises:
         ValueError: a Force is of another class than those of common models. The message has its name.
     """
-    for part in parts(system):
+    for part in all_forces(system):
         force = part.force
         if isinstance(force, openmm.NonbondedForce):
             for _ in range(added.number):

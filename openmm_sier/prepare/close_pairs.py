@@ -18,7 +18,7 @@ import openmm
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: Largest number of bonds between atoms of a close pair. Those further apart make no difference.
 REACH = 4
@@ -62,7 +62,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
         How many pairs there are.
     """
     # Forces of multipoles are softer at close distance, by Thole's damping.
-    pairwise = [part for part in parts(system) if kind_of(part.force).charges == "points"]
+    pairwise = [part for part in all_forces(system) if kind_of(part.force).charges == "points"]
     found = [(part, weight) for part in pairwise if (weight := part.weight)]
     close = _close(edges, owner)
     fast = _pair_force(NAME, "", group, periodic)

@@ -5,7 +5,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.system import tables
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: kJ/mol. Smaller jumps are not spoken of. In TIP3P at 0.9 nm, where it is 5e-3, rms(H)/rms(V) of SIER4G within 1 ps is
 #: 0.2 to 0.3 %, and the error goes with the jump: one of this size adds less than a scheme of fourth order has itself.
@@ -18,7 +18,7 @@ SWITCHED_FROM = 5 / 6
 def describe_discontinuities(system: openmm.System) -> tuple[str, ...]:
     """Return a sentence for each NonbondedForce of a System that ends with a jump, with the remedy."""
     sentences = []
-    for part in parts(system):
+    for part in all_forces(system):
         if not isinstance(part.force, openmm.NonbondedForce) or not _largest_jump(part.force) > LEAST:
             continue
         cutoff = part.force.getCutoffDistance().value_in_unit(unit.nanometer)

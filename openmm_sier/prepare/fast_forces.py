@@ -12,7 +12,7 @@ from openmm_sier.system.arguments import GROUPS, Bodies
 from openmm_sier.system.bonded_terms import working_terms
 from openmm_sier.system.find_bodies import BodyPlan, linked
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 
 class FastForces:
@@ -43,7 +43,9 @@ class FastForces:
         self.owner = owner
         self.fast = {i: self.acting[i] for i, between in working.items() if self.moving[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
-        inner = [(part, working_terms(part.force, owner)) for part in parts(system) if part.within and part.weight]
+        inner = [
+            (part, working_terms(part.force, owner)) for part in all_forces(system) if part.containers and part.weight
+        ]
         self.inner = [part.name for part, between in inner if len(between) and self.moving[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:

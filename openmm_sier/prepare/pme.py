@@ -7,7 +7,7 @@ from openmm import unit
 
 from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import parts, pme_parameters
+from openmm_sier.system.inner_forces import all_forces, pme_parameters
 from openmm_sier.system.user_warnings import warn
 
 #: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
@@ -80,7 +80,7 @@ def warn_about_pme(system: openmm.System, scheme: str) -> None:
 
 def meshed_forces(system: openmm.System) -> list[openmm.Force]:
     """Return the Forces of a System that use PME or LJPME, also those that other Forces contain."""
-    return [part.force for part in parts(system) if _has_mesh(part.force)]
+    return [part.force for part in all_forces(system) if _has_mesh(part.force)]
 
 
 def _has_mesh(force: openmm.Force) -> bool:

@@ -11,7 +11,7 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import Part, parts
+from openmm_sier.system.inner_forces import SystemForce, all_forces
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
 #: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
@@ -40,13 +40,13 @@ LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
 CHARGED_MULTIPOLE = 0.18
 
 
-def holding(system: openmm.System) -> Iterator[tuple[Part, np.ndarray]]:
+def holding(system: openmm.System) -> Iterator[tuple[SystemForce, np.ndarray]]:
     """Give each Force with charges, also within others, and how stiffly it is taken to hold each atom.
 
     A Force within another counts by the constant factor that its energy has there, and not where it has none.
     Stiffnesses are in kJ/mol/nm^2, (N,).
     """
-    for part in parts(system):
+    for part in all_forces(system):
         if kind_of(part.force).charges and (weight := part.weight) is not None:
             yield part, abs(weight) * _stiffness(part.force)
 

@@ -26,7 +26,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import Part, is_linear, parts
+from openmm_sier.system.inner_forces import SystemForce, all_forces, is_linear
 from openmm_sier.system.mobilities import COARSE, mobilities
 from openmm_sier.system.user_warnings import warn
 
@@ -123,7 +123,7 @@ class Vibrations:
         self._bonds = list(self._harmonic)
         swings = _fastest_swings(stiffnesses, self._mobility)
         self._librations = list(swings) if _has_surroundings(system, bodies, links) else []
-        self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in parts(system))
+        self._is_measured = not any(_is_expression(part) or _is_collective(part) for part in all_forces(system))
         self._unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in _unknown(system)]
         self._isolated = not any(kind_of(force).sets for force in system.getForces())
         self._told: set[str] = set()
@@ -140,19 +140,19 @@ class Vibrations:
         if self._is_measured:
             return False
         self._is_measured, system = True, context.getSystem()
-        for part in parts(system):
+        for part in all_forces(system):
             if found := self._measured(part, context):
                 strength = found.square / self._mobility[list(found.atoms)].sum()
                 share = slow_share(self._stiffness, found.atoms, strength, self._mobility)
                 period = 2 * math.pi / math.sqrt(found.square)
                 is_bond = kind_of(part.force).acts_on == "terms" and len(found.atoms) == 2
                 can_be_fast = (
-                    period < COARSE and not part.within and self._remedies.can_be_fast(part.force, found.atoms)
+                    period < COARSE and not part.containers and self._remedies.can_be_fast(part.force, found.atoms)
                 )
                 self._bonds.append(Motion(period, found.atoms, part.group, share, part.name, is_bond, can_be_fast))
         return True
 
-    def _measured(self, part: Part, context: openmm.Context) -> Vibration | None:
+    def _measured(self, part: SystemForce, context: openmm.Context) -> Vibration | None:
         """Return the fastest motion that a Force causes, if it is one that is measured."""
         if _is_expression(part):
             held = self._constraints.by_pair()
@@ -164,7 +164,7 @@ class Vibrations:
 
     def _fastest_bonds(self, system: openmm.System) -> Iterator[Motion]:
         """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
-        for part in parts(system):
+        for part in all_forces(system):
             if not isinstance(part.force, openmm.HarmonicBondForce) or not part.force.getNumBonds():
                 continue
             ends, _, strength = harmonic_bonds(part.force)
@@ -177,7 +177,7 @@ class Vibrations:
                 period = 2 * math.pi / math.sqrt(squares[fastest])
                 atoms = tuple(ends[fastest].tolist())
                 share = slow_share(self._stiffness, atoms, strength[fastest], self._mobility)
-                can_be_fast = period < COARSE and not part.within and self._remedies.can_be_fast(part.force, atoms)
+                can_be_fast = period < COARSE and not part.containers and self._remedies.can_be_fast(part.force, atoms)
                 yield Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
 
     def check(self, scheme: Scheme, h: float, groups: int) -> None:
@@ -369,7 +369,7 @@ def _percent(fraction: float) -> str:
     return f"{float(f'{100 * fraction:.1g}'):g} %"
 
 
-def _is_expression(part: Part) -> bool:
+def _is_expression(part: SystemForce) -> bool:
     # The close pairs of `prepare_system` are nonbonded interactions.
     is_own = part.force.getName().startswith("openmm_sier: ")
     return kind_of(part.force).stiffness == "expression" and not is_own and part.weight is not None
@@ -380,13 +380,13 @@ def _is_sum(force: openmm.Force) -> bool:
     return isinstance(force, openmm.CustomCVForce) and is_linear(force)
 
 
-def _is_collective(part: Part) -> bool:
+def _is_collective(part: SystemForce) -> bool:
     return part.weight is not None and not _is_sum(part.force) and is_collective(part.force)
 
 
-def _unknown(system: openmm.System) -> Iterator[Part]:
+def _unknown(system: openmm.System) -> Iterator[SystemForce]:
     """Find Forces of which no stiffness is known."""
-    for part in parts(system):
+    for part in all_forces(system):
         if isinstance(part.force, openmm.ATMForce) or part.weight is None:
             continue
         is_unknown = kind_of(part.force).stiffness in ("unknown", "collective")
@@ -406,7 +406,7 @@ def _has_surroundings(system: openmm.System, bodies: BodySet, links: Links) -> b
     return len(np.unique(molecules)) > 1 or bool(tables.frozen_atoms(system).size)
 
 
-def _fastest_swings(stiffnesses: Sequence[tuple[Part, np.ndarray]], mobility: np.ndarray) -> Iterator[Motion]:
+def _fastest_swings(stiffnesses: Sequence[tuple[SystemForce, np.ndarray]], mobility: np.ndarray) -> Iterator[Motion]:
     """Give for each Force with charges the fastest swing that it causes, by how stiffly it holds each atom."""
     if not mobility.any():
         return

@@ -10,14 +10,14 @@ from openmm_sier.dynamics.bodies import BodySet, RigidityError, molecule_of_atom
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.solver_trial import LINE_REMEDY
 from openmm_sier.system.user_warnings import warn
 
 
 def acting_forces(system: openmm.System) -> list[openmm.Force]:
     """Return the Forces of a System that are not passive, or contain one that is not; unknown ones are not passive."""
-    acting = {part.number for part in parts(system) if not kind_of(part.force).is_passive}
+    acting = {part.number for part in all_forces(system) if not kind_of(part.force).is_passive}
     return [system.getForce(number) for number in sorted(acting)]
 
 
@@ -42,7 +42,7 @@ def refuse_drude_particles(system: openmm.System) -> None:
     Raises:
         openmm.OpenMMException: there is one.
     """
-    for part in parts(system):
+    for part in all_forces(system):
         if isinstance(part.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
                 f"{part.name} is a DrudeForce. These integrators have no cold bath for Drude particles: the particles "

@@ -15,7 +15,7 @@ from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import widths, wrapped
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: kJ/mol. A bond that is longer than its own length and has more energy than this is broken: bonds dissociate with 400.
 BREAKING = 1000.0
@@ -117,7 +117,7 @@ class Bonds(NamedTuple):
 
 def _harmonic_bond_forces(system: openmm.System) -> Iterator[openmm.HarmonicBondForce]:
     """Give all HarmonicBondForces of a System, also those within other Forces."""
-    for part in parts(system):
+    for part in all_forces(system):
         if isinstance(part.force, openmm.HarmonicBondForce):
             yield part.force
 

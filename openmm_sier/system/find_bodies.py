@@ -20,7 +20,7 @@ from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.user_warnings import warn
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
@@ -355,7 +355,7 @@ class Links:
     def __init__(self, system: openmm.System):
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
-        forces = [part.force for part in parts(system)]
+        forces = [part.force for part in all_forces(system)]
         bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
         self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
         self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])

@@ -23,25 +23,25 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Part:
+class SystemForce:
     """A Force of a System, or one that a Force of it contains.
 
     Attributes:
         force: the Force itself, which may be changed.
         number: of the Force of the System that it is or that contains it.
         group: the force group of that one, in which it acts.
-        within: the Forces that contain it, the outermost first, each with the number under which it does.
+        containers: the Forces that contain it, the outermost first, each with the number under which it does.
     """
 
     force: openmm.Force
     number: int
     group: int
-    within: tuple[tuple[openmm.Force, int], ...] = ()
+    containers: tuple[tuple[openmm.Force, int], ...] = ()
 
     @property
     def name(self) -> str:
         """Return its name, and the name of the Force that contains it."""
-        return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.within))])
+        return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.containers))])
 
     @cached_property
     def weight(self) -> float | None:
@@ -52,7 +52,7 @@ class Part:
         defaults.
         """
         product = 1.0
-        for outer, index in self.within:
+        for outer, index in self.containers:
             factor = 1.0 if isinstance(outer, openmm.ATMForce) else _constant_derivatives(outer)[index]
             if factor is None:
                 return None
@@ -60,10 +60,10 @@ class Part:
         return product
 
 
-def parts(system: openmm.System) -> Iterator[Part]:
+def all_forces(system: openmm.System) -> Iterator[SystemForce]:
     """Give each Force of a System, followed by those that it contains."""
     for number, force in enumerate(system.getForces()):
-        yield from _with_inner(Part(force, number, force.getForceGroup()))
+        yield from _with_inner(SystemForce(force, number, force.getForceGroup()))
 
 
 def is_linear(force: openmm.CustomCVForce) -> bool:
@@ -80,10 +80,10 @@ def pme_parameters(force: openmm.Force) -> tuple[float, int, int, int]:
     return (alpha.value_in_unit(unit.nanometer**-1) if unit.is_quantity(alpha) else alpha, *mesh)
 
 
-def _with_inner(part: Part) -> Iterator[Part]:
+def _with_inner(part: SystemForce) -> Iterator[SystemForce]:
     yield part
     for index, force in enumerate(_inner(part.force)):
-        yield from _with_inner(Part(force, part.number, part.group, (*part.within, (part.force, index))))
+        yield from _with_inner(SystemForce(force, part.number, part.group, (*part.containers, (part.force, index))))
 
 
 def _inner(force: openmm.Force) -> list[openmm.Force]:

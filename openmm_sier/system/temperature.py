@@ -25,7 +25,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
-from openmm_sier.system.inner_forces import parts
+from openmm_sier.system.inner_forces import all_forces
 
 #: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
 COORDINATE = re.compile(r"\b[xyz][1-9]\d*\b")
@@ -93,7 +93,7 @@ class MomentumConservation:
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
         self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
         self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
-        self._external_groups = sum({1 << part.group for part in parts(system) if _is_external(part.force)})
+        self._external_groups = sum({1 << part.group for part in all_forces(system) if _is_external(part.force)})
 
     def holds(self, groups: int, has_friction: bool) -> bool:
         """Tell whether the total momentum is conserved.

@@ -11,7 +11,7 @@ from openmm_sier import RigidBodies, SIERIntegrator, balance_pme, prepare_system
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.prepare.pme import meshed_forces
 from openmm_sier.stability.vibrations import Vibrations
-from openmm_sier.system.inner_forces import parts, pme_parameters
+from openmm_sier.system.inner_forces import all_forces, pme_parameters
 from tests.support.containers import CONTAINERS, at_rest, contained, scaled
 from tests.support.peptides import capped_alanine
 from tests.support.silence import silence
@@ -166,7 +166,7 @@ def test_derivatives_that_are_constant():
         force = scaled(openmm.NonbondedForce(), 2.0, energy)
         force.addTabulatedFunction("table", openmm.Continuous1DFunction([0, 1, 4, 9], 0, 3))
         system = assembled([1.0], force)
-        _, inner = parts(system)
+        _, inner = all_forces(system)
         assert inner.weight == expected
 
 
@@ -175,7 +175,7 @@ def test_each_variable_has_a_derivative_of_its_own():
     for name in "abc":
         force.addCollectiveVariable(name, openmm.NonbondedForce())
     system = assembled([1.0], force)
-    _, *inner = parts(system)
+    _, *inner = all_forces(system)
     assert [part.weight for part in inner] == [2, None, -3]
 
 
@@ -246,16 +246,16 @@ def test_drude_particles_are_refused_wherever_they_are():
 def test_inner_forces_are_of_their_own_class_and_can_be_changed():
     system = assembled([1.0])
     system.addForce(at_rest(system, openmm.NonbondedForce(), scaled(openmm.NonbondedForce())))
-    for part in parts(system):
+    for part in all_forces(system):
         if isinstance(part.force, openmm.NonbondedForce):
             part.force.setPMEParameters(4, 24, 24, 24)
     again = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(system))
-    names = [part.name for part in parts(again)]
+    names = [part.name for part in all_forces(again)]
     assert names == [
         "ATMForce",
         "NonbondedForce in ATMForce",
         "CustomCVForce in ATMForce",
         "NonbondedForce in CustomCVForce in ATMForce",
     ]
-    found = [pme_parameters(part.force) for part in parts(again) if isinstance(part.force, openmm.NonbondedForce)]
+    found = [pme_parameters(part.force) for part in all_forces(again) if isinstance(part.force, openmm.NonbondedForce)]
     assert found == 2 * [(4.0, 24, 24, 24)]
