@@ -305,7 +305,7 @@ def sample(
 
 
 def _conserves_momentum(context: openmm.Context, bodies: BodySet) -> bool:
-    """Tell whether a Context with one of `studies.methods` conserves the total momentum."""
+    """Return whether a Context with one of `studies.methods` conserves the total momentum."""
     integrator = context.getIntegrator()
     if isinstance(integrator, SIERIntegrator):
         return integrator.conservesMomentum

@@ -100,7 +100,7 @@ def over_relaxed(old: float, freedoms: float, noise: np.random.Generator) -> flo
 
 
 def is_accepted(error: float, seed: int, draw: int) -> bool:
-    """Tell whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
+    """Return whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
 
     Args:
         error: energy at its end minus that at its start, in kT.

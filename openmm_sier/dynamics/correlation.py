@@ -9,7 +9,7 @@ FEWEST_INDEPENDENT = 5
 
 
 def is_constant(values: np.ndarray) -> bool:
-    """Tell whether values differ by rounding alone, as does the density of a box of constant volume."""
+    """Return whether values differ by rounding alone, as does the density of a box of constant volume."""
     return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
 
 

@@ -85,12 +85,12 @@ class Scheme:
 
     @property
     def is_palindrome(self) -> bool:
-        """Tell whether the list reads the same backwards, which makes the step time-reversible."""
+        """Return whether the list reads the same backwards, which makes the step time-reversible."""
         return self.stages == self.stages[::-1]
 
     @property
     def reuses_force(self) -> bool:
-        """Tell whether the force at the end of a step is the one at the start of the next."""
+        """Return whether the force at the end of a step is the one at the start of the next."""
         ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]
         return DRIFT not in (*ends[:1], *ends[-1:])
 
@@ -145,7 +145,7 @@ class Scheme:
 
     @cached_property
     def bath_divides_drift(self) -> bool:
-        """Tell whether `with_bath` put the bath into the middle of a drift."""
+        """Return whether `with_bath` put the bath into the middle of a drift."""
         return DRIFT_TO_BATH in self.operators
 
     @property

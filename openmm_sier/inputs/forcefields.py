@@ -340,7 +340,7 @@ def warn_about_thin_box(path: str | Path, box: Box) -> None:
 
 
 def _described_interactions(system: openmm.System) -> str:
-    force = next((part.force for part in all_forces(system) if isinstance(part.force, openmm.NonbondedForce)), None)
+    force = next((entry.force for entry in all_forces(system) if isinstance(entry.force, openmm.NonbondedForce)), None)
     if force is None or force.getNonbondedMethod() == force.NoCutoff:
         return "no cut-off"
     names = ("NoCutoff", "CutoffNonPeriodic", "CutoffPeriodic", "Ewald", "PME", "LJPME")

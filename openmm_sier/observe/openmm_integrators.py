@@ -56,11 +56,11 @@ class OpenMMIntegrator(openmm.Integrator):
 
     @property
     def conservesMomentum(self) -> bool:
-        """Tell whether the total momentum is conserved, see `MomentumConservation`."""
+        """Return whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self.getIntegrationForceGroups(), self._has_friction())
 
     def _has_friction(self) -> bool:
-        """Tell whether the integrator itself is a heat bath."""
+        """Return whether the integrator itself is a heat bath."""
         return False
 
     def getBodyState(self) -> BodyState:

@@ -114,7 +114,7 @@ def _check(system: openmm.System) -> None:
     needs = "a pressure tensor needs"
     if not system.usesPeriodicBoundaryConditions():
         raise ValueError(f"{needs} a System with periodic boundary conditions, but this one has none")
-    for force in (part.force for part in all_forces(system)):
+    for force in (entry.force for entry in all_forces(system)):
         if isinstance(force, openmm.CustomExternalForce):
             raise ValueError(
                 f"{needs} forces that act between particles, and the System has a CustomExternalForce: remove it"

@@ -40,8 +40,8 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
     Raises:
         ValueError: a Force is of another class than those of common models. The message has its name.
     """
-    for part in all_forces(system):
-        force = part.force
+    for entry in all_forces(system):
+        force = entry.force
         if isinstance(force, openmm.NonbondedForce):
             for _ in range(added.number):
                 force.addParticle(0.0, 1.0, 0.0)
@@ -51,7 +51,7 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
             _keep_weights(force, added)
         elif kind_of(force).acts_on in ("pairs", "whole") and not isinstance(force, openmm.CustomCVForce):
             raise ValueError(
-                f"{part.name} ({type(force).__name__}) cannot be copied to a System with frames. Give the bodies to a "
+                f"{entry.name} ({type(force).__name__}) cannot be copied to a System with frames. Give the bodies to a "
                 "SIER integrator, by bodies=…, which needs no frames; or remove the Force"
             )
 

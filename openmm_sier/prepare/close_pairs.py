@@ -62,13 +62,13 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
         How many pairs there are.
     """
     # Forces of multipoles are softer at close distance, by Thole's damping.
-    pairwise = [part for part in all_forces(system) if kind_of(part.force).charges == "points"]
-    found = [(part, weight) for part in pairwise if (weight := part.weight)]
+    pairwise = [entry for entry in all_forces(system) if kind_of(entry.force).charges == "points"]
+    found = [(entry, weight) for entry in pairwise if (weight := entry.weight)]
     close = _close(edges, owner)
     fast = _pair_force(NAME, "", group, periodic)
     opposite = _pair_force(OPPOSITE, "-", found[0][0].group if found else 0, periodic)
-    for part, weight in found:
-        for a, b, (q, sigma, epsilon) in _interactions(part.force, close):
+    for entry, weight in found:
+        for a, b, (q, sigma, epsilon) in _interactions(entry.force, close):
             parameters = [weight * COULOMB * q, 4 * weight * epsilon * sigma**12, 4 * weight * epsilon * sigma**6]
             fast.addBond(a, b, parameters)
             opposite.addBond(a, b, parameters)

@@ -18,15 +18,15 @@ SWITCHED_FROM = 5 / 6
 def describe_discontinuities(system: openmm.System) -> tuple[str, ...]:
     """Return a sentence for each NonbondedForce of a System that ends with a jump, with the remedy."""
     sentences = []
-    for part in all_forces(system):
-        if not isinstance(part.force, openmm.NonbondedForce) or not _largest_jump(part.force) > LEAST:
+    for entry in all_forces(system):
+        if not isinstance(entry.force, openmm.NonbondedForce) or not _largest_jump(entry.force) > LEAST:
             continue
-        cutoff = part.force.getCutoffDistance().value_in_unit(unit.nanometer)
+        cutoff = entry.force.getCutoffDistance().value_in_unit(unit.nanometer)
         start = f"{SWITCHED_FROM * cutoff:.2g}*nanometer"
         sentences.append(
-            f"{part.name} ends with a jump of the energy at {cutoff:.3g} nm, which matters most at constant energy: in "
-            "water at 0.9 nm SIER4G then has an energy error of 0.2 to 0.3 % within 1 ps in place of 0.1 %. Create the "
-            f"System with switchDistance={start}, or call setUseSwitchingFunction(True) and "
+            f"{entry.name} ends with a jump of the energy at {cutoff:.3g} nm, which matters most at constant energy: "
+            "in water at 0.9 nm SIER4G then has an energy error of 0.2 to 0.3 % within 1 ps instead of 0.1 %. Create "
+            f"the System with switchDistance={start}, or call setUseSwitchingFunction(True) and "
             f"setSwitchingDistance({start}) of this Force."
         )
     return tuple(dict.fromkeys(sentences))

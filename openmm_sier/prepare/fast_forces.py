@@ -44,9 +44,11 @@ class FastForces:
         self.fast = {i: self.acting[i] for i, between in working.items() if self.moving[between].all()}
         self.slow = [self.acting[i] for i in working if i not in self.fast]
         inner = [
-            (part, working_terms(part.force, owner)) for part in all_forces(system) if part.containers and part.weight
+            (entry, working_terms(entry.force, owner))
+            for entry in all_forces(system)
+            if entry.containers and entry.weight
         ]
-        self.inner = [part.name for part, between in inner if len(between) and self.moving[between].all()]
+        self.inner = [entry.name for entry, between in inner if len(between) and self.moving[between].all()]
 
     def others_in(self, group: int) -> list[openmm.Force]:
         """Return the Forces of a group that cannot be fast."""

@@ -80,7 +80,7 @@ def warn_about_pme(system: openmm.System, scheme: str) -> None:
 
 def meshed_forces(system: openmm.System) -> list[openmm.Force]:
     """Return the Forces of a System that use PME or LJPME, also those that other Forces contain."""
-    return [part.force for part in all_forces(system) if _has_mesh(part.force)]
+    return [entry.force for entry in all_forces(system) if _has_mesh(entry.force)]
 
 
 def _has_mesh(force: openmm.Force) -> bool:

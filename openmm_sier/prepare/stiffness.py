@@ -36,7 +36,7 @@ class Stiffest(NamedTuple):
 
     @property
     def is_coarse(self) -> bool:
-        """Tell whether it is so slow that kicks can follow it."""
+        """Return whether it is so slow that kicks can follow it."""
         return self.period >= COARSE
 
 

@@ -1,4 +1,4 @@
-"""Arguments of integrators, checked and converted to one form."""
+"""Check and convert arguments of integrators."""
 
 import functools
 import math
@@ -24,13 +24,13 @@ Bodies = BodySet | Sequence[Sequence[int]] | None
 #: Values of the argument `fastForceGroups` of integrators: numbers of groups, or a bit mask.
 ForceGroups = Iterable[int] | int
 
-#: A quantity of OpenMM, or a number in the unit that the argument names.
+#: A quantity of OpenMM, or a number in the unit of the argument.
 Quantity = unit.Quantity | float
 
 #: Positions (N, 3) in nm, such as OpenMM's lists of Vec3, or a quantity of these.
 Positions = unit.Quantity | np.ndarray | Sequence[Sequence[float]]
 
-#: OpenMM has this many force groups.
+#: Number of force groups in OpenMM.
 GROUPS = 32
 
 
@@ -38,67 +38,67 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     """Return bodies as `RigidBodies`, lists of integers, or None.
 
     Raises:
-        TypeError: they are none of these, or a mask of booleans.
+        TypeError: `bodies` is none of these, or a mask of booleans.
     """
     if bodies is None or isinstance(bodies, BodySet):
         return bodies
     try:
         clusters = [list(cluster) for cluster in bodies]
-        found = [[operator.index(i) for i in cluster] for cluster in clusters]
+        lists = [[operator.index(i) for i in cluster] for cluster in clusters]
     except TypeError:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
     if any(isinstance(i, bool) for cluster in clusters for i in cluster):
         raise TypeError("bodies must be RigidBodies or lists of particle indices, got a mask of True and False")
-    return found
+    return lists
 
 
 def checked_system(system: Any) -> openmm.System:
-    """Return an openmm.System as it is, and refuse anything else.
+    """Return an openmm.System unchanged, and refuse anything else.
 
     Raises:
-        TypeError: it is something else, such as a Simulation.
+        TypeError: `system` is something else, such as a Simulation.
     """
     if isinstance(system, openmm.System):
         return system
     remedy = ""
     if hasattr(system, "system") or hasattr(system, "getSystem"):
-        remedy = ": OpenMM reads a System when it makes a Context, so give simulation.system before that is made"
+        remedy = ". OpenMM reads a System when it makes a Context: pass the System before a Simulation is made from it"
     raise TypeError(f"system must be an openmm.System, got a {type(system).__name__}{remedy}")
 
 
 def checked_positions(positions: Any, n: int) -> np.ndarray:
-    """Return positions, a quantity or numbers in nm, as an array of shape (n, 3) of their own.
+    """Return a copy of positions, a quantity or numbers in nm, as an array of shape (n, 3).
 
     Raises:
-        ValueError: they have another shape.
+        ValueError: `positions` has another shape.
     """
     if unit.is_quantity(positions):
         positions = positions.value_in_unit(unit.nanometer)
-    found = np.array(positions, dtype=float)
-    if found.shape != (n, 3):
-        raise ValueError(f"positions must have the shape ({n}, 3) of the System's particles, got {found.shape}")
-    return found
+    coordinates = np.array(positions, dtype=float)
+    if coordinates.shape != (n, 3):
+        raise ValueError(f"positions must have the shape ({n}, 3), one row per particle, got {coordinates.shape}")
+    return coordinates
 
 
 def checked_scheme(scheme: Any) -> Scheme:
-    """Return a scheme from itself or from its name, which is case-insensitive.
+    """Return a scheme for a Scheme or its case-insensitive name.
 
     Raises:
         ValueError: no scheme has that name.
-        TypeError: it is neither.
+        TypeError: `scheme` is neither.
     """
     if isinstance(scheme, Scheme):
         return scheme
     if not isinstance(scheme, str):
         raise TypeError(f"scheme must be a Scheme or its name, as in SIERIntegrator(0.004, SIER4G), got {scheme!r}")
-    if (found := CATALOGUE.get(scheme.lower())) is None:
-        known = ", ".join(each.name for each in CATALOGUE.values())
-        raise ValueError(f"scheme must be one of {known}, got {scheme!r}")
-    return found
+    if (named := CATALOGUE.get(scheme.lower())) is None:
+        names = ", ".join(known.name for known in CATALOGUE.values())
+        raise ValueError(f"scheme must be one of {names}, got {scheme!r}")
+    return named
 
 
 def renamed(old: str, new: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Return a decorator by which a function accepts an argument under its former name, with a FutureWarning."""
+    """Return a decorator that makes a function accept an argument under its former name, with a FutureWarning."""
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         @functools.wraps(function)
@@ -114,20 +114,22 @@ def renamed(old: str, new: str) -> Callable[[Callable[Arguments, Result]], Calla
 
 
 def warn_of_former_name(old: str, new: str) -> None:
-    """Warn the caller of the caller that a name goes with the next release."""
-    warnings.warn(f"{old} is a former name and goes with the next release: use {new}", FutureWarning, stacklevel=3)
+    """Warn the caller's caller that a name is deprecated."""
+    warnings.warn(
+        f"{old} is deprecated and will be removed in the next release: use {new}", FutureWarning, stacklevel=3
+    )
 
 
 def step_size(size: Any) -> float:
     """Return a step in ps, from a quantity or a number; see `quantity_to_float`."""
     if unit.is_quantity(size) and size.unit.is_compatible(unit.kelvin):
         raise TypeError(
-            f"stepSize must be a time, got the temperature {size}. For a heat bath take "
+            f"stepSize must be a time, got the temperature {size}. For a heat bath use "
             "SIERLangevinIntegrator(300*kelvin, 1/picosecond, 4*femtoseconds)"
         )
     size = quantity_to_float("stepSize", size, unit.picosecond, "ps")
     if size < 0:
-        raise ValueError(f"stepSize must not be negative, got {size} ps; to run backwards reverse the velocities")
+        raise ValueError(f"stepSize must not be negative, got {size} ps. To run backwards, reverse the velocities")
     return size
 
 
@@ -137,7 +139,7 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
         if not value.unit.is_compatible(of):
             raise TypeError(f"{name} must be in units like {symbol}, got {value}")
         value = value.value_in_unit(of)
-    # Python would read a number from a text, which hides that somebody forgot to, and takes True for 1.
+    # float() would accept strings, which hides a missing conversion, and take True for 1.
     wrong = TypeError(f"{name} must be a quantity or a number in {symbol}, got {value!r}")
     if isinstance(value, str | bytes | bool):
         raise wrong
@@ -153,14 +155,14 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) -> int:
-    """Return a nonnegative integer within bounds, from an int or a float without a fraction.
+    """Return a nonnegative integer within bounds, from an int or an integral float.
 
     Raises:
-        ValueError: it is something else, True and False included, or out of bounds.
+        ValueError: `value` is something else, True and False included, or out of bounds.
     """
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
     if not whole or isinstance(value, bool) or value < 0:
-        raise ValueError(f"{name} must be a whole number that is not negative, got {value!r}")
+        raise ValueError(f"{name} must be a nonnegative whole number, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")
     if value > most:
@@ -169,11 +171,11 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
 
 
 def group_mask(name: str, groups: ForceGroups | None) -> int:
-    """Return force groups as a bit mask, from a set of numbers, from a mask, or from None for no group.
+    """Return force groups as a bit mask, from a set of numbers, a mask, or None for no group.
 
     Raises:
         ValueError: a group is not from 0 to 31.
-        TypeError: it is neither a set of numbers nor a mask.
+        TypeError: `groups` is neither a set of numbers nor a mask.
     """
     if groups is None:
         return 0
@@ -182,12 +184,12 @@ def group_mask(name: str, groups: ForceGroups | None) -> int:
             raise ValueError(f"{name} must be a set of force groups or a bit mask below 2^{GROUPS}, got {groups}")
         return groups
     try:
-        found = {operator.index(group) for group in groups}
+        group_numbers = {operator.index(group) for group in groups}
     except TypeError:
         raise TypeError(f"{name} must be a set of force groups, such as {{1}}, got {groups!r}") from None
-    if wrong := [group for group in found if not 0 <= group < GROUPS]:
+    if wrong := [group for group in group_numbers if not 0 <= group < GROUPS]:
         raise ValueError(f"{name} must be from 0 to {GROUPS - 1}, got {wrong[0]}")
-    return sum(1 << group for group in found)
+    return sum(1 << group for group in group_numbers)
 
 
 def groups_of(mask: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""Bodies by what people have: ranges of residues, selections of MDTraj, and lists of atoms."""
+"""Select rigid bodies by ranges of residues, MDTraj selections or lists of atoms."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from openmm import app
 from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.system.residue_ranges import ResidueRanges
 
-#: A description of bodies, or of several.
+#: Description of one or several bodies.
 Description = str | Sequence[int] | Sequence[Any] | Mapping[str, Any]
 
-#: The forms that a description in words may have.
+#: Forms of a textual description, for messages.
 FORMS = (
     "residues, such as A:1-36 or A:1-36,50-60, or :1-36 in each chain; a chain, such as A: ; the name of a residue; or "
     "an MDTraj selection, such as 'name CA and resSeq 1 to 36' or 'index 0 to 35'"
@@ -24,9 +24,9 @@ FORMS = (
 
 @dataclass(frozen=True)
 class SelectedBodies(Sequence[tuple[int, ...]]):
-    """Hold bodies as sequences of particle indices, with a name for each; print it to see them.
+    """Named bodies, as sequences of particle indices. Print the object for a summary.
 
-    It is taken wherever lists of particle indices are: as `bodies` of integrators and of `prepare_system`, and as
+    It can be passed wherever lists of particle indices can: as `bodies` of integrators and of `prepare_system`, and as
     `rigid` of `RigidBodies.from_system`.
 
     Attributes:
@@ -58,7 +58,7 @@ class SelectedBodies(Sequence[tuple[int, ...]]):
 
 
 def select_bodies(topology: app.Topology, description: Description) -> SelectedBodies:
-    """Find the atoms of bodies that you describe by residues, by chains or by a selection.
+    """Select bodies by residues, chains or an atom selection.
 
     >>> domains = select_bodies(topology, {"first": "A:1-2", "second": "A:4,6"})
     >>> print(domains)
@@ -66,49 +66,49 @@ def select_bodies(topology: app.Topology, description: Description) -> SelectedB
     second (atoms 9-11,15-17)
     >>> bodies = RigidBodies.from_system(system, topology, domains, positions)
 
-    A description in words is one of these:
+    A description is one of these strings:
 
     - `A:1-36` or `A:1-36,50-60`: residues of the chain A as one body, by the topology's numbers, both ends included.
       `:1-36` is one body in each chain that has these residues, `A:` is a whole chain, and `A:1-36 B:4-9` is one body
       of both.
     - the name of a residue: each residue of that name is one body.
-    - anything else is a selection in the language of MDTraj, which must be installed, such as
-      `name CA and resSeq 1 to 36`. The atoms that it selects in one chain are one body.
+    - anything else is an MDTraj selection, such as `name CA and resSeq 1 to 36`; MDTraj must be installed. The selected
+      atoms of each chain are one body.
 
-    Where chains share a name there is one body in each of them.
+    If several chains have the same name, each gets a body.
 
     Args:
         topology: the topology.
-        description: words; the indices of one body's particles; a list of several of these; or a mapping of names to
-            these.
+        description: a string, the particle indices of one body, a list of these, or a mapping from names to these.
 
     Returns:
-        The bodies, in the order of their descriptions. Several bodies of one name are numbered.
+        The bodies, in the order of their descriptions. Bodies with the same name are numbered.
 
     Raises:
-        ValueError: words are none of these, or name a chain, a residue or an atom that the topology does not have; a
-            selection is empty; an atom is in two bodies; or MDTraj is not installed. The message has the words.
-        TypeError: the topology is something else, or a description is.
+        ValueError: a string has none of these forms, or names a chain, residue or atom that the topology does not have;
+            a selection is empty; an atom is in two bodies; or MDTraj is not installed. The message quotes the string.
+        TypeError: the topology or a description has the wrong type.
     """
     if not isinstance(topology, app.Topology):
         raise TypeError(f"topology must be an openmm.app.Topology, got a {type(topology).__name__}")
     reader = _Reader(topology)
     atoms: list[tuple[int, ...]] = []
     names: list[str] = []
-    for name, what in _entries(description):
-        groups = reader.in_words(what.strip()) if isinstance(what, str) else [reader.of_indices(name, what)]
+    for name, selection in _entries(description):
+        is_text = isinstance(selection, str)
+        groups = reader.in_words(selection.strip()) if is_text else [reader.of_indices(name, selection)]
         for number, group in enumerate(groups, 1):
             atoms.append(tuple(sorted(set(group))))
-            of_body = name or (what if isinstance(what, str) else f"atoms {as_ranges(group)}")
-            names.append(of_body if len(groups) == 1 else f"{of_body} {number}")
+            body_name = name or (selection if is_text else f"atoms {as_ranges(group)}")
+            names.append(body_name if len(groups) == 1 else f"{body_name} {number}")
     if not atoms:
-        raise ValueError(f"no body is described: give {FORMS}")
+        raise ValueError(f"the description contains no body: give {FORMS}")
     _refuse_shared(atoms, names)
     return SelectedBodies(tuple(atoms), tuple(names))
 
 
 def _entries(description: Any) -> list[tuple[str | None, Any]]:
-    """Return the descriptions that one consists of, each with its name if it has one."""
+    """Split a description into descriptions of single bodies, each with its name or None."""
     if isinstance(description, Mapping):
         return list(description.items())
     if isinstance(description, str):
@@ -116,9 +116,9 @@ def _entries(description: Any) -> list[tuple[str | None, Any]]:
     if not isinstance(description, Iterable):
         raise TypeError(f"bodies must be described by {FORMS}; or by lists of particle indices, got {description!r}")
     entries = list(description)
-    if any(not isinstance(each, str) and hasattr(each, "__index__") for each in entries):
+    if any(not isinstance(item, str) and hasattr(item, "__index__") for item in entries):
         return [(None, entries)]
-    return [(None, each) for each in entries]
+    return [(None, item) for item in entries]
 
 
 def _refuse_shared(bodies: Sequence[tuple[int, ...]], names: Sequence[str]) -> None:
@@ -131,23 +131,23 @@ def _refuse_shared(bodies: Sequence[tuple[int, ...]], names: Sequence[str]) -> N
 
 
 class _Reader:
-    """Find the atoms that words or indices describe."""
+    """Reader of descriptions for one topology."""
 
     def __init__(self, topology: app.Topology):
         self._topology = topology
         self._ranges = ResidueRanges(topology)
         self._mdtraj: Any = None
 
-    def of_indices(self, name: str | None, what: Any) -> list[int]:
+    def of_indices(self, name: str | None, indices: Any) -> list[int]:
         """Return the atoms of a list of indices."""
         of = "" if name is None else f" of {name}"
         try:
-            atoms = [operator.index(i) for i in what]
+            atoms = [operator.index(i) for i in indices]
         except TypeError:
             raise TypeError(
-                f"the particles{of} must be whole numbers, or words such as {FORMS}; got {what!r}"
+                f"the particles{of} must be whole numbers, or words such as {FORMS}; got {indices!r}"
             ) from None
-        if any(isinstance(i, bool) for i in what):
+        if any(isinstance(i, bool) for i in indices):
             raise TypeError(f"the particles{of} must be particle indices, got a mask of True and False")
         if not atoms:
             raise ValueError(f"the list of particles{of} is empty")
@@ -160,7 +160,7 @@ class _Reader:
         return atoms
 
     def in_words(self, words: str) -> list[list[int]]:
-        """Return the atoms of each body that words describe."""
+        """Return the atoms of each body that a string describes."""
         residues = [residue for residue in self._topology.residues() if residue.name == words]
         if residues:
             return [[atom.index for atom in residue.atoms()] for residue in residues]
@@ -169,12 +169,12 @@ class _Reader:
         return self._selected(words)
 
     def _selected(self, words: str) -> list[list[int]]:
-        """Return what a selection of MDTraj has in each chain."""
+        """Return the atoms of an MDTraj selection, chain by chain."""
         try:
             import mdtraj
         except ImportError:
             raise ValueError(
-                f"{words!r} is a selection of MDTraj, which is not installed: pip install mdtraj; or give {FORMS}"
+                f"{words!r} is an MDTraj selection, but MDTraj is not installed: pip install mdtraj; or give {FORMS}"
             ) from None
         if self._mdtraj is None:
             self._mdtraj = mdtraj.Topology.from_openmm(self._topology)
@@ -184,5 +184,5 @@ class _Reader:
         except Exception:
             raise ValueError(f"{words!r} describes no body: give {FORMS}") from None
         if not selected:
-            raise ValueError(f"{words!r} selects no atom of the topology")
+            raise ValueError(f"{words!r} selects no atoms of the topology")
         return self._ranges.by_chain(selected)

@@ -1,4 +1,4 @@
-"""Bonded Forces of a System, and the atoms that their terms act on."""
+"""Terms of bonded Forces: atoms, lengths and force constants."""
 
 from xml.etree import ElementTree
 
@@ -14,11 +14,11 @@ def bonded_terms(force: openmm.Force) -> np.ndarray:
 
 
 def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
-    """Return the terms of a Force that do not lie in one body, (t, k); none if it is not a bonded one.
+    """Return the terms of a Force that do not lie within one body, (t, k); none if the Force is not bonded.
 
     Args:
         force: openmm.Force.
-        owner: for each particle the number of its body, (N,), -1 where it has none.
+        owner: body index of each particle, (N,); -1 without a body.
     """
     if kind_of(force).terms is None:
         return np.empty((0, 0), dtype=np.int64)
@@ -27,7 +27,7 @@ def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
 
 
 def with_working_terms(force: openmm.Force, owner: np.ndarray) -> openmm.Force:
-    """Return a copy of a bonded Force with its `working_terms` alone."""
+    """Return a copy of a bonded Force with only its `working_terms`."""
     root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
     works = iter(do_work(bonded_terms(force), owner).tolist())
     for parent in _parents(force, root):
@@ -36,9 +36,9 @@ def with_working_terms(force: openmm.Force, owner: np.ndarray) -> openmm.Force:
 
 
 def do_work(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Tell which terms, (t, k), do not lie in one body, (t,); `owner` is that of `working_terms`."""
-    found = owner[terms]
-    return (found != found[:, :1]).any(axis=1) | (found[:, 0] < 0)
+    """Return which terms (t, k) do not lie within one body, (t,); for `owner` see `working_terms`."""
+    owners = owner[terms]
+    return (owners != owners[:, :1]).any(axis=1) | (owners[:, 0] < 0)
 
 
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,8 +58,8 @@ def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.nd
 def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:
     """Return particles of each term, (t, k)."""
     attributes = _written(force).atoms
-    found = [[int(term.attrib[name]) for name in attributes] for term in elements]
-    return np.array(found, dtype=np.int64).reshape(-1, len(attributes))
+    rows = [[int(term.attrib[name]) for name in attributes] for term in elements]
+    return np.array(rows, dtype=np.int64).reshape(-1, len(attributes))
 
 
 def _elements(force: openmm.Force) -> list[ElementTree.Element]:
@@ -73,8 +73,8 @@ def _parents(force: openmm.Force, root: ElementTree.Element) -> list[ElementTree
 
 
 def _written(force: openmm.Force) -> Terms:
-    """Return how the terms of a bonded Force are written."""
+    """Return the XML form of the terms of a bonded Force."""
     terms = kind_of(force).terms
     if terms is None:
-        raise TypeError(f"{force.getName()} ({type(force).__name__}) is no bonded Force")
+        raise TypeError(f"{force.getName()} ({type(force).__name__}) is not a bonded Force")
     return terms

@@ -1,4 +1,4 @@
-"""Systems of Contexts that exist. OpenMM reads a System only when a Context is made, so that they must not change."""
+"""Registry of Systems that have Contexts. OpenMM reads a System only when a Context is made: later changes are lost."""
 
 import weakref
 
@@ -8,12 +8,12 @@ _contexts: weakref.WeakSet = weakref.WeakSet()
 
 
 def add(context: openmm.Context) -> None:
-    """Let `refuse_bound` know the System of a Context, as long as the Context exists."""
+    """Register the System of a Context with `refuse_bound` for the lifetime of the Context."""
     _contexts.add(context)
 
 
 def refuse_bound(system: openmm.System) -> None:
-    """Refuse a System that a Context with a SIER integrator was made for.
+    """Refuse a System that already has a Context with a SIER integrator.
 
     Raises:
         ValueError: there is such a Context.
@@ -22,6 +22,6 @@ def refuse_bound(system: openmm.System) -> None:
     address = int(system.this)
     if any(int(context.getSystem().this) == address for context in _contexts):
         raise ValueError(
-            "OpenMM reads a System only when a Context is made, and this one has a Context already: prepare Systems "
-            "before the Context or Simulation is made. Make this System again, or delete that Context first"
+            "OpenMM reads a System only when a Context is made, and this System already has one: prepare Systems "
+            "before the Context or Simulation is made. Create the System again, or delete the Context first"
         )

@@ -1,20 +1,20 @@
-"""Periodic boxes: points and their images."""
+"""Periodic boxes and images of points."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-#: Fraction of an edge by which coordinates of files round.
+#: Rounding of coordinates in files, as a fraction of an edge.
 ROUNDING = 1e-4
 
 
 def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -> np.ndarray:
-    """Return points (n, 3) moved by box vectors into the box.
+    """Return points (n, 3) translated into the box by box vectors.
 
     Args:
         points: (n, 3), nm.
         box: box vectors as rows, in OpenMM's reduced form, (3, 3), nm.
-        rounded: numpy.round moves them next to the origin instead.
+        rounded: numpy.round moves points to the images nearest the origin instead.
     """
     moved, box = np.array(points, dtype=float), np.asarray(box, dtype=float)
     for axis in (2, 1, 0):
@@ -49,5 +49,5 @@ def reduced(box: np.ndarray) -> np.ndarray:
 
 
 def _periods(shift: float) -> float:
-    """Return the whole number that leaves from -1/2 to 1/2, exclusive, of a shift."""
+    """Return the integer nearest to a shift; half an edge, up to `ROUNDING`, is rounded up."""
     return float(np.floor(shift + 0.5 + ROUNDING))

@@ -1,4 +1,4 @@
-"""Checks of a System: Forces that change positions, velocities or the box, and barostats that deform bodies."""
+"""Checks of a System for Forces, masses, constraints and barostats that integrators cannot handle."""
 
 import math
 from collections.abc import Sequence
@@ -16,18 +16,18 @@ from openmm_sier.system.user_warnings import warn
 
 
 def acting_forces(system: openmm.System) -> list[openmm.Force]:
-    """Return the Forces of a System that are not passive, or contain one that is not; unknown ones are not passive."""
-    acting = {part.number for part in all_forces(system) if not kind_of(part.force).is_passive}
+    """Return the Forces of a System that are not passive or contain such a Force; unknown Forces are not passive."""
+    acting = {entry.number for entry in all_forces(system) if not kind_of(entry.force).is_passive}
     return [system.getForce(number) for number in sorted(acting)]
 
 
 def barostats(system: openmm.System) -> list[openmm.Force]:
-    """Return the barostats of OpenMM that a System has."""
+    """Return the OpenMM barostats of a System."""
     return [force for force in system.getForces() if kind_of(force).sets == "pressure"]
 
 
 def gives_uncounted_heat(context: openmm.Context) -> bool:
-    """Tell whether a thermostat or barostat of OpenMM acts in a Context: nobody counts the energy that it gives."""
+    """Return whether a thermostat or barostat of OpenMM acts in a Context, whose heat is not counted."""
     for force in context.getSystem().getForces():
         if kind_of(force).sets == "pressure" and force.getFrequency() > 0:
             return True
@@ -37,22 +37,22 @@ def gives_uncounted_heat(context: openmm.Context) -> bool:
 
 
 def refuse_drude_particles(system: openmm.System) -> None:
-    """Refuse a DrudeForce, whose particles need a cold heat bath of their own.
+    """Refuse a DrudeForce, whose particles require a separate cold heat bath.
 
     Raises:
-        openmm.OpenMMException: there is one.
+        openmm.OpenMMException: the System has a DrudeForce.
     """
-    for part in all_forces(system):
-        if isinstance(part.force, openmm.DrudeForce):
+    for entry in all_forces(system):
+        if isinstance(entry.force, openmm.DrudeForce):
             raise openmm.OpenMMException(
-                f"{part.name} is a DrudeForce. These integrators have no cold bath for Drude particles: the particles "
+                f"{entry.name} is a DrudeForce. These integrators have no cold bath for Drude particles: the particles "
                 "would heat up from 1 K to hundreds of kelvins, and the polarization would be wrong. Take "
                 "openmm.DrudeLangevinIntegrator, DrudeNoseHooverIntegrator or DrudeSCFIntegrator"
             )
 
 
 def refuse_impossible_numbers(system: openmm.System) -> None:
-    """Refuse masses and constraints that no motion can have; OpenMM takes them as they are.
+    """Refuse impossible masses and constraints, which OpenMM accepts.
 
     Raises:
         openmm.OpenMMException: a mass is negative or not finite; a constraint has a length that is not positive or not
@@ -62,8 +62,8 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
         atom = int(wrong.argmax())
         raise openmm.OpenMMException(
-            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Did "
-            "hydrogens get more mass than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
+            f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
+            "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
     rows = tables.constraint_rows(system)
     ends = rows[:, :2]
@@ -71,12 +71,12 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
     if (wrong := ~is_particle.all(axis=1) | (ends[:, 0] == ends[:, 1])).any():
         i, j = ends[wrong.argmax()].tolist()
         raise openmm.OpenMMException(
-            f"A constraint joins the particles {i:.0f} and {j:.0f}: expected two different ones, of {len(masses)}"
+            f"A constraint joins particles {i:.0f} and {j:.0f}: they must be two different particles of {len(masses)}"
         )
     if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
         i, j, length = rows[wrong.argmax()].tolist()
         raise openmm.OpenMMException(
-            f"The constraint of particles {i:.0f} and {j:.0f} has the length {length:g} nm: it must be positive"
+            f"The constraint of particles {i:.0f} and {j:.0f} has a length of {length:g} nm: it must be positive"
         )
 
 
@@ -84,13 +84,13 @@ def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
     """Refuse a System whose volume an integrator cannot change.
 
     Raises:
-        openmm.OpenMMException: it is not periodic, has a barostat of its own, or a particle that belongs to no body.
+        openmm.OpenMMException: the System is not periodic, has a barostat, or has a particle that belongs to no body.
     """
     if not system.usesPeriodicBoundaryConditions():
-        raise openmm.OpenMMException("A constant pressure needs a periodic System (nonbondedMethod=PME)")
+        raise openmm.OpenMMException("Constant pressure requires a periodic System (nonbondedMethod=PME)")
     for force in barostats(system):
         raise openmm.OpenMMException(
-            f"Two barostats: pressure= of the integrator and a {type(force).__name__} in the System. Remove one"
+            f"The integrator has pressure=… and the System a {type(force).__name__}: remove one of the two barostats"
         )
     for i in np.flatnonzero(bodies.owners < 0).tolist():
         if not system.isVirtualSite(i):
@@ -102,10 +102,10 @@ def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
 
 
 def refuse_scaled_atoms(system: openmm.System) -> None:
-    """Refuse a barostat that scales atoms one by one, which deforms whatever is rigid.
+    """Refuse a barostat that scales atoms one by one, which deforms rigid bodies.
 
     Raises:
-        RigidityError: there is one.
+        RigidityError: the System has such a barostat.
     """
     for barostat in barostats(system):
         if hasattr(barostat, "getScaleMoleculesAsRigid") and not barostat.getScaleMoleculesAsRigid():
@@ -116,10 +116,10 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
 
 
 def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: BodySet) -> None:
-    """Refuse a barostat that moves atoms of one body apart; molecules are those of `Context.getMolecules()`.
+    """Refuse a barostat that deforms bodies; `molecules` is the result of `Context.getMolecules()`.
 
     Raises:
-        RigidityError: a barostat scales atoms one by one, or moves apart molecules that share a body.
+        RigidityError: a barostat scales atoms one by one, or moves molecules of one body apart.
     """
     extended = [species for species in bodies.species if species.atoms.shape[1] > 1]
     if not extended or not barostats(system):
@@ -131,36 +131,36 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
         if split.any():
             raise RigidityError(
                 f"{bodies.describe_atoms(species.atoms[np.argmax(split)])} consists of several molecules, and "
-                f"{type(barostats(system)[0]).__name__} moves each of them separately: join them by "
-                "prepare_system(system, bodies) before the Context is made; or leave out the barostat, and give the "
+                f"{type(barostats(system)[0]).__name__} moves each of them separately. Join them by "
+                "prepare_system(system, bodies) before the Context is made; or remove the barostat, and give the "
                 "integrator pressure=…"
             )
 
 
 def warn_about_moving_frozen_atoms(system: openmm.System) -> None:
-    """Warn of a barostat of OpenMM in a System with frozen atoms, which it moves too."""
+    """Warn if a barostat of OpenMM will move the frozen atoms of a System."""
     if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
         warn(
-            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, those of frozen atoms too (of "
-            f"the mass 0, such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To "
-            "hold atoms in place at constant pressure, restrain them by forces"
+            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, including frozen atoms (mass 0, "
+            f"such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To hold atoms in "
+            "place at constant pressure, restrain them by forces"
         )
 
 
 def warn_about_other_temperatures(context: openmm.Context, temperature: float) -> bool:
-    """Warn of a barostat or an AndersenThermostat of OpenMM that has another temperature in K than a heat bath now.
+    """Warn if the temperature of a barostat or thermostat of OpenMM differs from that of a heat bath, in K.
 
     Returns:
-        Whether there is one.
+        Whether a temperature differs.
     """
     others = False
     for force in [force for force in context.getSystem().getForces() if kind_of(force).sets]:
-        theirs = context.getParameter(force.Temperature())
-        if not math.isclose(theirs, temperature, rel_tol=1e-6):
+        setting = context.getParameter(force.Temperature())
+        if not math.isclose(setting, temperature, rel_tol=1e-6):
             others = True
             warn(
-                f"The {type(force).__name__} has {theirs:g} K, but the heat bath of the integrator has "
-                f"{temperature:g} K: averages belong to neither temperature. Set both to the same; for the "
+                f"The {type(force).__name__} has {setting:g} K, but the heat bath of the integrator has "
+                f"{temperature:g} K: averages belong to neither temperature. Set both to the same temperature; for the "
                 f"{type(force).__name__} call context.setParameter({type(force).__name__}.Temperature(), "
                 f"{temperature:g})"
             )
@@ -168,45 +168,51 @@ def warn_about_other_temperatures(context: openmm.Context, temperature: float) -
 
 
 def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
-    """Tell whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
+    """Return whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
     arms = places - masses @ places / masses.sum()
     _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
     return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
 
 
 def refuse_constrained_lines(system: openmm.System, bodies: BodySet) -> None:
-    """Refuse rigid bodies of three or more atoms on a line, within `RESOLUTION`, that constraints hold.
+    """Refuse fully constrained rigid bodies of three or more atoms on a line, within `RESOLUTION`.
 
-    OpenMM's own constraint solvers divide by zero there: minimization, `applyConstraints` and
-    `setVelocitiesToTemperature` give NaN. Bodies that are not quite lines spin about their axes by several radians in
-    any usual step, and their constraints differ from those of a line by less than force fields give.
+    OpenMM's constraint solvers divide by zero for them: minimization, `applyConstraints` and
+    `setVelocitiesToTemperature` give NaN. Bodies that are not quite lines would spin about their axes by several
+    radians in a usual step, and their constraints differ from those of a line by less than the resolution of force
+    fields.
 
     Raises:
-        RigidityError: there is one; the message names the first.
+        RigidityError: such a body exists; the message names the first.
     """
     for species in bodies.species:
         if species.atoms.shape[1] < 3 or not is_line(species.masses, species.sites.T):
             continue
         for row in species.atoms[tables.constraints(system).hold(species.atoms)]:
             raise RigidityError(
-                f"{bodies.describe_atoms(row)}: these atoms lie on a line (within {RESOLUTION:g} nm), and every two of "
-                "them are constrained. OpenMM cannot solve such constraints and sets their positions to NaN. "
+                f"{bodies.describe_atoms(row)}: these atoms lie on a line (within {RESOLUTION:g} nm), and all pairs of "
+                "them are constrained. OpenMM cannot solve such constraints and sets the positions to NaN. "
                 f"{LINE_REMEDY}"
             )
 
 
 def warn_about_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:
-    """Warn of atoms that move by more than the rounding of a PDB file when bodies are fitted to them.
+    """Warn if fitting bodies moves atoms by more than the rounding of a PDB file.
 
-    Returns whether there were any. The misfit of a body is the largest distance of an atom from its place, (n,), nm.
+    Args:
+        bodies: the bodies.
+        misfit: largest distance between an atom of each body and its site, (n,), nm.
+
+    Returns:
+        Whether a warning was issued.
     """
     off = int(np.count_nonzero(misfit > RESOLUTION))
     if not off:
         return False
     worst = int(misfit.argmax())
     warn(
-        f"{off} of {bodies.n} bodies do not quite have the shape of their constraints, or the geometry that they were "
-        f"given, and are corrected: an atom moves by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Were "
-        "the positions made with another force field?"
+        f"{off} of {bodies.n} bodies do not quite have the shape of their constraints, or their given geometry, and "
+        f"are corrected: an atom moves by up to {misfit[worst]:.4f} nm, in {bodies.describe(worst)}. Were the "
+        "positions made with another force field?"
     )
     return True

@@ -1,4 +1,4 @@
-"""Rigid bodies of an OpenMM System: those defined by its constraints, and those named by the user."""
+"""Find the rigid bodies of a System, defined by its constraints or named by the user."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from openmm_sier.system.user_warnings import warn
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
-#: nm. The longest covalent bonds, those of iodine and of heavy metals.
+#: Maximum length of covalent bonds, nm: those of iodine and heavy metals.
 LONGEST_COVALENT = 0.3
 
 Linked = TypeVar("Linked", bound=dynamics.BodySet)
@@ -36,7 +36,7 @@ Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 
 class RigidBodies(dynamics.BodySet):
-    """Hold the rigid and point bodies of an OpenMM System; `from_system` finds them.
+    """Rigid and point bodies of an OpenMM System; see `from_system`.
 
     >>> bodies = RigidBodies.from_system(system, topology)
     >>> print(bodies)
@@ -55,41 +55,43 @@ class RigidBodies(dynamics.BodySet):
     ) -> RigidBodies:
         """Find the bodies of a System.
 
-        Bodies that you name are rigid, in the shape of the given positions. Molecules with all distances constrained,
-        such as water, are rigid too, in the shape of the constraints. All other atoms are points with their
+        Named bodies are rigid and take their shape from the positions. Molecules with all distances constrained, such
+        as water, are rigid too and take their shape from the constraints. All other atoms are points with their
         constraints. Virtual sites follow their atoms. Massless particles that are not virtual sites are frozen: they
-        stay where they are, and constraints between them are ignored.
+        do not move, and constraints between them are ignored.
 
         >>> named = RigidBodies.from_system(system, topology, [[0, 1, 2, 3, 4, 5]], positions)
         >>> integrator = SIERIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
-        geometry. A warning says so where they differ by more than a PDB file rounds.
+        geometry. A warning is issued if they differ by more than the rounding of a PDB file.
 
         Args:
             system: the System.
-            topology: the topology, for the names of residues in messages, and for some choices of `rigid`.
-            rigid: rigid bodies in addition to those that constraints define: lists of particle indices, as
-                `select_bodies` returns them; or a mapping {residue name: "rigid"}; or "heavy atoms with hydrogens",
-                which makes each heavy atom and the hydrogens bonded to it one body. The last fixes bonds to hydrogen
-                and H-X-H angles, and leaves all torsions free.
+            topology: the topology, for residue names in messages, and for some choices of `rigid`.
+            rigid: rigid bodies in addition to those defined by constraints: lists of particle indices, as returned by
+                `select_bodies`; or a mapping {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each
+                heavy atom and the hydrogens bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles,
+                and leaves all torsions free.
             positions: (N, 3), nm or a Quantity, with the shapes of the bodies in `rigid`.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
-                massless particle that is not a virtual site is in a body, positions are needed and were not given, or
-                the periodic boundary cuts a body that takes its shape from them.
-            ValueError: `rigid` names particles or residues that do not exist, or a particle twice; a list in it is
-                empty; it needs the topology; or positions have another shape.
-            TypeError: `system` is something else, such as a Topology.
+                body contains a massless particle that is not a virtual site, required positions are missing, or the
+                periodic boundary cuts a body that takes its shape from the positions.
+            ValueError: `rigid` names nonexistent particles or residues, or a particle twice; it contains an empty list;
+                it requires the topology; or positions have the wrong shape.
+            TypeError: `system` is not an openmm.System.
         """
         n = checked_system(system).getNumParticles()
-        found = None if positions is None else checked_positions(positions, n)
-        return BodyPlan(system, topology, rigid).bodies(found)
+        coordinates = None if positions is None else checked_positions(positions, n)
+        return BodyPlan(system, topology, rigid).bodies(coordinates)
 
 
 class BodyPlan:
-    """Plan the rigid bodies of a System; see `RigidBodies.from_system` for arguments, rules and errors.
+    """Rigid bodies of a System before positions are known.
+
+    See `RigidBodies.from_system` for arguments, rules and errors.
 
     Attributes:
         kinds: the kinds of body.
@@ -109,12 +111,12 @@ class BodyPlan:
 
     @property
     def species(self) -> tuple[Species, ...]:
-        """Return the kinds of body whose geometry constraints define; some may also have mirror images."""
+        """Kinds of body whose geometry constraints define; some may also have mirror images."""
         return tuple(kind.model for kind in self.kinds if kind.model is not None)
 
     @property
     def needs_positions(self) -> bool:
-        """Tell whether the geometry of some body is known from positions only."""
+        """Whether some bodies take their geometry from positions."""
         return any(kind.needs_positions for kind in self.kinds)
 
     def bodies(
@@ -124,52 +126,52 @@ class BodyPlan:
 
         Args:
             positions: (N, 3), nm.
-            sites: (N, 3), nm, atom positions in the principal frames of their bodies. Named bodies get exactly these
+            sites: atom positions in the principal frames of their bodies, (N, 3), nm. Named bodies get exactly these
                 sites, unless the frames are not principal.
-            box: vectors of the positions' box, nm; None: the System's default ones.
+            box: box vectors of the positions, nm; None for the default ones of the System.
 
         Raises:
-            RigidityError: positions are needed and were not given, they contradict the constraints, or the boundary
-                cuts a body that takes its shape from them.
+            RigidityError: required positions are missing, they contradict the constraints, or the boundary cuts a body
+                that takes its shape from them.
         """
         if positions is None:
             if self.needs_positions:
-                raise RigidityError("Named or chiral bodies take their shape from the positions: give positions=")
+                raise RigidityError("named or chiral bodies take their shape from positions: give positions=…")
             positions = np.empty((0, 3))
         species: list[Species] = []
         shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
-            known = [] if sites is None or kind.model is not None else geometries.from_sites(kind, sites)
-            if kind.needs_positions and not known:
+            exact = [] if sites is None or kind.model is not None else geometries.from_sites(kind, sites)
+            if kind.needs_positions and not exact:
                 self._demand_extent(kind, positions, box)
             if kind.model is None:
-                found, sharing = (known, []) if known else geometries.from_positions(kind, positions, self._describe)
-                species += found
+                fitted, sharing = (exact, []) if exact else geometries.from_positions(kind, positions, self._describe)
+                species += fitted
                 shared += sharing
             elif kind.needs_positions:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        self._say(shared)
+        self._warn_about_averages(shared)
         return self._links.link(RigidBodies(species, self._n, self._labels))
 
-    def _say(self, shared: list[Sharing]) -> None:
-        shared = [some for some in shared if some.deviations.max() > geometries.ROUNDING]
+    def _warn_about_averages(self, shared: list[Sharing]) -> None:
+        shared = [sharing for sharing in shared if sharing.deviations.max() > geometries.ROUNDING]
         if not shared:
             return
-        first = max(shared, key=lambda some: some.deviations.max())
-        others = sum(len(some.clusters) for some in shared) - len(first.clusters)
-        more = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
+        first = max(shared, key=lambda sharing: sharing.deviations.max())
+        others = sum(len(sharing.clusters) for sharing in shared) - len(first.clusters)
+        rest = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
         warn(
             f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
             f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
-            f"{self._describe(first.clusters[first.deviations.argmax()])}){more}"
+            f"{self._describe(first.clusters[first.deviations.argmax()])}){rest}"
         )
 
     # --- which particles ---
 
     def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
-        """Return named bodies without their virtual sites, and without those that are frozen entirely."""
+        """Return named bodies without virtual sites, and without bodies that are frozen entirely."""
         clusters: list[Cluster] = []
         for number, indices in enumerate(groups):
             particles = [int(i) for i in indices]
@@ -193,7 +195,7 @@ class BodyPlan:
         return clusters
 
     def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
-        """Return all bodies, with the constraints inside them.
+        """Yield all bodies, with the constraints inside them.
 
         Raises:
             RigidityError: a constraint joins a body to another particle.
@@ -222,27 +224,27 @@ class BodyPlan:
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
             if len(cluster) > 1 and not np.ptp(x, axis=0).any():
                 raise RigidityError(
-                    f"all atoms of {self._describe(cluster)} are at one point, but its shape comes from the positions. "
-                    "Set the positions first"
+                    f"all atoms of {self._describe(cluster)} are at one point, but the body takes its shape from the "
+                    "positions. Set the positions first"
                 )
         if self._wholeness is not None:
             self._wholeness.refuse_cut(positions, kind.clusters, self._describe, box)
 
 
-def known_or_planned(system: openmm.System, given: Bodies) -> dynamics.BodySet | BodyPlan:
-    """Return a System's bodies from what a user gave; their plan if only positions can tell the geometry.
+def known_or_planned(system: openmm.System, bodies: Bodies) -> dynamics.BodySet | BodyPlan:
+    """Return the bodies of a System for an argument `bodies`, or their plan if the geometry requires positions.
 
     Raises:
-        ValueError: the System has another number of particles or other masses.
+        ValueError: the bodies belong to a System with another number of particles or other masses.
         RigidityError: see `BodyPlan` and `linked`.
     """
-    if isinstance(given, dynamics.BodySet):
-        return linked(system, given)
-    plan = BodyPlan(system, rigid=given)
+    if isinstance(bodies, dynamics.BodySet):
+        return linked(system, bodies)
+    plan = BodyPlan(system, rigid=bodies)
     return plan if plan.needs_positions else plan.bodies()
 
 
-# --- bodies that are named --------------------------------------------------------------------------------------------
+# --- named bodies -----------------------------------------------------------------------------------------------------
 
 
 def _named(
@@ -252,23 +254,23 @@ def _named(
         return []
     if not isinstance(rigid, str | Mapping) and not any(isinstance(each, str) for each in rigid):
         return rigid
-    values, known = (rigid.values(), "rigid") if isinstance(rigid, Mapping) else ([rigid], HYDROGEN_GROUPS)
-    if any(value != known for value in values):
+    values, keyword = (rigid.values(), "rigid") if isinstance(rigid, Mapping) else ([rigid], HYDROGEN_GROUPS)
+    if any(value != keyword for value in values):
         raise ValueError(
-            "To make residues rigid by name give rigid={'NAME': 'rigid'}; rigid may also be lists of particles or "
+            "rigid must be lists of particle indices, a mapping {'residue name': 'rigid'} or "
             f'"{HYDROGEN_GROUPS}", got {rigid!r}'
         )
     if topology is None:
-        raise ValueError("bodies by name need the topology: RigidBodies.from_system(system, topology, rigid)")
+        raise ValueError("named bodies require a topology: RigidBodies.from_system(system, topology, rigid)")
     if isinstance(rigid, str):
         return _hydrogen_groups(topology, _constrained_clusters(lengths, links))
     if missing := [name for name in rigid if name not in {residue.name for residue in topology.residues()}]:
-        raise ValueError(f"bodies name residue {missing[0]}, which the topology does not have")
+        raise ValueError(f"the topology has no residue named {missing[0]}")
     return [[atom.index for atom in residue.atoms()] for residue in topology.residues() if residue.name in rigid]
 
 
 def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
-    """Return each heavy atom with its hydrogens, except in molecules that constraints already hold rigid."""
+    """Return each heavy atom with its hydrogens, except in molecules that constraints make rigid already."""
     molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
     groups: dict[int, list[int]] = {}
     grouped: set[int] = set()
@@ -281,7 +283,7 @@ def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Clu
         grouped.add(light.index)
     if not groups:
         raise ValueError(
-            f'"{HYDROGEN_GROUPS}" needs bonds between hydrogens and heavy atoms, but none of the '
+            f'"{HYDROGEN_GROUPS}" requires bonds between hydrogens and heavy atoms, but none of the '
             f"{topology.getNumBonds()} bonds of the topology is one: add them to the topology"
         )
     return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
@@ -298,32 +300,32 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 
 
 def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
-    """Return clusters that constraints join, each with whether it is a molecule in which every distance is constrained.
+    """Return clusters joined by constraints, each with whether it is a whole molecule with every distance constrained.
 
-    A rigid group in a larger molecule does not count: fast forces move only points, so constraints hold its atoms.
+    A rigid group in a larger molecule does not count: fast forces move only points, so its atoms keep constraints.
     """
     pairs = np.array(list(lengths), dtype=np.int64).reshape(-1, 2)
     members, first = np.unique(pairs), joined(links.n_particles, pairs)
     names, sizes = np.unique(first[members], return_counts=True)
     ordered = members[np.argsort(first[members], kind="stable")]
     clusters = [tuple(part.tolist()) for part in np.split(ordered, np.cumsum(sizes)[:-1])][: len(names)]
-    found = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
-    complete = found == sizes * (sizes - 1) // 2
+    counts = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
+    complete = counts == sizes * (sizes - 1) // 2
     return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
 
 
 def linked(system: openmm.System, bodies: Linked) -> Linked:
-    """Return bodies that a user gave, with a System's constraints between them and its molecules.
+    """Return bodies linked by the constraints of a System, and grouped into its molecules.
 
     Raises:
-        ValueError: the System has another number of particles or other masses.
+        ValueError: the bodies belong to a System with another number of particles or other masses.
         RigidityError: a constraint joins a body of several atoms to something else.
     """
     masses = tables.masses(system)
     if bodies.n_particles != len(masses):
         raise ValueError(
-            f"the bodies were made for a System of {bodies.n_particles} particles, but this one has {len(masses)}: "
-            "make the bodies from this System"
+            f"the bodies belong to a System of {bodies.n_particles} particles, but this one has {len(masses)}: create "
+            "the bodies from this System"
         )
     for species in bodies.species:
         wrong = np.argwhere(masses[species.atoms] != species.masses)
@@ -332,30 +334,32 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
             atom = species.atoms[body, site]
             raise ValueError(
                 f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
-                f"dalton in the bodies, but {masses[atom]} dalton in the System: make the bodies from this System again"
+                f"dalton in the bodies, but {masses[atom]} dalton in the System: create the bodies from this System "
+                "again"
             )
     return Links(system).link(bodies)
 
 
-# --- what joins atoms into molecules ---------------------------------------------------------------------------------
+# --- bonds and constraints -------------------------------------------------------------------------------------------
 
 
 class Links:
-    """Constraints and bonds of a System, also those of Forces within Forces, by which OpenMM finds molecules too.
+    """Constraints and bonds of a System, including those of Forces inside Forces; OpenMM finds molecules by them too.
 
     Attributes:
-        n_particles: of the System.
-        constraints: that act in it.
-        bonds, lengths: pairs of particles that a harmonic bond joins, (b, 2), and its lengths, (b,), nm.
-        terms: pairs that an angle or a torsion joins, (t, 2); those of an improper torsion need not be bonded.
-        custom: pairs that a CustomBondForce joins, (d, 2). It may be a restraint: molecules that it joins count as one,
+        n_particles: number of particles of the System.
+        constraints: its acting constraints.
+        bonds: pairs of particles joined by harmonic bonds, (b, 2).
+        lengths: lengths of these bonds, (b,), nm.
+        terms: pairs joined by angles or torsions, (t, 2); those of an improper torsion need not be bonded.
+        custom: pairs joined by a CustomBondForce, (d, 2). It may be a restraint: molecules that it joins count as one,
             as in OpenMM, but rigid ones stay rigid.
     """
 
     def __init__(self, system: openmm.System):
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
-        forces = [part.force for part in all_forces(system)]
+        forces = [entry.force for entry in all_forces(system)]
         bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
         self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
         self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
@@ -365,11 +369,11 @@ class Links:
     def covalent(self) -> np.ndarray:
         """Return constraints and bonds, (b, 2), without restraints within molecules.
 
-        A harmonic bond longer than `LONGEST_COVALENT`, as of an elastic network, and a term of a CustomBondForce are
-        restraints if shorter bonds join their atoms already. In Systems of OpenMM's readers of GROMACS and CHARMM files
-        a CustomBondForce has the pairs three bonds apart.
+        A harmonic bond longer than `LONGEST_COVALENT`, as in an elastic network, or a term of a CustomBondForce is a
+        restraint if shorter bonds join its atoms already. OpenMM's readers of GROMACS and CHARMM files put the pairs
+        three bonds apart into a CustomBondForce.
         """
-        # Those without length only tell OpenMM what belongs together.
+        # Bonds of zero length only mark molecules for OpenMM.
         short = (self.lengths > 0) & (self.lengths <= LONGEST_COVALENT)
         sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
         others = np.concatenate([self.bonds[self.lengths > LONGEST_COVALENT], self.custom])
@@ -377,7 +381,7 @@ class Links:
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
-        """Return for each cluster of particles whether a bond joins it to a particle outside."""
+        """Return whether a bond joins each cluster of particles to a particle outside."""
         owner = np.full(self.n_particles, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
@@ -387,10 +391,10 @@ class Links:
         return leaving[:-1]
 
     def link(self, bodies: Linked) -> Linked:
-        """Return the bodies with the constraints between them, and with their molecules.
+        """Return the bodies linked by constraints, and grouped into molecules.
 
         Raises:
-            RigidityError: a constraint joins a body to a particle of no body, or a body of several atoms to another
+            RigidityError: a constraint joins a body to a particle without a body, or a body of several atoms to another
                 body.
         """
         pairs, lengths = self.constraints
@@ -409,9 +413,9 @@ class Links:
 def joins_a_body(a: int, b: int) -> RigidityError:
     """Return the error for a constraint that joins a rigid body to a particle outside."""
     return RigidityError(
-        f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms that are joined "
-        "by constraints into one body; or leave them all out of `bodies`, so that only constraints hold them; or "
-        "build the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
+        f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms joined by "
+        "constraints into one body; or leave all of them out of `bodies`, so that only constraints hold them; or "
+        "create the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
     )
 
 

@@ -1,4 +1,4 @@
-"""The classes of Forces of OpenMM: one table of what is known of each."""
+"""Table of the properties of OpenMM's Force classes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import openmm
 
 
 class Terms(NamedTuple):
-    """Describe how terms of two to eight atoms are written.
+    """XML form of terms of two to eight atoms.
 
     Attributes:
-        element: of a term in XML, which OpenMM's methods name too, such as getBondParameters.
-        atoms: its attributes that name atoms.
-        strengths: places of the parameters that make the energy 0 if they are; empty where there are none, so that a
-            term cannot be moved to another Force.
+        element: XML element of a term, which also occurs in names of methods, such as getBondParameters.
+        atoms: its attributes that contain atom indices.
+        strengths: positions of the parameters that make the energy 0 if they are 0; empty if there are none, so that
+            a term cannot be moved to another Force.
     """
 
     element: str
@@ -23,22 +23,22 @@ class Terms(NamedTuple):
 
 
 class ForceKind(NamedTuple):
-    """Hold what is known of a class of Forces. The defaults are those of a class that nobody knows.
+    """Properties of a class of Forces. The defaults describe an unknown class.
 
     Attributes:
-        acts_on: terms of a few atoms that it names; pairs, or what follows from these, of all its particles; each of
-            some particles by itself; the whole, as a function of many atoms; or nothing: it exerts no forces.
-        stiffness: of what it moves: softer than bonds, or read from its parameters; that of an expression, or of a
-            collective variable, which are measured; or unknown.
-        terms: of a bonded Force, which can be fast; None for any other one.
-        joins: whether its terms make their atoms one molecule, as bonds do.
-        charges: whether it has charges, or multipoles.
-        meshes: nonbonded methods with which it has a mesh; None for never, empty for always.
-        sets: what it sets by itself, if it is a thermostat or a barostat.
-        is_passive: whether it only gives forces, by positions, box and parameters: it does nothing in
-            `updateContextState`, and does not know the time. With any other one the exact engine updates and reads the
+        acts_on: "terms" of a few listed atoms; "pairs" of all its particles, or functions of these; "particles" one by
+            one; the "whole", as a function of many atoms; or "nothing", if it exerts no forces.
+        stiffness: "soft", softer than bonds or known from its parameters; "expression" or "collective", an expression
+            or a collective variable whose stiffness is measured; or "unknown".
+        terms: terms of a bonded Force, which can be fast; None for other Forces.
+        joins: whether its terms join atoms into molecules, as bonds do.
+        charges: whether it has point charges, or multipoles.
+        meshes: nonbonded methods with a mesh; None: never; empty: always.
+        sets: variable controlled by a thermostat or barostat.
+        is_passive: whether forces depend only on positions, box and parameters: the Force does nothing in
+            `updateContextState`, and ignores the time. With any other Force the exact engine updates and reads the
             Context at each step.
-        is_data: whether OpenMM makes it from XML without executing code or opening a file.
+        is_data: whether OpenMM creates it from XML without executing code or opening a file.
     """
 
     acts_on: Literal["terms", "pairs", "particles", "whole", "nothing"] = "whole"
@@ -53,12 +53,12 @@ class ForceKind(NamedTuple):
 
     @property
     def exerts_forces(self) -> bool:
-        """Return whether there may be forces."""
+        """Whether it may exert forces."""
         return self.acts_on != "nothing"
 
     @property
     def is_divisible(self) -> bool:
-        """Return whether its terms can be moved to another Force of the class."""
+        """Whether its terms can be moved to another Force of the class."""
         return self.terms is not None and bool(self.terms.strengths)
 
 
@@ -70,7 +70,7 @@ def _known(acts_on: str, stiffness: str, is_passive: bool = True, is_data: bool 
 _TWO, _THREE, _FOUR = ("p1", "p2"), ("p1", "p2", "p3"), ("p1", "p2", "p3", "p4")
 _EIGHT = ("a1", "a2", "a3", "a4", "b1", "b2", "b3", "b4")
 
-#: All classes of Forces that OpenMM has.
+#: All Force classes of OpenMM.
 FORCES: dict[type[openmm.Force], ForceKind] = {
     # Bonded Forces.
     openmm.HarmonicBondForce: _known("terms", "soft", terms=Terms("Bond", _TWO, (3,))),
@@ -100,7 +100,7 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.CustomGBForce: _known("pairs", "soft"),
     openmm.GBSAOBCForce: _known("pairs", "soft"),
     openmm.LCPOForce: _known("pairs", "soft"),
-    # The energy of ellipsoids depends on the atoms that tell their axes.
+    # The energy of ellipsoids depends on the atoms that define their axes.
     openmm.GayBerneForce: _known("whole", "soft"),
     openmm.CustomManyParticleForce: _known("whole", "soft"),
     # Fields and collective variables.
@@ -113,17 +113,17 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.DrudeForce: _known("whole", "unknown"),
     # It may read the time.
     openmm.PythonForce: _known("whole", "unknown", is_passive=False, is_data=False),
-    # Those that contain others.
+    # Forces that contain other Forces.
     openmm.ATMForce: _known("whole", "unknown"),
     openmm.CustomCVForce: _known("whole", "unknown"),
-    # It has an effect, which the exact engine takes over: a sum over bodies is cheaper than reading atoms back.
+    # The exact engine does its work: a sum over bodies is cheaper than reading atoms back.
     openmm.CMMotionRemover: _known("nothing", "soft"),
     openmm.AndersenThermostat: _known("nothing", "soft", is_passive=False, sets="temperature"),
     openmm.MonteCarloBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
     openmm.MonteCarloAnisotropicBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
     openmm.MonteCarloMembraneBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
     openmm.MonteCarloFlexibleBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
-    # It is for OpenMM's RPMDIntegrator alone, and cannot be written as XML.
+    # Only for OpenMM's RPMDIntegrator; it cannot be written as XML.
     openmm.RPMDMonteCarloBarostat: _known("nothing", "soft", is_passive=False, is_data=False),
 }
 
@@ -131,5 +131,5 @@ UNKNOWN = ForceKind()
 
 
 def kind_of(force: openmm.Force) -> ForceKind:
-    """Return what is known of a Force; of a class that is not in the table, as of a plugin, `UNKNOWN`."""
-    return next((FORCES[each] for each in type(force).__mro__ if each in FORCES), UNKNOWN)
+    """Return the properties of a Force; `UNKNOWN` for classes outside the table, such as those of plugins."""
+    return next((FORCES[base] for base in type(force).__mro__ if base in FORCES), UNKNOWN)

@@ -1,7 +1,7 @@
-"""The geometry of rigid bodies: from constraint lengths, or from the positions of atoms.
+"""Geometries of rigid bodies, from constraint lengths or atom positions.
 
-All bodies of one kind share one geometry. Each kind adds some 25 us to a step. Lengths or positions from a PDB file are
-rounded, and would make every molecule a kind of its own.
+All bodies of one kind share a geometry: each kind adds some 25 us to a step, and rounded lengths or positions from a
+PDB file would make every molecule a kind of its own.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -12,23 +12,24 @@ import numpy as np
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.species import Species
 
-#: Largest error in nm of a constraint in the geometry that all constraints of a cluster define.
+#: Largest error of a constraint in the geometry defined by all constraints of a cluster, nm.
 EMBEDDING_TOLERANCE = 1e-4
 
-#: Atoms of a body this close in nm to a line or a plane lie on it; PDB files round to 1e-4 nm.
+#: Distance in nm within which the atoms of a body lie on a line or plane; PDB files round to 1e-4 nm.
 RESOLUTION = 5e-4
 
-#: Lengths of two molecules that differ by less than this, in nm, count as one length that a PDB file has rounded. There
-#: each coordinate is off by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a
-#: force field differ by 1e-3 nm.
+#: Difference in nm up to which lengths of two molecules count as one length rounded by a PDB file. Rounding changes
+#: each coordinate by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a force field
+#: differ by 1e-3 nm.
 LENGTH_TOLERANCE = 3.5e-4
 
-#: Named bodies with the same masses share a geometry if none of their atoms is further than this from it, in nm.
-#: Minimized or thermal molecules of one conformation are within it, since a bond angle that is off by 4 degrees moves a
-#: hydrogen by 0.007 nm. A torsion that differs by 10 degrees moves one by 0.017 nm and makes another geometry.
+#: Distance in nm of atoms from a geometry up to which named bodies with the same masses share it. Minimized or thermal
+#: molecules of one conformation do: a deviation of a bond angle by 4 degrees moves a hydrogen by 0.007 nm. A deviation
+#: of a torsion by 10 degrees moves one by 0.017 nm and makes another geometry.
 SHARING_TOLERANCE = 0.01
 
-#: Deviations of positions and lengths, in nm, that are the rounding of a PDB file and cause no warning: sqrt(3) 1e-4.
+#: Deviation in nm of positions and lengths up to which rounding by a PDB file explains it, without a warning:
+#: sqrt(3) 1e-4.
 ROUNDING = 1.74e-4
 
 Cluster = tuple[int, ...]
@@ -38,11 +39,11 @@ Lengths = dict[tuple[int, int], float]
 
 
 class Sharing(NamedTuple):
-    """Bodies that share one geometry, and how far each deviates from it.
+    """Bodies that share a geometry, and their deviations from it.
 
     Attributes:
-        clusters: particle indices of each, (m, k).
-        deviations: (m,), nm.
+        clusters: particle indices of each body, (m, k).
+        deviations: largest deviation of each body, (m,), nm.
     """
 
     clusters: np.ndarray
@@ -55,10 +56,10 @@ class Kind(NamedTuple):
     Attributes:
         masses: (k,), dalton.
         clusters: particle indices of each body, (m, k).
-        pairs: constrained pairs of atoms, by their numbers in the cluster.
-        lengths: of the pairs, nm; the mean over the clusters.
-        deviations: for each body the largest deviation of its lengths from the mean, (m,), nm.
-        model: the bodies with the geometry that constraints define; None if constraints do not define it.
+        pairs: constrained pairs of atoms, by their indices in the cluster.
+        lengths: lengths of the pairs, nm; means over the clusters.
+        deviations: largest deviation of the lengths of each body from the mean, (m,), nm.
+        model: the bodies with the geometry defined by constraints; None if constraints do not define one.
     """
 
     masses: np.ndarray
@@ -70,17 +71,17 @@ class Kind(NamedTuple):
 
     @property
     def needs_positions(self) -> bool:
-        """Tell whether only positions decide the geometry, or which of two mirror images it is."""
+        """Whether positions must decide the geometry, or between two mirror images."""
         return self.model is None or self.model.mirror_distance > 0
 
 
 def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
-    """Return clusters of particles sorted into kinds, in the order in which the first of each kind comes.
+    """Sort clusters of particles into kinds, in the order of their first clusters.
 
     Args:
         clusters: particle indices, and the constraints between them.
-        masses: of all particles, dalton.
-        describe: gives a name to particle indices, for messages.
+        masses: masses of all particles, dalton.
+        describe: names particle indices in messages.
 
     Raises:
         RigidityError: constraint lengths contradict each other.
@@ -93,31 +94,31 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
         same, rows = members.setdefault(key, ([], []))
         same.append(cluster)
         rows.append([length for _, _, length in numbered])
-    found = []
-    for (mine, pairs), (same, lists) in members.items():
-        left, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
-        while len(left):
+    sorted_kinds = []
+    for (kind_masses, pairs), (same, lists) in members.items():
+        clusters_left, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
+        while len(clusters_left):
             near = np.abs(table - table[0]).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE
             # The mean of equal lengths may differ from them by rounding.
             mean = table[0] if (table[near] == table[0]).all() else table[near].mean(axis=0)
             deviations = np.abs(table[near] - mean).max(axis=1, initial=0.0)
-            kind = Kind(np.array(mine), left[near], pairs, mean, deviations)
-            complete = len(pairs) == len(mine) * (len(mine) - 1) // 2
-            found.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
-            left, table = left[~near], table[~near]
-    return found
+            kind = Kind(np.array(kind_masses), clusters_left[near], pairs, mean, deviations)
+            complete = len(pairs) == len(kind_masses) * (len(kind_masses) - 1) // 2
+            sorted_kinds.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
+            clusters_left, table = clusters_left[~near], table[~near]
+    return sorted_kinds
 
 
 # --- from constraints -------------------------------------------------------------------------------------------------
 
 
 def _embedded(kind: Kind, describe: Callable) -> Species:
-    """Return bodies of the geometry that a length for every pair of atoms defines, up to a reflection."""
+    """Return bodies with the geometry defined by the lengths of all pairs of atoms, up to a reflection."""
     coordinates, excess = embed(len(kind.masses), kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(
             f"the constraints of {describe(kind.clusters[0])} contradict each other: no geometry has the "
-            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one misses by {excess:.4f} nm. "
+            f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one is off by {excess:.4f} nm. "
             "Correct these lengths, or remove some of the constraints"
         )
     resolution = RESOLUTION if kind.deviations.any() else 0.0
@@ -125,7 +126,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
 
 
 def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return coordinates (k, 3) of points with given distances, and the largest distance error.
+    """Return coordinates (k, 3) of points with the given distances, and the largest error of a distance.
 
     Classical multidimensional scaling (Torgerson, Psychometrika 17, 401 (1952)), exact for consistent distances.
     """
@@ -136,15 +137,15 @@ def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
     values, vectors = np.linalg.eigh(-0.5 * centre @ squares @ centre)
     # Rounding of squares: without this a planar body would be 1e-8 nm thick.
     values[values < 1e-13 * values.max()] = 0
-    kept = min(3, k)
+    dimensions = min(3, k)
     coordinates = np.zeros((k, 3))
-    coordinates[:, :kept] = vectors[:, -kept:] * np.sqrt(np.maximum(values[-kept:], 0))
-    found = np.linalg.norm(coordinates[:, None] - coordinates[None], axis=2)
-    return coordinates, float(np.abs(found - np.sqrt(squares)).max())
+    coordinates[:, :dimensions] = vectors[:, -dimensions:] * np.sqrt(np.maximum(values[-dimensions:], 0))
+    embedded = np.linalg.norm(coordinates[:, None] - coordinates[None], axis=2)
+    return coordinates, float(np.abs(embedded - np.sqrt(squares)).max())
 
 
 def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
-    """Split the bodies of a species into those with its geometry and those that are mirror images."""
+    """Split the bodies of a species into bodies with its geometry and mirror images."""
     mirror = model.mirrored()
     arms = _arms(model.masses, positions[model.atoms])
     mirrored = mirror.fit(arms)[1] < model.fit(arms)[1]
@@ -156,7 +157,7 @@ def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
 
 
 def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tuple[list[Species], list[Sharing]]:
-    """Return bodies of the geometries found in positions (N, 3) in nm, as few as `SHARING_TOLERANCE` allows.
+    """Return bodies with geometries from positions (N, 3) in nm, as few geometries as `SHARING_TOLERANCE` allows.
 
     A geometry is the mean over the superimposed bodies that share it, and satisfies their constraints.
 
@@ -175,10 +176,10 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
 
 
 def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray, np.ndarray]:
-    """Return the geometry of the first body and its like, how far all are from it, (m,), and which share it, (m,)."""
+    """Return the mean geometry around the first body, the misfit of every body, (m,), and which share it, (m,)."""
     shape = arms[0]
-    # The first may be as far from the mean as any other: others can be near the mean but not near the first. The mean
-    # of bodies turned onto a mean would change only in second order of their deviations.
+    # The first body may be as far from the mean as any other, so bodies near the mean need not be near the first.
+    # Superposing bodies on a mean again changes it only in second order of their deviations.
     for _ in range(3):
         shape, excess = _constrained(shape, kind)
         if excess > EMBEDDING_TOLERANCE:
@@ -199,27 +200,27 @@ def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Spe
 
 
 def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
-    """Return a shape (k, 3) moved onto constraints one after another, as SHAKE does, and the largest error left."""
+    """Return a shape (k, 3) moved onto its constraints by SHAKE, and the largest remaining error."""
     shape, largest, masses = shape.copy(), 0.0, kind.masses
-    # It converges in some ten rounds for the hydrogens of one atom, and more slowly the more constraints share atoms.
+    # Some ten rounds suffice for the hydrogens of one atom, more if more constraints share atoms.
     for _ in range(500):
         largest = 0.0
         for (i, j), length in zip(kind.pairs, kind.lengths, strict=True):
             bond = shape[i] - shape[j]
-            found = np.linalg.norm(bond)
-            shift = bond * ((1 - length / found) / (masses[i] + masses[j]))
+            distance = np.linalg.norm(bond)
+            shift = bond * ((1 - length / distance) / (masses[i] + masses[j]))
             shape[i] -= masses[j] * shift
             shape[j] += masses[i] * shift
-            largest = max(largest, abs(found - length))
+            largest = max(largest, abs(distance - length))
         if largest < 1e-13:
             break
     return shape, float(largest)
 
 
 def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
-    """Return bodies from atom positions in principal frames, (N, 3) in nm; none if these frames are not principal.
+    """Return bodies from atom positions in principal frames, (N, 3) in nm; none if the frames are not principal.
 
-    Bodies whose sites are bit-identical form one species.
+    Bodies with bit-identical sites form one species.
     """
     clusters, masses = kind.clusters, kind.masses
     frames = sites[clusters]
@@ -227,7 +228,7 @@ def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
     spread = np.trace(inertia, axis1=1, axis2=2)
     off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
     off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
-    # For principal frames both are rounding errors; with other masses they are several per cent.
+    # In principal frames both are rounding errors; with other masses they amount to several per cent.
     if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
         return []
     species = []

@@ -1,6 +1,6 @@
-"""The Forces of a System with those that Forces contain, as an ATMForce and a CustomCVForce do.
+"""Iterate over the Forces of a System, including Forces inside an ATMForce or CustomCVForce.
 
-OpenMM evaluates inner Forces in Contexts of their own, with their cut-offs, meshes and charges.
+OpenMM evaluates inner Forces in separate Contexts, with their own cut-offs, meshes and charges.
 """
 
 import copy
@@ -14,23 +14,23 @@ from openmm import unit
 
 from openmm_sier.system.second_context import reference_context
 
-#: Values of collective variables at which a derivative is compared with itself, to see whether it is constant. Energies
-#: of a box in kJ/mol, and distances in nm, are of these sizes.
+#: Values of collective variables at which derivatives are compared, to see whether they are constant: typical energies
+#: of a box in kJ/mol, and distances in nm.
 TRIED = (0.0, 0.31, -2.7, 41.0, -380.0, 5200.0, -71000.0)
 
-#: Relative difference up to which derivatives are the same.
+#: Relative difference up to which derivatives count as equal.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class SystemForce:
-    """A Force of a System, or one that a Force of it contains.
+    """A Force of a System, or a Force inside one.
 
     Attributes:
-        force: the Force itself, which may be changed.
-        number: of the Force of the System that it is or that contains it.
-        group: the force group of that one, in which it acts.
-        containers: the Forces that contain it, the outermost first, each with the number under which it does.
+        force: the Force, which may be changed.
+        number: index in the System of the Force, or of the outermost Force that contains it.
+        group: the force group in which it acts, that of the outermost Force.
+        containers: the Forces that contain it, the outermost first, each with the index of the next one inside it.
     """
 
     force: openmm.Force
@@ -40,15 +40,15 @@ class SystemForce:
 
     @property
     def name(self) -> str:
-        """Return its name, and the name of the Force that contains it."""
+        """Name of the Force, and of the Forces that contain it."""
         return " in ".join([self.force.getName(), *(outer.getName() for outer, _ in reversed(self.containers))])
 
     @cached_property
     def weight(self) -> float | None:
-        """Return the factor of its energy in that of the System; None where that is no constant.
+        """Factor of its energy in the energy of the System; None if it is not constant.
 
-        An ATMForce divides an energy between two states, and energies that these share count once. A CustomCVForce
-        multiplies it by the derivative of its expression, where that is constant, with global parameters at their
+        An ATMForce divides an energy between two states, and energies shared by both count once. A CustomCVForce
+        multiplies it by the derivative of its expression, if this is constant, with global parameters at their
         defaults.
         """
         product = 1.0
@@ -61,29 +61,29 @@ class SystemForce:
 
 
 def all_forces(system: openmm.System) -> Iterator[SystemForce]:
-    """Give each Force of a System, followed by those that it contains."""
+    """Yield each Force of a System, followed by the Forces inside it."""
     for number, force in enumerate(system.getForces()):
         yield from _with_inner(SystemForce(force, number, force.getForceGroup()))
 
 
 def is_linear(force: openmm.CustomCVForce) -> bool:
-    """Return whether a CustomCVForce only adds up the energies of its variables, with constant factors."""
+    """Return whether a CustomCVForce is a linear combination of its variables."""
     return None not in _constant_derivatives(force)
 
 
 def pme_parameters(force: openmm.Force) -> tuple[float, int, int, int]:
-    """Return the Ewald parameter in 1/nm, and the mesh, that were set for a Force; zeros leave them to OpenMM.
+    """Return the Ewald parameter in 1/nm and the mesh set for a Force; zeros leave the choice to OpenMM.
 
-    Some Forces give the first one without a unit.
+    Some Forces return the parameter without a unit.
     """
     alpha, *mesh = force.getPMEParameters()
     return (alpha.value_in_unit(unit.nanometer**-1) if unit.is_quantity(alpha) else alpha, *mesh)
 
 
-def _with_inner(part: SystemForce) -> Iterator[SystemForce]:
-    yield part
-    for index, force in enumerate(_inner(part.force)):
-        yield from _with_inner(SystemForce(force, part.number, part.group, (*part.containers, (part.force, index))))
+def _with_inner(entry: SystemForce) -> Iterator[SystemForce]:
+    yield entry
+    for index, force in enumerate(_inner(entry.force)):
+        yield from _with_inner(SystemForce(force, entry.number, entry.group, (*entry.containers, (entry.force, index))))
 
 
 def _inner(force: openmm.Force) -> list[openmm.Force]:
@@ -95,10 +95,10 @@ def _inner(force: openmm.Force) -> list[openmm.Force]:
 
 
 def _of_its_class(force: openmm.Force) -> openmm.Force:
-    """Give a Force as an object of its own class: `ATMForce.getForce` gives a plain Force, without its methods.
+    """Return a Force as an object of its own class: `ATMForce.getForce` returns a plain Force without methods.
 
-    A System tells the classes of its Forces. This one is never deleted, since it would delete the Force, which belongs
-    to another; it holds 200 bytes.
+    A System returns Forces by class. The holder below is never deleted, since it would delete the Force, which belongs
+    to the ATMForce; it takes 200 bytes.
     """
     if type(force) is not openmm.Force:
         return force
@@ -110,9 +110,9 @@ def _of_its_class(force: openmm.Force) -> openmm.Force:
 
 
 def _constant_derivatives(force: openmm.CustomCVForce) -> list[float | None]:
-    """Return derivatives of a CustomCVForce's energy by its variables; None for one that is not constant."""
+    """Return the derivatives of a CustomCVForce's energy by its variables; None for each that is not constant."""
     names = [force.getCollectiveVariableName(i) for i in range(force.getNumCollectiveVariables())]
-    # The same expression of parameters in place of variables.
+    # The same expression, with parameters in place of variables.
     expression = openmm.CustomCVForce(force.getEnergyFunction())
     for name in names:
         expression.addGlobalParameter(name, 0.0)
@@ -133,7 +133,7 @@ def _constant_derivatives(force: openmm.CustomCVForce) -> list[float | None]:
             context.setParameter(name, TRIED[(first + i) % len(TRIED)])
         derivatives = context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()
         rows.append([derivatives[name] for name in names])
-    # Tables are zero outside their range, which may contain none of the values.
+    # Tabulated functions are zero outside their range, which may contain none of the values.
     has_tables = force.getNumTabulatedFunctions() > 0
     constants: list[float | None] = []
     for column in zip(*rows, strict=True):

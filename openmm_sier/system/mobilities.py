@@ -1,19 +1,19 @@
-"""Compute how easily forces on atoms move them, with their bodies."""
+"""Inverse effective masses of atoms in bodies."""
 
 import numpy as np
 
 from openmm_sier.dynamics.bodies import BodySet
 
-#: ps. Slower bonds and angles are those of beads, and need no inner steps: those of atoms have periods of 0.01 to
-#: 0.1 ps, those of one bead a residue 0.3 to 0.5 ps. Of two chains of 40 beads SIER4G's energy at 30 fs was off by
-#: 0.005 kJ/mol with bonds in the kicks and in inner steps alike, which took longer.
+#: Period in ps above which bonds and angles belong to coarse-grained beads and need no inner steps. Periods between
+#: atoms are 0.01 to 0.1 ps, with one bead per residue 0.3 to 0.5 ps. For two chains of 40 beads SIER4G's energy at
+#: 30 fs was off by 0.005 kJ/mol whether bonds acted in the kicks or in inner steps, which took longer.
 COARSE = 0.2
 
 
 def mobilities(bodies: BodySet) -> np.ndarray:
-    """Return the largest inverse effective mass of each particle in any direction, 1/dalton; 0 without a body.
+    """Return the largest inverse effective mass of each particle over all directions, 1/dalton; 0 without a body.
 
-    A force f at the site r of a body accelerates it there by f / M + I^-1 (r x f) x r.
+    A force f at the site r of a body accelerates that site by f / M + I^-1 (r x f) x r.
     """
     mobility = np.zeros(bodies.n_particles)
     for species in bodies.species:

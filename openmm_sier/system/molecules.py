@@ -1,4 +1,4 @@
-"""Molecules and bodies that the periodic box has cut are made whole."""
+"""Make molecules and bodies whole across the periodic boundary."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ def make_whole(
 ) -> np.ndarray:
     """Return positions at which the periodic boundary cuts no molecule and no rigid body.
 
-    Call it where a file has molecules that the box has cut: OpenMM's constraints, and most bonds, ignore the box.
+    Use it for files whose molecules are wrapped atom by atom: OpenMM's constraints, and most bonds, ignore the box.
 
     >>> whole = make_whole(system, positions, topology)
 
-    Where a bond or a constraint is far too long, its atoms move next to each other by box vectors, together with the
-    atoms bonded to them. Molecules that are whole already keep their positions to the last bit. Where no bonds join the
-    atoms of a body, the widest gap between them along each edge of the box is taken for the space around the body; and
-    so it is for molecules that bonds without strength join.
+    If a bond or constraint is far too long, box vectors bring its atoms next to each other, together with the atoms
+    bonded to them. Whole molecules keep their positions bit for bit. If no bonds join the atoms of a body, the widest
+    gap between them along each edge of the box is taken to be the space around the body; likewise for molecules joined
+    only by bonds of zero strength.
 
     Args:
         system: the System, with the periodic box, if any, as its default.
         positions: (N, 3), nm or a Quantity.
-        topology: the topology of all particles, for the names of residues in messages, for bonds that the System
-            does not have or has only as an expression (CustomBondForce), and for some choices of `bodies`.
-        bodies: rigid bodies, as `RigidBodies` or as `rigid` of `RigidBodies.from_system`, such as lists of particle
-            indices.
+        topology: topology of all particles: for residue names in messages, for bonds that the System lacks or has only
+            as an expression (CustomBondForce), and for some choices of `bodies`.
+        bodies: rigid bodies, as `RigidBodies` or in any form of the argument `rigid` of `RigidBodies.from_system`, such
+            as lists of particle indices.
 
     Returns:
         (N, 3), nm.
 
     Raises:
-        ValueError: a bond is broken, even between the nearest images of its atoms: one that has more than 1000 kJ/mol,
-            a constraint that is 0.1 nm too long, or a bond of the topology alone of more than 0.4 nm. The message names
-            the worst. Or `bodies` are refused, see `RigidBodies.from_system`.
+        ValueError: a bond is broken even between the nearest images of its atoms: its energy exceeds 1000 kJ/mol, a
+            constraint is 0.1 nm too long, or a bond known only from the topology is longer than 0.4 nm. The message
+            names the longest. Or `bodies` are refused, see `RigidBodies.from_system`.
     """
     x = checked_positions(positions, checked_system(system).getNumParticles())
     wholeness = Wholeness(system, topology)

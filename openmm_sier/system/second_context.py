@@ -1,4 +1,4 @@
-"""Make Contexts beside that of a run."""
+"""Create further Contexts of the System of a run."""
 
 import openmm
 
@@ -6,39 +6,39 @@ from openmm_sier.system.forces import kind_of
 
 
 def second_context(context: openmm.Context, system: openmm.System) -> openmm.Context:
-    """Return a new Context on the platform of another, with its box and the values of its parameters.
+    """Return a new Context on the platform of another one, with its box and parameter values.
 
-    It has no barostat or thermostat of OpenMM: each seeds OpenMM's random numbers anew when a Context is made, and all
-    Contexts of a process share them, so that noise in the first one would change.
+    The new Context has no barostat or thermostat of OpenMM: each of them reseeds OpenMM's random numbers when a Context
+    is made, and all Contexts of a process share these, so that the noise of the first Context would change.
 
     Args:
         context: the first Context.
-        system: for the new one. It stays as it is.
+        system: System of the new Context; it is not changed.
     """
-    made = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), *platform_of(context))
-    made.setPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
-    follow_parameters(context, made)
-    return made
+    second = openmm.Context(_without_baths(system), openmm.VerletIntegrator(0.001), *platform_of(context))
+    second.setPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
+    follow_parameters(context, second)
+    return second
 
 
 def reference_context(system: openmm.System) -> openmm.Context:
-    """Return a Context of a System on the Reference platform, to evaluate in double precision."""
+    """Return a Context of a System on the Reference platform, for double precision."""
     reference = openmm.Platform.getPlatformByName("Reference")
     return openmm.Context(system, openmm.VerletIntegrator(0.001), reference)
 
 
 def platform_of(context: openmm.Context) -> tuple[openmm.Platform, dict[str, str]]:
-    """Return the platform of a Context and its properties, with which to make another one there."""
+    """Return the platform of a Context and its properties, for another Context."""
     platform = context.getPlatform()
     return platform, {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
 
 
 def follow_parameters(first: openmm.Context, second: openmm.Context) -> None:
-    """Give the second Context the values that parameters have in the first one, where they differ."""
-    wanted = first.getParameters()
+    """Copy parameter values from the first Context to the second, where they differ."""
+    values = first.getParameters()
     for name, value in second.getParameters().items():
-        if value != wanted[name]:
-            second.setParameter(name, wanted[name])
+        if value != values[name]:
+            second.setParameter(name, values[name])
 
 
 def _without_baths(system: openmm.System) -> openmm.System:

@@ -1,10 +1,10 @@
-"""Find constraints that OpenMM's own solvers cannot satisfy, by a trial on a copy of the atoms that they join.
+"""Find constraints that OpenMM's solvers cannot satisfy, by a trial on copies of the constrained atoms.
 
-OpenMM has two. SETTLE moves isolated triangles of constraints with two equal lengths, and takes it that the two atoms
-beside the corner between them have the same mass. All others are solved together by iterations with one matrix, CCMA
-(Eastman and Pande, J. Chem. Theory Comput. 6, 434 (2010)), which is made once and inverted. It is singular where
-constraints follow from others, and far from the true one where it lacks angles: those between two constraints whose
-outer atoms neither a third constraint nor a HarmonicAngleForce joins. Then iterations diverge.
+OpenMM has two solvers. SETTLE handles isolated triangles of constraints with two equal lengths, and assumes equal
+masses of the two outer atoms. CCMA (Eastman and Pande, J. Chem. Theory Comput. 6, 434 (2010)) solves all other
+constraints by iterations with one matrix, which is computed and inverted once. The matrix is singular if constraints
+are redundant. It is inaccurate, and iterations diverge, if it lacks angles: an angle between two constraints is known
+only if a third constraint or a HarmonicAngleForce joins their outer atoms.
 """
 
 from collections.abc import Callable
@@ -18,21 +18,21 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.second_context import reference_context
 
-#: Atoms are displaced by a normal deviate of this size, nm, which solvers have to undo. It is the distance by which a
-#: step of some fs leaves the constraints of hydrogens.
+#: Standard deviation in nm of random displacements that solvers have to undo; a step of some fs moves hydrogens this
+#: far off their constraints.
 DISPLACEMENT = 1e-3
 
-#: Relative tolerance that solvers are asked for, and errors in nm, and nm/ps for velocities of 1 nm/ps, up to which
-#: constraints count as satisfied: iterations that converge have made the displacement a thousand times smaller.
+#: Relative tolerance requested from solvers, and largest error of satisfied constraints, in nm, or in nm/ps for
+#: velocities of 1 nm/ps. Converging iterations reduce the displacement a thousandfold.
 TOLERANCE, SATISFIED = 1e-7, 1e-6
 
-#: Positions whose distances are off by more than this, nm, are not those of the constraints.
+#: Error of distances in nm above which positions do not belong to the constraints.
 NOT_THERE = 0.01
 
-#: How many atoms a message names.
+#: Maximum number of atoms named in a message.
 NAMED = 8
 
-#: What to do about constraints on a line, for messages.
+#: Remedy for constraints on a line, for messages.
 LINE_REMEDY = (
     "Give the mass to the two outer atoms and make the others virtual sites; or remove these constraints and name the "
     "atoms in `bodies`"
@@ -40,20 +40,20 @@ LINE_REMEDY = (
 
 
 class SolverTrial:
-    """Try the constraints of a System that form rings: OpenMM can always solve trees, such as HBonds."""
+    """Trial of the constraints of a System that form rings; OpenMM can always solve trees, such as HBonds."""
 
     def __init__(self, system: openmm.System):
         """
         Args:
-            system: openmm.System. A trial holds for it as it is now.
+            system: openmm.System. Later changes are ignored.
 
         Raises:
             RigidityError: see `tables.constraints`.
         """
         masses, (pairs, lengths) = tables.masses(system), tables.constraints(system)
-        of_atoms = joined(len(masses), pairs)
-        component = of_atoms[pairs[:, 0]]
-        sizes = np.bincount(of_atoms, minlength=len(masses))
+        atom_component = joined(len(masses), pairs)
+        component = atom_component[pairs[:, 0]]
+        sizes = np.bincount(atom_component, minlength=len(masses))
         is_ring = (np.bincount(component, minlength=len(masses)) >= sizes)[component]
         self._system = system
         self._atoms, numbers = np.unique(pairs[is_ring], return_inverse=True)
@@ -65,11 +65,11 @@ class SolverTrial:
         self._unsolved: tuple[int, ...] = ()
 
     def unsolved(self, positions: Callable[[], np.ndarray]) -> tuple[int, ...]:
-        """Return atoms that constraints join which OpenMM cannot satisfy; empty if there are none.
+        """Return the atoms of a cluster of constraints that OpenMM cannot satisfy; empty if there is none.
 
         Args:
-            positions: gives (N, 3), nm. Where these are not set yet, or far from the constraints, the trial is left
-                for the next time.
+            positions: returns positions, (N, 3), nm. If these are not set yet, or far from satisfying the constraints,
+                the trial is postponed to the next call.
         """
         if not self._is_tried:
             places = positions()[self._atoms]
@@ -82,7 +82,7 @@ class SolverTrial:
         """Refuse constraints that OpenMM cannot satisfy.
 
         Raises:
-            openmm.OpenMMException: there are some at these positions, see `unsolved`.
+            openmm.OpenMMException: such constraints exist at these positions, see `unsolved`.
         """
         if atoms := self.unsolved(positions):
             names = ", ".join(map(str, atoms[:NAMED])) + (", …" if len(atoms) > NAMED else "")
@@ -97,7 +97,7 @@ class SolverTrial:
         return np.abs(np.linalg.norm(places[second] - places[first], axis=1) - self._lengths)
 
     def _tried(self, places: np.ndarray) -> tuple[int, ...]:
-        """Let OpenMM bring atoms near their places (k, 3), and their velocities, onto the constraints."""
+        """Return the atoms of a cluster whose displaced positions or random velocities OpenMM cannot constrain."""
         context = self._context()
         random = np.random.default_rng(0)
         displaced = places + DISPLACEMENT * random.standard_normal(places.shape)
@@ -112,19 +112,19 @@ class SolverTrial:
         first, second = self._pairs.T
         along = (places[second] - places[first]) * (velocities[second] - velocities[first])
         speeds = np.abs(along.sum(axis=1)) / self._lengths
-        # SETTLE moves the centre of mass of a triangle whose masses it takes for equal.
+        # SETTLE moves the centre of mass of a triangle if the outer masses differ.
         drift = np.zeros_like(places)
         np.add.at(drift, self._component, self._masses[:, None] * (x - displaced))
         shifts = np.linalg.norm(drift, axis=1) / np.bincount(self._component, self._masses, len(places)).clip(1e-300)
         errors = np.maximum(np.maximum(self._errors(x), speeds), shifts[self._component[first]])
-        # A comparison that is false for what is not a number.
+        # This comparison is false for NaN.
         wrong = np.flatnonzero(~(errors <= SATISFIED))
         if not wrong.size:
             return ()
         return tuple(self._atoms[self._component == self._component[first[wrong[0]]]].tolist())
 
     def _context(self) -> openmm.Context:
-        """Return a Context of the atoms alone, with the angles from which OpenMM makes its matrix."""
+        """Return a Context of these atoms only, with the angles from which OpenMM computes its matrix."""
         copy, angles = openmm.System(), openmm.HarmonicAngleForce()
         for mass in self._masses.tolist():
             copy.addParticle(mass)

@@ -1,17 +1,17 @@
-"""Degrees of freedom and temperatures of bodies: one rule for all temperatures of the package.
+"""Degrees of freedom and temperatures of bodies.
 
-Where the total momentum is conserved, the motion of the centre of mass is not heat: three degrees of freedom are left
-out, and so is the kinetic energy of that motion, whatever velocities the user has set. Where it is not conserved, a
-heat bath, a field or fixed particles make it fluctuate like any other momentum, and nothing is left out. Each
-independent constraint between bodies removes one degree of freedom.
+If the total momentum is conserved, the motion of the centre of mass is not heat: its three degrees of freedom and its
+kinetic energy are left out, whatever velocities the user has set. Otherwise a heat bath, a field or fixed particles
+make the total momentum fluctuate like any other momentum, and nothing is left out. Each independent constraint between
+bodies removes one degree of freedom.
 
-OpenMM's StateDataReporter differs for integrators that do not compute their own temperature: it leaves out three
-degrees of freedom only with a CMMotionRemover, and never the kinetic energy of the centre of mass. By its count a
-drifting box is hotter, and a deterministic run without a CMMotionRemover colder by 1/N. With a SIER integrator it calls
-`computeSystemTemperature`, which follows the rule here.
+OpenMM's StateDataReporter uses another rule for integrators that do not compute their temperature: it leaves out three
+degrees of freedom only with a CMMotionRemover, and never the kinetic energy of the centre of mass. So it reports a
+drifting box as hotter, and a deterministic run without a CMMotionRemover as colder by 1/N. With a SIER integrator it
+calls `computeSystemTemperature`, which follows the rule above.
 
-Total angular momentum is not treated in this way. An isolated cluster conserves it too, but its rotation as a whole is
-part of the thermal motion that `setVelocitiesToTemperature` draws, and no convention leaves it out.
+Total angular momentum is not treated in this way. An isolated cluster conserves it too, but the rotation of the cluster
+is part of the thermal motion drawn by `setVelocitiesToTemperature`, and no convention leaves it out.
 """
 
 import math
@@ -37,9 +37,9 @@ class DegreesOfFreedom(NamedTuple):
     """Numbers of degrees of freedom that share the heat.
 
     Attributes:
-        translation: of molecules that are one body, and of rigid bodies that linkers join to others. If the centre of
-            mass holds no heat, its degrees of freedom are left out in proportion to the share of these bodies in the
-            mass, so that this need not be a whole number.
+        translation: of molecules that are one body, and of rigid bodies joined to others by linkers. If the centre of
+            mass holds no heat, its degrees of freedom are left out in proportion to the mass fraction of these bodies,
+            so that the number need not be whole.
         rotation: of the same bodies.
         flexible: of the points of other molecules.
     """
@@ -50,11 +50,11 @@ class DegreesOfFreedom(NamedTuple):
 
 
 class Temperatures(NamedTuple):
-    """Hold temperatures: quantities in K for users, numbers in K inside. NaN means no degrees of freedom.
+    """Temperatures: quantities for users, numbers in K internally. NaN means no degrees of freedom.
 
     Attributes:
         total: of all motion.
-        translation: of molecules that are one body, rigid or a point, and of rigid bodies that linkers join to others.
+        translation: of molecules that are one body, rigid or a point, and of rigid bodies joined to others by linkers.
         rotation: of the same bodies.
         flexible: of the points of other molecules.
     """
@@ -65,42 +65,43 @@ class Temperatures(NamedTuple):
     flexible: Any = math.nan
 
     def in_kelvin(self) -> "Temperatures":
-        """Return numbers in K, from quantities."""
-        return Temperatures(*(found.value_in_unit(unit.kelvin) for found in self))
+        """Convert quantities to numbers in K."""
+        return Temperatures(*(quantity.value_in_unit(unit.kelvin) for quantity in self))
 
     def as_quantities(self) -> "Temperatures":
-        """Return quantities, from numbers in K."""
-        return Temperatures(*(found * unit.kelvin for found in self))
+        """Convert numbers in K to quantities."""
+        return Temperatures(*(kelvins * unit.kelvin for kelvins in self))
 
 
 class MomentumConservation:
-    """Tell whether the total momentum of a System is conserved.
+    """Conservation of the total momentum of a System.
 
-    A CMMotionRemover keeps it at zero, even with a Langevin bath: what the bath adds within one interval is left out
-    with the motion of the centre of mass. Otherwise it is conserved unless one of these changes it: a heat bath of
-    independent kicks (an integrator with a friction above zero, an AndersenThermostat), a CustomExternalForce, an
+    A CMMotionRemover keeps the total momentum at zero, even with a Langevin bath: the heat of the centre of mass
+        between
+    two removals is left out too. Otherwise the total momentum is conserved unless one of these changes it: a heat bath
+    of independent kicks (an integrator with nonzero friction, an AndersenThermostat), a CustomExternalForce, an
     expression of absolute coordinates in a custom force, or fixed particles that act on others. Monte Carlo barostats
-    leave momenta alone. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the temperature
-    about the centre of mass has the right mean in either case.
+    do not change momenta. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the temperature
+    relative to the centre of mass has the right mean in either case.
 
     Attributes:
-        removed: there is a CMMotionRemover.
+        removed: whether there is a CMMotionRemover.
     """
 
     def __init__(self, system: openmm.System, bodies: BodySet):
-        """Read a System with its bodies; a particle that belongs to no body is fixed."""
+        """Inspect a System and its bodies; particles without a body are fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
         self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
         self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
-        self._external_groups = sum({1 << part.group for part in all_forces(system) if _is_external(part.force)})
+        self._external_groups = sum({1 << entry.group for entry in all_forces(system) if _is_external(entry.force)})
 
     def holds(self, groups: int, has_friction: bool) -> bool:
-        """Tell whether the total momentum is conserved.
+        """Return whether the total momentum is conserved.
 
         Args:
             groups: force groups that move the bodies, a bit mask.
-            has_friction: whether the integrator's heat bath kicks each momentum by itself, with a friction above zero.
+            has_friction: whether the heat bath of the integrator kicks momenta independently, with nonzero friction.
         """
         if self.removed:
             return True
@@ -108,7 +109,7 @@ class MomentumConservation:
 
 
 def _is_external(force: openmm.Force) -> bool:
-    """Tell whether the energy of a Force changes when all particles are shifted together."""
+    """Return whether the energy of a Force changes when all particles are shifted together."""
     if isinstance(force, openmm.CustomExternalForce):
         return force.getNumParticles() > 0
     if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
@@ -117,7 +118,7 @@ def _is_external(force: openmm.Force) -> bool:
 
 
 def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
-    """Return degrees of freedom that share the heat; `conserved` is what `MomentumConservation.holds` tells."""
+    """Return degrees of freedom that share the heat; `conserved` is the result of `MomentumConservation.holds`."""
     apart = _counted_apart(bodies)
     count = int(apart.sum())
     share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
@@ -129,9 +130,9 @@ def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
 
 
 def _counted_apart(bodies: BodySet) -> np.ndarray:
-    """Tell which bodies have temperatures of translation and rotation, (n,): their momenta are independent.
+    """Return which bodies have independent momenta, and so temperatures of translation and rotation, (n,).
 
-    No constraint joins a rigid body to anything else, so that this also holds for the domains of a flexible molecule.
+    Constraints never join a rigid body to other bodies, so that domains of flexible molecules are among these.
     """
     return ~bodies.flexible | bodies.moments.any(axis=0)
 
@@ -139,7 +140,7 @@ def _counted_apart(bodies: BodySet) -> np.ndarray:
 def thermal_energies(bodies: BodySet, state: BodyState, conserved: bool) -> tuple[float, float, float]:
     """Return kinetic energies in kJ/mol that count as heat, in the order of `DegreesOfFreedom`.
 
-    Where the total momentum is `conserved`, the motion with the centre of mass is left out.
+    If the total momentum is `conserved`, the motion of the centre of mass is left out.
     """
     p = state.p
     if conserved and bodies.n:
@@ -151,7 +152,7 @@ def thermal_energies(bodies: BodySet, state: BodyState, conserved: bool) -> tupl
 
 
 def temperatures(bodies: BodySet, state: BodyState, conserved: bool) -> Temperatures:
-    """Return temperatures of a phase point, K; `conserved` is what `MomentumConservation.holds` tells."""
+    """Return temperatures of a phase point, K; `conserved` is the result of `MomentumConservation.holds`."""
     energies = thermal_energies(bodies, state, conserved)
     dof = degrees_of_freedom(bodies, conserved)
     return Temperatures(temperature(sum(energies), sum(dof)), *map(temperature, energies, dof))

@@ -1,4 +1,4 @@
-"""Molecules of a heavy atom and two hydrogens whose angle nothing holds, as rigid water that lost a constraint."""
+"""Detect molecules H-X-H without an angle term or constraint, such as rigid water that lost a constraint."""
 
 from itertools import combinations
 
@@ -12,13 +12,12 @@ from openmm_sier.system.user_warnings import warn
 
 
 def warn_about_unconstrained_angles(system: openmm.System) -> None:
-    """Warn of molecules H-X-H that have two bonds or constraints, and nothing between their hydrogens.
+    """Warn if molecules H-X-H have two bonds or constraints, but no term between the hydrogens.
 
-    Their charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins; any integrator
-    follows that as if it were meant.
+    Charges pull the hydrogens to one side, and the temperature rises by hundreds of kelvins with any integrator.
     """
     kinds = [kind_of(force) for force in system.getForces()]
-    # Any other Force may hold angles by an expression.
+    # Any other Force may restrain angles by an expression.
     if not all(kind.terms or kind.acts_on in ("pairs", "particles", "nothing") for kind in kinds):
         return
     molecules = _hydrogens_on_one_atom(system)
@@ -28,12 +27,12 @@ def warn_about_unconstrained_angles(system: openmm.System) -> None:
         warn(
             f"Nothing fixes the angle of atoms {first}, {centre} and {second}, nor that of {len(loose) - 1} other "
             "molecules: there is no constraint between the hydrogens and no angle term. Rigid water has three "
-            "constraints, of which a file of another program may have only two: call createSystem with rigidWater=True"
+            "constraints, but files of other programs may have only two: call createSystem with rigidWater=True"
         )
 
 
 def _hydrogens_on_one_atom(system: openmm.System) -> np.ndarray:
-    """Return the molecules of one heavy atom with two hydrogens that are bound to nothing else, (m, 3), as H, X, H."""
+    """Return the molecules of one heavy atom with two hydrogens as atoms H, X, H, (m, 3)."""
     bonds = [harmonic_bonds(force)[0] for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
     pairs = np.unique(np.sort(np.concatenate([tables.constraints(system).pairs, *bonds]), axis=1), axis=0)
     masses = tables.masses(system)

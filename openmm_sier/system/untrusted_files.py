@@ -1,4 +1,4 @@
-"""Files that may come from anybody: only regular ones are opened, and OpenMM gets no XML that could execute code."""
+"""Read files from untrusted sources: only regular files, and no XML that could execute code."""
 
 import errno
 import os
@@ -13,49 +13,49 @@ import openmm
 
 from openmm_sier.system.forces import FORCES
 
-#: Classes that OpenMM may make from XML inside a System or State, by the attribute `type`. None of these executes code
-#: or opens a file. PythonForce, and Forces of plugins such as TorchForce, do.
+#: Values of the attribute `type` in XML for which OpenMM creates objects that neither execute code nor open files,
+#: unlike PythonForce, and Forces of plugins such as TorchForce.
 DATA = {
     *(force.__name__ for force, kind in FORCES.items() if kind.is_data),
     *(f"{kind}{dimensions}DFunction" for kind in ("Continuous", "Discrete") for dimensions in (1, 2, 3)),
 }
 
-#: Values of `type` that are no classes: how an ATMForce displaces a particle.
+#: Values of `type` that are not classes: displacements of an ATMForce.
 DISPLACEMENTS = {"fixed", "offset"}
 
-#: Bytes that are parsed at a time. Among so many a file of OpenMM has tags, as the longest value is an expression.
+#: Number of bytes parsed at a time. Files of OpenMM have tags in any chunk, as the longest value is an expression.
 CHUNK = 2**16
 
-#: Most chunks without the begin or end of an element.
+#: Maximum number of chunks without the start or end of an element.
 MOST_IDLE = 16
 
-#: Most levels of elements.
+#: Maximum nesting of elements.
 DEEPEST = 32
 
-#: Most characters in the values of an element.
+#: Maximum number of characters in the values of an element.
 LONGEST_VALUES = 2**16
 
-#: Most characters among them that XML escapes. The time that OpenMM takes for these grows with the square of their
-#: number: a value of 28 MB takes hours.
+#: Maximum number of characters among them that XML escapes. OpenMM's time for these is quadratic in their number: a
+#: value of 28 MB takes hours.
 MOST_ESCAPED = 100
 
-#: Most elements of a State, of which the checkpoint of a run has nine for each particle.
+#: Maximum number of elements of a State, in total and per particle; checkpoints of runs have nine per particle.
 STATE_ELEMENTS = 1000
 PARTICLE_ELEMENTS = 32
 
-#: Most bytes of a State for each element.
+#: Maximum number of bytes per element of a State.
 ELEMENT_BYTES = 128
 
 
 class ContentError(ValueError):
-    """The content of a file is not of the expected kind, is too long, or could execute code."""
+    """Content of a file that is not of the expected kind, is too long, or could execute code."""
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a file for reading; a pipe or a device, which could block for ever, is refused.
+    """Open a regular file for reading; pipes and devices, which could block for ever, are refused.
 
     Raises:
-        OSError: it cannot be opened, or is no regular file.
+        OSError: the file cannot be opened, or is not a regular file.
     """
     # Only O_RDONLY exists on every system.
     flags = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY", "O_CLOEXEC"))
@@ -70,10 +70,10 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 def read_within(stream: IO[bytes], most: int) -> bytes:
-    """Return all bytes of a stream, of which no more are read than are allowed.
+    """Return all bytes of a stream, up to a maximum.
 
     Raises:
-        ContentError: there are more.
+        ContentError: the stream is longer.
     """
     content = stream.read(most + 1)
     if len(content) > most:
@@ -82,24 +82,24 @@ def read_within(stream: IO[bytes], most: int) -> bytes:
 
 
 def read_system(stream: IO[bytes]) -> openmm.System:
-    """Return the System in a stream of XML.
+    """Return the System in an XML stream.
 
     Raises:
-        ContentError: it is none, or could execute code.
+        ContentError: the stream is not a System, or could execute code.
         openmm.OpenMMException: OpenMM cannot read it.
     """
     return openmm.XmlSerializer.deserializeSystem(_Checked("System").text(stream))
 
 
 def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
-    """Return the State in a stream of XML.
+    """Return the State in an XML stream.
 
     Args:
-        stream: of the file.
-        particles: of its System, by which its length is bounded; None: unknown.
+        stream: the open file.
+        particles: number of particles, which bounds the length; None if unknown.
 
     Raises:
-        ContentError: it is none, or longer than a State of so many particles can be.
+        ContentError: the stream is not a State, or longer than a State of these particles can be.
         openmm.OpenMMException: OpenMM cannot read it.
     """
     most = None if particles is None else STATE_ELEMENTS + PARTICLE_ELEMENTS * particles
@@ -107,14 +107,14 @@ def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
 
 
 class _Checked:
-    """XML that is safe for OpenMM, written from the elements and attributes that a strict parser has read.
+    """Sanitizer of XML, which rewrites the elements and attributes read by a strict parser.
 
-    OpenMM's own parser reads elements within comments, and OpenMM makes objects by the attribute `type`, whatever the
-    tag. So OpenMM gets only elements and attributes that were checked.
+    OpenMM's parser reads elements inside comments, and OpenMM creates objects by the attribute `type`, whatever the
+    tag. So OpenMM receives only checked elements and attributes.
     """
 
     def __init__(self, kind: str, most: int | None = None):
-        """Expect an object of a kind, "System" or "State", with so many elements at most."""
+        """Expect an object of a kind, "System" or "State", with at most `most` elements."""
         self._kind = kind
         self._most = most
         self._pieces: list[str] = []
@@ -130,7 +130,7 @@ class _Checked:
         """Return the XML of a stream for OpenMM.
 
         Raises:
-            ContentError: it is no such object, is too long, or could execute code.
+            ContentError: the stream is not such an object, is too long, or could execute code.
         """
         read, idle = 0, 0
         try:
@@ -170,13 +170,13 @@ class _Checked:
         self._pieces.append(_template(tag, names) % tuple(values))
 
     def _check_type(self, tag: str, kind: str | None) -> None:
-        """Refuse an object of another kind than is expected, by its tag or by the attribute that OpenMM goes by."""
+        """Refuse an object of an unexpected kind, by its tag and by the attribute that OpenMM uses."""
         if self._elements == 1:
             if tag != self._kind or kind != self._kind:
                 raise ContentError(f"expected a {self._kind}, got {_shown(tag)} of the type {_shown(kind)}")
         elif kind is not None and kind not in DATA and kind not in DISPLACEMENTS:
             raise ContentError(
-                f"it has a {_shown(kind)}, which is not read from files, since such an object may execute code: make "
+                f"it has a {_shown(kind)}, which is not read from files, since such an object may execute code. Create "
                 "the System in a script, and simulate it there"
             )
 
@@ -197,10 +197,10 @@ _QUOTES = {'"': "&quot;"}
 
 @lru_cache(maxsize=64)
 def _template(tag: str, names: tuple[str, ...]) -> str:
-    """Return the begin of an element, with %s for each value. Names have no %."""
+    """Return the start of an element, with %s for each value. Names contain no %."""
     return " ".join((f"<{tag}", *(f'{name}="%s"' for name in names))) + ">"
 
 
 def _shown(name: str | None) -> str:
-    """Return a name as messages show it, of a length that they have room for."""
+    """Return a name for messages, shortened to 40 characters."""
     return repr(name) if name is None or len(name) <= 40 else f"{name[:40]!r}…"

@@ -101,7 +101,7 @@ def test_impossible_arguments_are_named(make, message):
 @pytest.mark.parametrize("name", ["SIER2", "SIER4", "SIER4G", "SIER4P"])
 def test_former_names_of_integrators_are_accepted_with_a_warning(name):
     with pytest.warns(
-        FutureWarning, match=rf'{name}Integrator is a former name.*: use SIERIntegrator\(stepSize, "{name}"'
+        FutureWarning, match=rf'{name}Integrator is deprecated.*: use SIERIntegrator\(stepSize, "{name}"'
     ):
         integrator = getattr(openmm_sier, f"{name}Integrator")(0.001, engine="native")
     assert (integrator.scheme.name, integrator.engine) == (name, "native")

@@ -11,7 +11,7 @@ from tests.support.waters import cluster_system, context_at, phase_point
 def test_an_integrator_whose_context_was_refused_says_so():
     _, _positions, system = cluster_system(2)
     integrator = SIERLangevinIntegrator(300, 5, 0.002, pressure=1)
-    with pytest.raises(openmm.OpenMMException, match="A constant pressure needs a periodic System"):
+    with pytest.raises(openmm.OpenMMException, match="Constant pressure requires a periodic System"):
         openmm.Context(system, integrator)
     with pytest.raises(openmm.OpenMMException, match="Context of this integrator no longer exists, or was refused"):
         openmm.Context(system, integrator)

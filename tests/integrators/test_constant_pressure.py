@@ -315,7 +315,7 @@ def test_a_pressure_is_set_where_there_is_one():
 
 def test_a_barostat_of_the_system_is_refused(box):
     system = with_forces(box[1], openmm.MonteCarloBarostat(1.0, 297.0))
-    with pytest.raises(openmm.OpenMMException, match=r"Two barostats: .* MonteCarloBarostat in the System"):
+    with pytest.raises(openmm.OpenMMException, match="MonteCarloBarostat: remove one of the two barostats"):
         openmm.Context(system, integrator(), platform())
 
 

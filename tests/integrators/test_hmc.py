@@ -83,7 +83,7 @@ def test_trials_have_a_usual_length(step):
 
 
 def test_the_former_name_of_the_step_is_accepted_with_a_warning():
-    with pytest.warns(FutureWarning, match="stepSize is a former name.*: use schemeStepSize"):
+    with pytest.warns(FutureWarning, match="stepSize is deprecated.*: use schemeStepSize"):
         integrator = SIERHMCIntegrator(300, stepSize=0.002)
     assert integrator.getSchemeStepSize() == 0.002 * unit.picosecond
     with pytest.raises(TypeError, match="stepSize"):
@@ -192,7 +192,7 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch, engin
 def test_trials_that_are_long_do_not_go_on():
     assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
     assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
-    with pytest.raises(ValueError, match="extraChances must be a whole number that is not negative, got -1"):
+    with pytest.raises(ValueError, match="extraChances must be a nonnegative whole number, got -1"):
         SIERHMCIntegrator(300, 0.009, extraChances=-1)
 
 

@@ -84,7 +84,7 @@ def test_numbers_below_zero_and_insertion_codes():
         ([[0, 100]], "must be from 0 to 25, got 100"),
         ({"head": []}, "of head is empty"),
         ([[4, 5, 4]], "got 4 twice"),
-        ([], "no body is described"),
+        ([], "contains no body"),
     ],
 )
 def test_wrong_descriptions_are_named(description, named):
