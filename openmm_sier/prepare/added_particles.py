@@ -1,4 +1,4 @@
-"""Forces of a System that gets particles without interactions: entries for these, and what would change otherwise."""
+"""Add entries for non-interacting particles to every Force of a System."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,18 @@ import openmm
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
 
-#: Name of the parameter by which custom Forces tell atoms, for which it is 1, from added particles.
+#: Name of the parameter of custom Forces that is 1 for atoms and 0 for added particles.
 IS_ATOM = "openmm_sier_is_atom"
 
 
 @dataclass(frozen=True)
 class AddedParticles:
-    """Particles at the end of a System that interact with nothing.
+    """Non-interacting particles at the end of a System.
 
     Attributes:
-        masses: of the particles before, as they were, (N,), dalton.
-        held: those before that have no mass of their own any more, (k,).
-        number: how many are added.
+        masses: original masses of the other particles, (N,), dalton.
+        held: particles that have become massless, (k,).
+        number: number of added particles.
     """
 
     masses: np.ndarray
@@ -28,17 +28,17 @@ class AddedParticles:
 
 
 def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
-    """Give the Forces of a System entries for added particles, also those that other Forces contain.
+    """Add entries for added particles to the Forces of a System, including Forces inside other Forces.
 
-    Energies and forces of all other particles stay what they were, but for long-range corrections: for N particles
-    these are proportional to N/(N + 1) by OpenMM's formula.
+    Energies and forces of all other particles do not change, except for long-range corrections, which are proportional
+    to N/(N + 1) for N particles by OpenMM's formula.
 
     Args:
         system: openmm.System, whose Forces are changed.
         added: the particles.
 
     Raises:
-        ValueError: a Force is of another class than those of common models. The message has its name.
+        ValueError: a Force has an unsupported class. The message names the Force.
     """
     for entry in all_forces(system):
         force = entry.force
@@ -57,10 +57,10 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
 
 
 def _add_to_expression(force: openmm.CustomNonbondedForce, added: AddedParticles) -> None:
-    """Add particles, with the parameters of the first one, whose energy is 0 whatever its expression is there."""
+    """Add particles with the parameters of the first one, and zero energy for any expression."""
     model = list(force.getParticleParameters(0))
     if force.getNumInteractionGroups():
-        # Particles in none of them do not interact.
+        # Particles outside all groups do not interact.
         for _ in range(added.number):
             force.addParticle(model)
         return
@@ -74,7 +74,7 @@ def _add_to_expression(force: openmm.CustomNonbondedForce, added: AddedParticles
 
 
 def _keep_weights(force: openmm.CustomCentroidBondForce, added: AddedParticles) -> None:
-    """Give groups the weights that masses were."""
+    """Set the original masses as explicit weights of groups with massless particles."""
     for i in range(force.getNumGroups()):
         particles, weights = force.getGroupParameters(i)
         if not weights and np.isin(particles, added.held).any():

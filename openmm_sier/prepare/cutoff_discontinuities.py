@@ -1,4 +1,4 @@
-"""Lennard-Jones energies that end at the cut-off with a jump, which the forces do not know."""
+"""Detect Lennard-Jones potentials that are discontinuous at the cut-off, where forces miss the jump."""
 
 import numpy as np
 import openmm
@@ -7,16 +7,17 @@ from openmm import unit
 from openmm_sier.system import tables
 from openmm_sier.system.inner_forces import all_forces
 
-#: kJ/mol. Smaller jumps are not spoken of. In TIP3P at 0.9 nm, where it is 5e-3, rms(H)/rms(V) of SIER4G within 1 ps is
-#: 0.2 to 0.3 %, and the error goes with the jump: one of this size adds less than a scheme of fourth order has itself.
+#: Jump in kJ/mol below which discontinuities are not reported. In TIP3P at 0.9 nm, where it is 5e-3, rms(H)/rms(V) of
+#: SIER4G within 1 ps is 0.2 to 0.3 %, and the error is proportional to the jump: a jump of this size adds less than the
+#: error of a fourth-order scheme.
 LEAST = 1e-4
 
-#: Distance at which OpenMM's switching function is to begin, over the cut-off.
+#: Recommended start of OpenMM's switching function, over the cut-off.
 SWITCHED_FROM = 5 / 6
 
 
 def describe_discontinuities(system: openmm.System) -> tuple[str, ...]:
-    """Return a sentence for each NonbondedForce of a System that ends with a jump, with the remedy."""
+    """Return a sentence with the remedy for each NonbondedForce of a System that is discontinuous at the cut-off."""
     sentences = []
     for entry in all_forces(system):
         if not isinstance(entry.force, openmm.NonbondedForce) or not _largest_jump(entry.force) > LEAST:
@@ -33,9 +34,9 @@ def describe_discontinuities(system: openmm.System) -> tuple[str, ...]:
 
 
 def _largest_jump(force: openmm.NonbondedForce) -> float:
-    """Return the largest jump of the Lennard-Jones energy of an atom with its like, kJ/mol.
+    """Return the largest jump of the Lennard-Jones energy between atoms of one type, kJ/mol.
 
-    Coulomb's law has none: it is shifted, or goes on in the mesh.
+    Coulomb energies have none: they are shifted, or continued in the mesh.
     """
     if force.getNonbondedMethod() in (force.NoCutoff, force.LJPME) or force.getUseSwitchingFunction():
         return 0.0

@@ -1,10 +1,10 @@
-"""Find the Forces of a System that can act within drifts, and give them force groups."""
+"""Find the Forces of a System that can act within drifts, and their force groups."""
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.prepare.close_pairs import NAME, fast_force_groups, own_forces
+from openmm_sier.prepare.close_pairs import NAME, added_forces, fast_force_groups
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pairs
 from openmm_sier.system import tables
@@ -16,18 +16,18 @@ from openmm_sier.system.inner_forces import all_forces
 
 
 class FastForces:
-    """Sort the Forces of a System into those that can be fast, with some bodies, and those that cannot.
+    """Fast and slow Forces of a System, for the given bodies.
 
-    A Force can be fast if it is a bonded one, does work, and acts on nothing but bodies, rigid ones and points: no
-    virtual site or frozen atom. Forces that the preparation added are left out.
+    A Force can be fast if it is bonded, does work, and acts only on rigid and point bodies, not on virtual sites or
+    frozen atoms. Forces added by the preparation are left out.
 
     Attributes:
-        owner: for each particle the number of its body, (N,), -1 where it has none; frozen atoms have one together.
-        moving: for each particle whether it moves with a body, (N,).
-        acting: Forces that exert forces, by their numbers.
-        fast: those that can be fast, by their numbers.
-        slow: bonded Forces that do work and cannot be fast.
-        inner: names of bonded Forces that another Force contains, and that could be fast if none did.
+        owner: body index of each particle, (N,); -1 without a body; frozen atoms share an index.
+        moving: whether each particle moves with a body, (N,).
+        acting: Forces that exert forces, by index.
+        fast: Forces that can be fast, by index.
+        slow: bonded Forces that do work but cannot be fast.
+        inner: names of bonded Forces that cannot be fast only because another Force contains them.
     """
 
     def __init__(self, system: openmm.System, bodies: Bodies | BodyPlan):
@@ -35,9 +35,9 @@ class FastForces:
         self.moving = owner >= 0
         # Terms between frozen atoms do no work, like those inside one body.
         owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
-        own = own_forces(system)
+        added = added_forces(system)
         self.acting = {
-            i: force for i, force in enumerate(system.getForces()) if i not in own and kind_of(force).exerts_forces
+            i: force for i, force in enumerate(system.getForces()) if i not in added and kind_of(force).exerts_forces
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
         self.owner = owner
@@ -55,7 +55,7 @@ class FastForces:
         return [force for i, force in self.acting.items() if group in _groups(force) and i not in self.fast]
 
     def free_group(self) -> int:
-        """Return a group for the fast forces: 1 or, if that has other forces, the first that has none.
+        """Return a group for the fast forces: 1 or, if that has other forces, the first group without any.
 
         Raises:
             ValueError: all groups have other forces.
@@ -64,18 +64,18 @@ class FastForces:
             if not self.others_in(group):
                 return group
         raise ValueError(
-            f"all {GROUPS} force groups are taken, and fast forces need their own: join other groups by setForceGroup"
+            f"all {GROUPS} force groups are in use, but fast forces need a separate one: merge groups by setForceGroup"
         )
 
 
 def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
     """Return the bit mask of the fast force groups of a System; 0 if it is not prepared.
 
-    Forces that were added after the preparation stay in the kicks.
+    Forces added after the preparation stay in the kicks.
 
     Args:
         system: openmm.System.
-        bodies: those of the integrator.
+        bodies: the bodies of the integrator.
 
     Raises:
         openmm.OpenMMException: force groups were changed after the preparation.
@@ -83,7 +83,7 @@ def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
     marked = fast_force_groups(system)
     names = [force.getName() for force in system.getForces()]
     end = names.index(NAME) if marked else 0
-    known = None
+    sorted_forces = None
     for i, force in enumerate(system.getForces() if marked else ()):
         kind = kind_of(force)
         if not kind.exerts_forces or names[i] in (NAME, BODIES):
@@ -91,10 +91,9 @@ def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
         is_marked = any(marked >> group & 1 for group in _groups(force))
         if is_marked == (i < end and kind.terms is not None):
             continue
-        # Forces on virtual sites and frozen atoms are bonded but slow. Most often there are none, and then nobody has
-        # to know the bodies.
-        known = known or FastForces(system, bodies)
-        if is_marked != (i < end and i in known.fast):
+        # Bonded Forces on virtual sites and frozen atoms are slow. Usually there are none, and bodies are not needed.
+        sorted_forces = sorted_forces or FastForces(system, bodies)
+        if is_marked != (i < end and i in sorted_forces.fast):
             raise openmm.OpenMMException(
                 f"The force group of {names[i]} was changed after prepare_system. Set force groups first, or call "
                 "prepare_system(system) again"
@@ -103,25 +102,25 @@ def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:
 
 
 def refuse_other_bodies(system: openmm.System, bodies: Bodies) -> None:
-    """Refuse an integrator's bodies in a System that was prepared for others.
+    """Refuse an integrator's bodies in a System prepared for other bodies.
 
     Raises:
-        RigidityError: atoms of a body for which it was prepared are in none, or in several.
+        RigidityError: atoms of a body in the preparation are in no body, or in several.
     """
     if len(pairs := remembered_pairs(system)):
         refuse_torn_bodies(pairs, _owners(system, bodies))
 
 
 def _groups(force: openmm.Force) -> set[int]:
-    """Return the force groups of a Force, with that of its reciprocal space."""
-    found = {force.getForceGroup()}
+    """Return the force groups of a Force, including that of its reciprocal space."""
+    groups = {force.getForceGroup()}
     if isinstance(force, openmm.NonbondedForce) and (reciprocal := force.getReciprocalSpaceForceGroup()) >= 0:
-        found.add(reciprocal)
-    return found
+        groups.add(reciprocal)
+    return groups
 
 
 def _owners(system: openmm.System, bodies: Bodies | BodyPlan) -> np.ndarray:
-    """Return for each particle the number of its body, (N,), -1 where it has none."""
+    """Return the body index of each particle, (N,); -1 without a body."""
     if isinstance(bodies, BodySet):
         return linked(system, bodies).owners.copy()
     plan = bodies if isinstance(bodies, BodyPlan) else BodyPlan(system, rigid=bodies)

@@ -1,4 +1,4 @@
-"""Rigid bodies of any size for OpenMM's own integrators, by frames that constraints hold."""
+"""Rigid bodies of any size for OpenMM's own integrators, by frames of constrained particles."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
 from openmm_sier.system.second_context import reference_context
 from openmm_sier.system.solver_trial import SolverTrial
 
-#: Constraints between all of more atoms are redundant.
+#: Maximum number of atoms between which all constraints are independent.
 MOST_HELD = 4
 
 
 class Frame(NamedTuple):
-    """Describe the frame of one body.
+    """Frame of one body.
 
     Attributes:
-        body: its number.
-        shape: of the frame.
-        particles: of the frame, (f,).
-        atoms: of the body, with its virtual sites, (k,).
-        places: of these in the body's principal frame, (k, 3), nm.
+        body: index of the body.
+        shape: shape of the frame.
+        particles: particles of the frame, (f,).
+        atoms: atoms of the body, with its virtual sites, (k,).
+        places: positions of the atoms in the body's principal frame, (k, 3), nm.
     """
 
     body: int
@@ -48,16 +48,16 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FramedSystem:
-    """Hold what `with_frames` made: a System with frames, and methods that give atoms back.
+    """System with frames, and conversions to and from the original atoms; the result of `with_frames`.
 
-    Atoms have the numbers that they had, and the particles of frames come after them.
+    Atoms keep their indices, and the particles of frames follow them.
 
     Attributes:
         system: openmm.System, the copy with frames.
-        topology: openmm.app.Topology of it, with a last chain of a residue FRM for each frame; None if none was given.
-        positions: of all particles, (P, 3), nm.
+        topology: its openmm.app.Topology, with a last chain of one residue FRM per frame; None if none was given.
+        positions: positions of all particles, (P, 3), nm.
         bodies: the bodies of the original System.
-        frames: one for each body that got a frame.
+        frames: frames of the bodies that have one.
     """
 
     system: openmm.System
@@ -68,38 +68,38 @@ class FramedSystem:
 
     @property
     def numAtoms(self) -> int:
-        """Return the number of particles of the original System, N."""
+        """Number of particles of the original System, N."""
         return self.bodies.n_particles
 
     def getAtomPositions(self, positions: Positions | openmm.State) -> np.ndarray:
         """Return the positions of the original System's particles.
 
         Args:
-            positions: a State of a Context of the copy, or all positions, (P, 3), nm or a Quantity.
+            positions: a State from a Context of the copy, or all positions, (P, 3), nm or a Quantity.
 
         Returns:
             (N, 3), nm.
 
         Raises:
-            ValueError: the positions have another shape.
+            ValueError: the positions have the wrong shape.
         """
         return self._all_positions(positions)[: self.numAtoms]
 
     def getAtomVelocities(self, state: openmm.State) -> np.ndarray:
-        """Return the velocities of the original System's particles. OpenMM keeps none for virtual sites.
+        """Return the velocities of the original System's particles. OpenMM has none for virtual sites.
 
         Args:
-            state: of a Context of the copy, with positions and velocities.
+            state: a State from a Context of the copy, with positions and velocities.
 
         Returns:
-            (N, 3), nm/ps. Virtual sites that belong to no body have what the State has.
+            (N, 3), nm/ps. Virtual sites without a body have the velocities of the State.
 
         Raises:
-            RigidityError: the particles of a frame are not where its constraints hold them.
+            RigidityError: the particles of a frame violate its constraints.
         """
-        found = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
-        turned = self._turned(self._moving, self._all_positions(state), found)
-        velocities = found[: self.numAtoms].copy()
+        copy_velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
+        turned = self._turned(self._moving, self._all_positions(state), copy_velocities)
+        velocities = copy_velocities[: self.numAtoms].copy()
         for number, frame in enumerate(self.frames):
             velocities[frame.atoms] = turned.velocities(number, frame.places)
         return velocities
@@ -108,52 +108,52 @@ class FramedSystem:
         """Return positions of all particles of the copy, to set in its Context.
 
         Args:
-            positions: of the original System's particles, (N, 3), nm or a Quantity.
+            positions: positions of the original System's particles, (N, 3), nm or a Quantity.
 
         Returns:
-            (P, 3), nm. Atoms of bodies are where the bodies have them.
+            (P, 3), nm. Atoms of bodies are at the sites of the bodies.
 
         Raises:
-            ValueError: the positions have another shape.
-            RigidityError: they are not those of the bodies, see `RigidBodies`.
+            ValueError: the positions have the wrong shape.
+            RigidityError: the positions do not form the bodies, see `RigidBodies`.
         """
         x = checked_positions(positions, self.numAtoms)
         q, A, misfit = self.bodies.fit_with_misfit(x)
         checks.warn_about_misfit(self.bodies, misfit)
-        found = np.zeros((self.system.getNumParticles(), 3))
-        found[: self.numAtoms] = self.bodies.place(q, A, x)
+        all_positions = np.zeros((self.system.getNumParticles(), 3))
+        all_positions[: self.numAtoms] = self.bodies.place(q, A, x)
         for frame in self.frames:
             centre, attitude = q[:, frame.body], A[:, :, frame.body]
-            found[frame.atoms] = centre + frame.places @ attitude
-            found[frame.particles] = centre + frame.shape.corners.T @ attitude
-        return found
+            all_positions[frame.atoms] = centre + frame.places @ attitude
+            all_positions[frame.particles] = centre + frame.shape.corners.T @ attitude
+        return all_positions
 
     def addFrameVelocities(self, positions: Positions, velocities: Positions) -> np.ndarray:
         """Return velocities of all particles of the copy, to set in its Context.
 
         Args:
-            positions: of the original System's particles, (N, 3), nm or a Quantity.
-            velocities: of these, (N, 3), nm/ps or a Quantity. Of bodies the rigid part of the motion counts.
+            positions: positions of the original System's particles, (N, 3), nm or a Quantity.
+            velocities: their velocities, (N, 3), nm/ps or a Quantity. Only rigid motion of bodies counts.
 
         Returns:
             (P, 3), nm/ps; 0 for virtual sites.
 
         Raises:
-            ValueError: they have another shape.
-            RigidityError: the positions are not those of the bodies, see `RigidBodies`.
+            ValueError: an array has the wrong shape.
+            RigidityError: the positions do not form the bodies, see `RigidBodies`.
         """
         if unit.is_quantity(velocities):
             velocities = velocities.value_in_unit(unit.nanometer / unit.picosecond)
         v = np.array(velocities, dtype=float)
         if v.shape != (self.numAtoms, 3):
-            raise ValueError(f"velocities must have the shape ({self.numAtoms}, 3) of the atoms, got {v.shape}")
+            raise ValueError(f"velocities must have the shape ({self.numAtoms}, 3), one row per atom, got {v.shape}")
         turned = self._turned(self.bodies, checked_positions(positions, self.numAtoms), v)
-        found = np.zeros((self.system.getNumParticles(), 3))
-        found[: self.numAtoms] = v
+        all_velocities = np.zeros((self.system.getNumParticles(), 3))
+        all_velocities[: self.numAtoms] = v
         for frame in self.frames:
-            found[frame.atoms] = 0.0
-            found[frame.particles] = turned.velocities(frame.body, frame.shape.corners.T)
-        return found
+            all_velocities[frame.atoms] = 0.0
+            all_velocities[frame.particles] = turned.velocities(frame.body, frame.shape.corners.T)
+        return all_velocities
 
     def _all_positions(self, positions: Any) -> np.ndarray:
         if isinstance(positions, openmm.State):
@@ -162,7 +162,7 @@ class FramedSystem:
 
     @property
     def _moving(self) -> dynamics.BodySet:
-        """Return the frames as bodies of the copy."""
+        """The frames as bodies of the copy."""
         species = [
             Species.from_sites(frame.particles[None], frame.shape.masses, frame.shape.corners) for frame in self.frames
         ]
@@ -194,7 +194,7 @@ def with_frames(
     bodies: RigidBodies | Rigid = None,
     topology: app.Topology | None = None,
 ) -> FramedSystem:
-    """Copy a System with a frame for each rigid body, so that OpenMM's own integrators keep bodies of any size rigid.
+    """Return a copy of a System in which constrained frames keep bodies of any size rigid with OpenMM's integrators.
 
     >>> framed = with_frames(system, positions, [[0, 1, 2, 3, 4, 5]], topology)
     >>> integrator = openmm.LangevinMiddleIntegrator(300*kelvin, 1/picosecond, 4*femtoseconds)
@@ -203,33 +203,32 @@ def with_frames(
     >>> simulation.step(2)
     >>> atoms = framed.getAtomPositions(simulation.context.getState(positions=True))
 
-    OpenMM holds bodies by constraints, and its solvers can handle those of a few atoms. In the copy a frame of four
-    particles moves in place of the body, three if it is flat and two if it is a line. It has exactly the body's mass,
-    centre and moments of inertia, and six constraints hold it, or three, or one. The atoms of the body become virtual
-    sites of the frame, without mass, and their forces act on it. So any integrator, barostat and platform of OpenMM
-    moves them as a rigid body with six degrees of freedom, and the integrators of this package do too.
+    OpenMM's constraint solvers can handle bodies of a few atoms. In the copy a frame of four particles represents the
+    body, three if it is flat and two if it is a line. The frame has exactly the body's mass, centre and moments of
+    inertia, and is held by six, three or one constraints. The atoms of the body become massless virtual sites of the
+    frame, and their forces act on it. So any integrator, barostat and platform of OpenMM, and of this package, moves
+    them as a rigid body with six degrees of freedom.
 
-    Bodies that constraints define already and that OpenMM can solve, such as water, stay as they are. The others lose
-    the constraints inside them. Particles of frames interact with nothing: each Force gets parameters for them with
-    which energies and forces stay what they were. Only long-range corrections depend on the number of particles N, as
-    N/(N + 1).
+    Bodies already defined by constraints that OpenMM can solve, such as water, do not change. Others lose their inner
+    constraints. Particles of frames do not interact: each Force gets parameters for them that leave energies and forces
+    unchanged. Only long-range corrections depend on the number of particles N, as N/(N + 1).
 
-    Call it before `prepare_system`, to which you give the copy like any other System.
+    Call this function before `prepare_system`, and pass the copy to that like any other System.
 
     Args:
-        system: the System, which stays as it is.
+        system: the System, which is not changed.
         positions: positions of its particles, (N, 3), nm or a Quantity, with bodies whole.
-        bodies: the bodies, as `RigidBodies` or as `rigid` of `RigidBodies.from_system`, such as lists of particle
-            indices. None takes those of the System's constraints.
-        topology: the topology, of which the copy has the frames in a chain of their own.
+        bodies: the bodies, as `RigidBodies` or in any form of the argument `rigid` of `RigidBodies.from_system`, such
+            as lists of particle indices. None for those defined by the System's constraints.
+        topology: the topology; in that of the copy the frames form a separate chain.
 
     Returns:
-        The copy with its topology and positions, and with methods that give atoms back.
+        The copy with its topology and positions, and conversions to and from the original atoms.
 
     Raises:
-        TypeError: `system` is no System, such as a Simulation.
-        ValueError: no body needs a frame, or a Force is none of the bonded ones, NonbondedForce, CustomNonbondedForce,
-            CustomCentroidBondForce, CustomExternalForce and CustomCVForce. The message has its name.
+        TypeError: `system` is not a System.
+        ValueError: no body needs a frame, or a Force is neither bonded nor a NonbondedForce, CustomNonbondedForce,
+            CustomCentroidBondForce, CustomExternalForce or CustomCVForce. The message names the Force.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales the position of each atom separately.
     """
@@ -238,17 +237,17 @@ def with_frames(
     checks.refuse_impossible_numbers(system)
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
-        known = linked(system, bodies)
+        rigid_bodies = linked(system, bodies)
         wholeness = Wholeness(system, topology)
-        for species in known.species:
-            wholeness.refuse_cut(x, species.atoms, known.describe_atoms)
+        for species in rigid_bodies.species:
+            wholeness.refuse_cut(x, species.atoms, rigid_bodies.describe_atoms)
     else:
-        known = RigidBodies.from_system(system, topology, bodies, x)
-    frames = tuple(_frames(system, known, x))
+        rigid_bodies = RigidBodies.from_system(system, topology, bodies, x)
+    frames = tuple(_frames(system, rigid_bodies, x))
     if not frames:
         raise ValueError(
-            "no body needs a frame: at least one of `bodies` must have two or more atoms that constraints do not keep "
-            f"rigid already, got {known!r}"
+            "no body needs a frame: at least one of `bodies` must have two or more atoms and not be rigid by its "
+            f"constraints already, got {rigid_bodies!r}"
         )
     framed = _copied(system)
     _hold(framed, frames)
@@ -257,9 +256,9 @@ def with_frames(
     add_to_forces(framed, AddedParticles(tables.masses(system), held, added))
     of_frames = [frame.particles.tolist() for frame in frames]
     named = None if topology is None else with_frame_atoms(topology, of_frames)
-    found = FramedSystem(framed, named, np.empty((0, 3)), known, frames)
-    object.__setattr__(found, "positions", found.addFramePositions(x))
-    return found
+    framed_system = FramedSystem(framed, named, np.empty((0, 3)), rigid_bodies, frames)
+    object.__setattr__(framed_system, "positions", framed_system.addFramePositions(x))
+    return framed_system
 
 
 def _copied(system: openmm.System) -> openmm.System:
@@ -270,7 +269,7 @@ def _copied(system: openmm.System) -> openmm.System:
 
 
 def _frames(system: openmm.System, bodies: dynamics.BodySet, x: np.ndarray) -> Iterator[Frame]:
-    """Give the frames of all bodies that need one, whose particles come after those of the System."""
+    """Yield frames of the bodies that need one; their particles follow those of the System."""
     q, A = bodies.fit(x)
     followers = _virtual_sites(system, bodies)
     sited = _with_sites_placed(system, bodies.place(q, A, x.copy())) if followers else x
@@ -293,7 +292,7 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet, x: np.ndarray) -> I
 
 
 def _is_solved(species: Species) -> bool:
-    """Return whether OpenMM can solve constraints between all atoms of such a body."""
+    """Return whether OpenMM can solve constraints between all atoms of a body of this kind."""
     if len(species.masses) > MOST_HELD or checks.is_line(species.masses, species.sites.T):
         return False
     alone = openmm.System()
@@ -305,16 +304,16 @@ def _is_solved(species: Species) -> bool:
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.BodySet) -> dict[int, list[int]]:
-    """Give the virtual sites that move with a body, as all particles do that they depend on, by its number."""
+    """Return the virtual sites of each body, all of whose parent particles belong to the body."""
     owners = bodies.owners.copy()
     sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
     followers: dict[int, list[int]] = {}
-    # Sites may depend on others, in any order.
+    # Sites may depend on other sites, in any order.
     for _ in range(len(sites)):
-        found = [(i, _owner(system.getVirtualSite(i), owners)) for i in sites if owners[i] < 0]
-        if not any(body >= 0 for _, body in found):
+        site_owners = [(i, _owner(system.getVirtualSite(i), owners)) for i in sites if owners[i] < 0]
+        if not any(body >= 0 for _, body in site_owners):
             break
-        for i, body in found:
+        for i, body in site_owners:
             owners[i] = body
             if body >= 0:
                 followers.setdefault(body, []).append(i)
@@ -322,16 +321,16 @@ def _virtual_sites(system: openmm.System, bodies: dynamics.BodySet) -> dict[int,
 
 
 def _owner(site: openmm.VirtualSite, owners: np.ndarray) -> int:
-    """Return the body to which all particles of a virtual site belong, or -1."""
-    # Those by symmetry turn with the axes of the box, not with the body.
+    """Return the body to which all parent particles of a virtual site belong, or -1."""
+    # Symmetry sites turn with the axes of the box, not with the body.
     if isinstance(site, openmm.SymmetrySite):
         return -1
-    found = {int(owners[site.getParticle(i)]) for i in range(site.getNumParticles())}
-    return found.pop() if len(found) == 1 else -1
+    parents = {int(owners[site.getParticle(i)]) for i in range(site.getNumParticles())}
+    return parents.pop() if len(parents) == 1 else -1
 
 
 def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
-    """Return positions (N, 3) with virtual sites where their particles have them."""
+    """Return positions (N, 3) with virtual sites placed by their parent particles."""
     alone = _copied(system)
     for number in reversed(range(alone.getNumForces())):
         alone.removeForce(number)
@@ -342,7 +341,7 @@ def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
 
 
 def _hold(system: openmm.System, frames: tuple[Frame, ...]) -> None:
-    """Add the particles of frames with their constraints, and make atoms of bodies virtual sites of them."""
+    """Add frame particles and their constraints, and make the atoms of bodies virtual sites of the frames."""
     owner = np.full(system.getNumParticles(), -1)
     for frame in frames:
         owner[frame.atoms] = frame.body

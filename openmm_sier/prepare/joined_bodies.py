@@ -1,8 +1,8 @@
-"""Bonds without strength between the atoms of a body that no constraints hold: the record of bodies in a System.
+"""Bonds of zero strength between the atoms of bodies without constraints, which also record the bodies in a System.
 
 OpenMM finds molecules by bonds, and a rigid body needs none. OpenMM's trajectories move molecules into the box, and its
-barostats scale their centres: without such bonds the atoms of a body would be scattered over the box, and its linkers
-left behind. And a System that was prepared for bodies is wrong without them: fast forces would move other bodies.
+barostats scale their centres: without such bonds the atoms of a body would be scattered over the box, and separated
+from its linkers. A System prepared for bodies must not be used without them: fast forces would move other bodies.
 """
 
 import numpy as np
@@ -12,19 +12,19 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms
 
-#: Name of the Force of bonds without strength, by which a prepared System is renewed.
+#: Name of the Force of these bonds, which identifies it when a System is prepared again.
 NAME = "openmm_sier: atoms of bodies"
 
 
 def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
-    """Join the atoms of each body that no constraints hold, by bonds without strength.
+    """Join the atoms of each body without constraints by bonds of zero strength.
 
     Args:
-        system: openmm.System, to which a HarmonicBondForce is added where there is something to join.
-        owner: for each particle the number of its body, (N,), -1 where it has none.
+        system: openmm.System, to which a HarmonicBondForce is added if there are such bodies.
+        owner: body index of each particle, (N,); -1 without a body.
 
     Returns:
-        How many bodies were joined.
+        Number of bodies joined.
     """
     moving = np.flatnonzero((owner >= 0) & (tables.masses(system) > 0))
     atoms = moving[np.argsort(owner[moving], kind="stable")]
@@ -45,9 +45,9 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
 
 
 def remembered_pairs(system: openmm.System) -> np.ndarray:
-    """Return pairs of atoms that share a body for which a System was prepared, (p, 2).
+    """Return pairs of atoms in bodies for which a System was prepared, (p, 2).
 
-    Pairs with virtual sites are left out: in a System with frames the atoms of bodies are such sites.
+    Pairs with virtual sites are left out: in a System with frames the atoms of bodies are virtual sites.
     """
     bonds = [bonded_terms(force) for force in system.getForces() if force.getName() == NAME]
     pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *bonds])
@@ -59,16 +59,16 @@ def refuse_torn_bodies(pairs: np.ndarray, owner: np.ndarray) -> None:
 
     Args:
         pairs: see `remembered_pairs`.
-        owner: for each particle the number of its body, (N,), -1 where it has none.
+        owner: body index of each particle, (N,); -1 without a body.
 
     Raises:
-        RigidityError: two atoms that shared a body no longer do.
+        RigidityError: two atoms of one body no longer share a body.
     """
     ends = owner[pairs]
     torn = pairs[(ends[:, 0] != ends[:, 1]) | (ends[:, 0] < 0)]
     if len(torn):
         one, other = torn[0].tolist()
         raise RigidityError(
-            f"prepare_system prepared this System for a rigid body that has atoms {one} and {other}, but the "
-            "integrator has no such body: give the integrator these `bodies`, or prepare a new System for its own"
+            f"prepare_system prepared this System for a rigid body with atoms {one} and {other}, but the integrator "
+            "has no such body. Give the integrator the same `bodies`, or prepare a new System for its bodies"
         )

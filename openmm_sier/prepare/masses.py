@@ -1,7 +1,7 @@
-"""Heavy hydrogens: averages of positions do not depend on masses, and the fastest motions become slower.
+"""Hydrogen mass repartitioning: the fastest motions become slower, and averages of positions do not change.
 
 Source: Bennett, J. Comput. Phys. 19, 267 (1975); Feenstra, Hess and Berendsen, J. Comput. Chem. 20, 786 (1999), who
-make the hydrogens of water heavier too.
+also repartition the masses of water.
 """
 
 from collections import Counter
@@ -17,10 +17,10 @@ from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
 from openmm_sier.system.user_warnings import warn
 
-#: Dalton, below which no atom is made lighter for its hydrogens.
+#: Minimum mass left to an atom bonded to hydrogens, dalton.
 LIGHTEST_CENTRE = 6.0
 
-#: Dalton. The least that may be asked for; hydrogens that would get less are left as they are, as in HD.
+#: Minimum mass of repartitioned hydrogens, dalton; hydrogens that would get less are not changed, as in HD.
 LIGHTEST_HYDROGEN = 1.0
 
 
@@ -28,47 +28,47 @@ def checked_mass(mass: Any) -> float:
     """Return a mass of hydrogens in dalton, from a quantity or a number.
 
     Raises:
-        ValueError: it is not from `LIGHTEST_HYDROGEN` to `HEAVIEST_HYDROGEN`.
-        TypeError: it is no mass.
+        ValueError: the mass is not from `LIGHTEST_HYDROGEN` to `HEAVIEST_HYDROGEN`.
+        TypeError: `mass` is not a mass.
     """
-    found = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
-    if not LIGHTEST_HYDROGEN <= found <= HEAVIEST_HYDROGEN:
+    value = quantity_to_float("hydrogenMass", mass, unit.dalton, "dalton")
+    if not LIGHTEST_HYDROGEN <= value <= HEAVIEST_HYDROGEN:
         raise ValueError(
-            f"hydrogenMass must be from {LIGHTEST_HYDROGEN:g} to {HEAVIEST_HYDROGEN:g} dalton, got {found:g}"
+            f"hydrogenMass must be from {LIGHTEST_HYDROGEN:g} to {HEAVIEST_HYDROGEN:g} dalton, got {value:g}"
         )
-    return found
+    return value
 
 
 def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
-    """Set the mass of all hydrogens, in water too, and take the difference from the atoms that they are bonded to.
+    """Set the mass of all hydrogens, in water too, at the expense of the atoms they are bonded to.
 
-    The mass of every molecule stays. Hydrogens of an atom that is bonded to another heavy atom get no more than
-    `HEAVIEST_IN_CHAINS`, and those of one that would become lighter than `LIGHTEST_CENTRE` get less. It does not
-    matter which masses hydrogens had before.
+    The mass of every molecule is conserved. Hydrogens of an atom that is bonded to another heavy atom get at most
+    `HEAVIEST_IN_CHAINS`, and hydrogens of an atom that would become lighter than `LIGHTEST_CENTRE` get less. Previous
+    masses of hydrogens do not matter.
 
     Args:
         system: openmm.System; its masses are changed.
-        mass: dalton, as `checked_mass` gives it.
+        mass: dalton, from `checked_mass`.
 
     Returns:
-        What was done, in a sentence.
+        A sentence on the change.
     """
-    masses, given = tables.masses(system), Counter[float]()
+    masses, counts = tables.masses(system), Counter[float]()
     partners = partners_of(masses, Links(system))
-    for centre, found in hydrogens_among(masses, partners).items():
-        total = masses[centre] + masses[found].sum()
-        spared = (total - LIGHTEST_CENTRE) / len(found)
-        most = mass if partners[centre].keys() <= set(found) else min(mass, HEAVIEST_IN_CHAINS)
+    for centre, hydrogens in hydrogens_among(masses, partners).items():
+        total = masses[centre] + masses[hydrogens].sum()
+        spared = (total - LIGHTEST_CENTRE) / len(hydrogens)
+        most = mass if partners[centre].keys() <= set(hydrogens) else min(mass, HEAVIEST_IN_CHAINS)
         if spared < LIGHTEST_HYDROGEN < mass:
             continue
         share = min(most, max(spared, LIGHTEST_HYDROGEN))
-        given[round(share, 2)] += len(found)
-        masses[found] = share
-        masses[centre] = total - share * len(found)
-        for atom in (centre, *found):
+        counts[round(share, 2)] += len(hydrogens)
+        masses[hydrogens] = share
+        masses[centre] = total - share * len(hydrogens)
+        for atom in (centre, *hydrogens):
             system.setParticleMass(int(atom), float(masses[atom]))
-    if not given:
+    if not counts:
         warn("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
-    said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(given.items()))
+    said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(counts.items()))
     return f"{said}: averages of positions do not change, but motion is slower."

@@ -1,4 +1,4 @@
-"""The stiffest bond or angle that does work, by which coarse models are told from atoms, and steps for them."""
+"""Stiffest bond or angle of a System, which identifies coarse-grained models, and usual steps for these."""
 
 import math
 from typing import NamedTuple
@@ -13,18 +13,18 @@ from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, wor
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.mobilities import COARSE, mobilities
 
-#: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
+#: Assumed length of the arms of an angle, nm. Between atoms arms are shorter, and angles even faster.
 ARM = 0.2
 
-#: Share of the period of the stiffest bond that is a usual step: at constant energy with SIER4G, and with SIER2 in a
-#: heat bath. Of a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the
-#: period (26 fs), 0.06 % at 1/16, 0.8 % at 1/13 and 1.8 % at 1/10; with bonds ten times as strong 0.001 % at 1/20 and
-#: 0.9 % at 1/13. In a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly any more at 60 fs.
+#: Usual steps over the period of the stiffest bond: at constant energy with SIER4G, and in a heat bath with SIER2. For
+#: a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the period (26 fs),
+#: 0.06 % at 1/16, 0.8 % at 1/13 and 1.8 % at 1/10; with bonds ten times as strong 0.001 % at 1/20 and 0.9 % at 1/13. In
+#: a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly so at 60 fs.
 USUAL = {SIER4G: 1 / 20, SIER2: 1 / 13}
 
 
 class Stiffest(NamedTuple):
-    """The fastest motion that bonded Forces cause.
+    """Fastest motion caused by bonded Forces.
 
     Attributes:
         period: ps.
@@ -36,20 +36,20 @@ class Stiffest(NamedTuple):
 
     @property
     def is_coarse(self) -> bool:
-        """Return whether it is so slow that kicks can follow it."""
+        """Whether the motion is so slow that kicks can follow it."""
         return self.period >= COARSE
 
 
 def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -> Stiffest | None:
-    """Return the stiffest bond or angle that does work; None without one, or if the stiffness of some is not known.
+    """Return the stiffest bond or angle that does work; None if there is none, or if some stiffness is unknown.
 
     Args:
         system: openmm.System.
-        bodies: its rigid bodies, whose atoms move less easily than alone; None where they are not known yet.
-        owner: for each particle the number of its body, (N,).
+        bodies: its rigid bodies, whose atoms move less easily than free ones; None if they are not known yet.
+        owner: body index of each particle, (N,).
     """
     masses = tables.masses(system)
-    # No atom of a body moves more easily than it would alone.
+    # No atom of a body moves more easily than a free atom.
     alone = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
     mobility = alone if bodies is None else mobilities(bodies)
     fastest = Stiffest(math.inf, ())
@@ -60,8 +60,8 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
         if not kind_of(force).is_divisible:
             return None
         atoms, squares = _squares(system, force, mobility)
-        found = owner[atoms]
-        squares[(found == found[:, :1]).all(axis=1) & (found[:, 0] >= 0)] = 0
+        owners = owner[atoms]
+        squares[(owners == owners[:, :1]).all(axis=1) & (owners[:, 0] >= 0)] = 0
         if len(squares) and squares.max() > 0:
             period = 2 * math.pi / math.sqrt(squares.max())
             fastest = min(fastest, Stiffest(period, tuple(atoms[squares.argmax()].tolist())))
@@ -69,15 +69,15 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
 
 
 def usual_steps(motion: Stiffest) -> dict[Scheme, float]:
-    """Return steps in ps that are usual where this is the stiffest motion: at constant energy, and in a heat bath.
+    """Return usual steps in ps for this stiffest motion: at constant energy, and in a heat bath.
 
-    Bonds of a chain couple, so that some are up to 1.4 times as fast as one alone.
+    Bonds of a chain couple, so that some modes are up to 1.4 times as fast as a single bond.
     """
     return {scheme: share * motion.period for scheme, share in USUAL.items()}
 
 
 def describe_coarse(motion: Stiffest) -> str:
-    """Say what limits the step of a coarse model, and which steps are usual."""
+    """Return a sentence on the stiffest motion of a coarse-grained model, and on usual steps."""
     kind = "bond between atoms" if len(motion.atoms) == 2 else "angle of atoms"
     energy, bath = (f"{1000 * step:.2g} fs with {scheme.name}" for scheme, step in usual_steps(motion).items())
     return (
@@ -95,6 +95,6 @@ def _squares(system: openmm.System, force: openmm.Force, mobility: np.ndarray) -
         return ends, free * strengths * mobility[ends].sum(axis=1)
     if isinstance(force, openmm.HarmonicAngleForce):
         atoms, strengths = harmonic_angles(force)
-        # The middle atom moves against both others, by twice their way.
+        # The middle atom moves twice as far, against both others.
         return atoms, strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
     return np.empty((0, 1), dtype=np.int64), np.empty(0)

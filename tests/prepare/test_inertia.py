@@ -85,7 +85,7 @@ def test_moments_that_no_masses_have():
             set_inertia(system, positions, bodies, 100, moments)
     with pytest.raises(ValueError, match="mass must be positive"):
         set_inertia(system, positions, bodies, 0, 3 * [5.0])
-    with pytest.raises(ValueError, match="each of them a mass"):
+    with pytest.raises(ValueError, match="atoms with mass"):
         set_inertia(system, positions, [[]], 100, 3 * [5.0])
     with pytest.raises(TypeError, match="in units like dalton nm"):
         set_inertia(system, positions, bodies, 100, 3 * [5.0] * unit.dalton)
