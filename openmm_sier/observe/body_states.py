@@ -1,11 +1,11 @@
-"""Self-describing HDF5 files of the bodies' phase points. Needs h5py, an extra.
+"""Self-describing HDF5 files of the bodies' phase points. Requires the extra h5py.
 
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
 masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
 bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). With names of bodies also name
-(n,), empty for those that have none. Attributes of the root are the
-conventions and units (`CONVENTIONS`), and `wrapped`: whether centres are wrapped into the box.
+(n,), empty for bodies without one. Attributes of the root are the conventions and units (`CONVENTIONS`), and `wrapped`:
+whether centres are wrapped into the box.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from openmm_sier.system.boxes import wrapped
 if TYPE_CHECKING:
     import h5py
 
-#: Attributes of the root, besides `wrapped`.
+#: Attributes of the root, except `wrapped`.
 CONVENTIONS = {
     "layout": 1,
     "program": "openmm_sier",
@@ -41,10 +41,10 @@ CONVENTIONS = {
     "dalton nm^2/ps; heat in kJ/mol",
 }
 
-#: Names of bodies, each with the particle indices of one.
+#: Names of bodies with their particle indices.
 Names = SelectedBodies | Mapping[str, Sequence[int]] | None
 
-#: Size of a chunk in numbers, 64 kB.
+#: Numbers per chunk, 64 kB.
 CHUNK = 8192
 
 
@@ -52,9 +52,9 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     """Return the bodies of a Context at its last completed step, by the names of the datasets over frames.
 
     Args:
-        context: of an integrator of this package, or of a `OpenMMIntegrator`.
-        state: a State of it.
-        unwrapped: centres as they are in the Context, along continuous paths; otherwise their images in the box.
+        context: a Context with an integrator of this package or an `OpenMMIntegrator`.
+        state: a State of the Context.
+        unwrapped: whether centres follow continuous paths, as in the Context, or are wrapped into the box.
 
     Raises:
         TypeError: the Context has another integrator.
@@ -65,7 +65,7 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     from scipy.spatial.transform import Rotation
 
     turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
-    found: dict[str, ArrayLike] = {
+    datasets: dict[str, ArrayLike] = {
         "step": state.getStepCount(),
         "time": state.getTime().value_in_unit(unit.picosecond),
         "q": motion.q.T,
@@ -76,25 +76,25 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     }
     if context.getSystem().usesPeriodicBoundaryConditions():
         box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
-        found["box"] = box
+        datasets["box"] = box
         if not unwrapped:
-            found["q"] = wrapped(motion.q.T, box)
-    return {name: np.asarray(values) for name, values in found.items()}
+            datasets["q"] = wrapped(motion.q.T, box)
+    return {name: np.asarray(values) for name, values in datasets.items()}
 
 
 def names_of(bodies: BodySet, names: Names) -> list[str]:
-    """Return for each body its name, or an empty one.
+    """Return the name of each body, empty for unnamed bodies.
 
     Args:
-        bodies: in whose order the names are.
+        bodies: the bodies.
         names: see `Names`; virtual sites may be among the particles.
 
     Raises:
-        ValueError: particles that have a name are not exactly one body.
+        ValueError: the particles of a name are not exactly one body.
     """
-    found = [""] * bodies.n
+    labels = [""] * bodies.n
     if names is None:
-        return found
+        return labels
     pairs = zip(names.names, names.atoms, strict=True) if isinstance(names, SelectedBodies) else names.items()
     for name, particles in pairs:
         atoms = np.asarray(list(particles), dtype=np.int64)
@@ -103,27 +103,27 @@ def names_of(bodies: BodySet, names: Names) -> list[str]:
         is_whole = len(numbers) == 1 and len(inside) == len(atoms) and np.isin(bodies.atoms_of(numbers[0]), atoms).all()
         if not is_whole:
             raise ValueError(
-                f"names must be those of whole bodies: {name!r} has atoms {as_ranges(atoms)}, which are not one body "
+                f"names must belong to whole bodies, but {name!r} has atoms {as_ranges(atoms)}, which are not one body "
                 f"of {bodies!r}"
             )
-        found[numbers[0]] = name
-    return found
+        labels[numbers[0]] = name
+    return labels
 
 
 def begin(
     file: h5py.File, bodies: BodySet, frame: Mapping[str, np.ndarray], unwrapped: bool, names: Names = None
 ) -> None:
-    """Describe the bodies in an empty file, or check that a file with frames goes on with these.
+    """Describe the bodies in an empty file, or check that a file can be continued with these bodies.
 
     Args:
-        file: open for writing.
+        file: file open for writing.
         bodies: the bodies of the frames.
-        frame: the first one that will be appended.
+        frame: the first frame to be appended.
         unwrapped: see `body_frame`.
-        names: of bodies; a file that is continued keeps those that it has.
+        names: names of bodies; a continued file keeps its names.
 
     Raises:
-        ValueError: the file has another layout or wrapping, or is of other bodies; or names are not those of bodies.
+        ValueError: the file has another layout, wrapping or other bodies; or names do not belong to whole bodies.
     """
     named = names_of(bodies, names)
     conventions = CONVENTIONS | {"wrapped": "no" if unwrapped or "box" not in frame else "into the box"}
@@ -132,22 +132,22 @@ def begin(
         for name, values in _constants(bodies).items():
             file[name] = values
         if any(named):
-            # As bytes of UTF-8, which every reader of HDF5 knows as text.
+            # Bytes of UTF-8, which every HDF5 reader accepts as text.
             file["name"] = [name.encode() for name in named]
         for name, values in frame.items():
-            # There may be no bodies, and a chunk is never empty.
+            # There may be no bodies, but chunks must not be empty.
             most = [max(1, size) for size in values.shape]
             growing = {"maxshape": (None, *most), "chunks": (max(1, CHUNK // math.prod(most)), *most)}
             file.create_dataset(name, (0, *values.shape), values.dtype, **growing)
     for name, expected in conventions.items():
-        if (there := file.attrs.get(name)) != expected:
-            raise ValueError(f"{name} is {there}, expected {expected}")
+        if (present := file.attrs.get(name)) != expected:
+            raise ValueError(f"{name} is {present}, expected {expected}")
     if not np.array_equal(file["masses"], bodies.masses) or not np.array_equal(file["moments"], bodies.moments.T):
-        raise ValueError(f"its {len(file['masses'])} bodies are not those of this System")
+        raise ValueError(f"its {len(file['masses'])} bodies are not the bodies of this System")
 
 
 def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
-    """Write a frame, and flush it: the file of a run that was killed can be read; the last frame may be damaged."""
+    """Write and flush a frame, so that the file is readable after a kill; only the last frame may be damaged."""
     for name, values in frame.items():
         file[name].resize(len(file[name]) + 1, axis=0)
         file[name][-1] = values
@@ -155,10 +155,19 @@ def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
 
 
 def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
-    """Return the constants of all frames, by the names of datasets."""
+    """Return datasets that are the same for all frames, by name."""
     sizes = [len(species.atoms) for species in bodies.species]
-    found = {"species": np.repeat(np.arange(len(sizes)), sizes), "masses": bodies.masses, "moments": bodies.moments.T}
+    datasets = {
+        "species": np.repeat(np.arange(len(sizes)), sizes),
+        "masses": bodies.masses,
+        "moments": bodies.moments.T,
+    }
     for number, species in enumerate(bodies.species):
-        parts = {"atoms": species.atoms, "masses": species.masses, "sites": species.sites.T, "moments": species.moments}
-        found |= {f"species_{number}/{name}": values for name, values in parts.items()}
-    return found
+        arrays = {
+            "atoms": species.atoms,
+            "masses": species.masses,
+            "sites": species.sites.T,
+            "moments": species.moments,
+        }
+        datasets |= {f"species_{number}/{name}": values for name, values in arrays.items()}
+    return datasets

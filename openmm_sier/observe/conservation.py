@@ -1,4 +1,4 @@
-"""Conserved quantities and temperatures of a simulation: the columns of the command's log and of our reporter."""
+"""Conserved quantities and temperatures of a simulation: columns of the command's log and of ConservationReporter."""
 
 import math
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ POTENTIAL, CONSERVED = "Potential Energy (kJ/mole)", "Conserved Energy (kJ/mole)
 #: Columns of the temperatures of translation, of rotation and of flexible molecules.
 TEMPERATURES = ("Translational Temperature (K)", "Rotational Temperature (K)", "Flexible Temperature (K)")
 
-#: All columns, with the names and units of OpenMM's StateDataReporter where it has them.
+#: All columns, named as in OpenMM's StateDataReporter where possible.
 COLUMNS = (
     "Step",
     "Time (ps)",
@@ -46,14 +46,14 @@ def density(mass: float, volume: Volume) -> Volume:
 
 
 def sier_integrator(context: openmm.Context) -> SIERIntegrator | OpenMMIntegrator:
-    """Return the integrator of a Context, one of this package or a `OpenMMIntegrator`.
+    """Return the integrator of a Context, a `SIERIntegrator` or `OpenMMIntegrator`.
 
     Raises:
-        TypeError: it is of another kind.
+        TypeError: the Context has another integrator.
     """
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERIntegrator | OpenMMIntegrator):
-        raise TypeError(f"this report needs a SIER integrator, but the Context has a {type(integrator).__name__}")
+        raise TypeError(f"this report requires a SIER integrator, but the Context has a {type(integrator).__name__}")
     return integrator
 
 
@@ -65,17 +65,17 @@ def columns(integrator: openmm.Integrator) -> tuple[str, ...]:
 def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[float, ...]:
     """Return values of `columns` at the last completed step.
 
-    The kinetic energy is that of all motion. The conserved energy is the total energy less the heat that a
-    thermostat and volume moves of this package gave, with velocities of whole steps
-    (`SIERIntegrator.getWholeStepState`). Thermostats and barostats of OpenMM do not count their heat: where one acts,
-    the conserved energy is NaN.
-    Temperatures follow the rule of `openmm_sier.system.temperature`; those of an integrator of this package are what
-    its `computeTemperatures` gives. Angular momentum is about the origin, with positions as they are in the Context;
-    periodic boundaries do not conserve it. Volume and density are NaN for a System without periodic boundaries.
+    The kinetic energy includes all motion. The conserved energy is the total energy minus the heat from thermostats and
+    volume moves of this package, with velocities of whole steps (`SIERIntegrator.getWholeStepState`). Thermostats and
+    barostats of OpenMM do not count their heat: the conserved energy is NaN if one acts. Temperatures follow the rule
+        of
+    `openmm_sier.system.temperature`, or `computeTemperatures` of an integrator of this package. Angular momentum is
+    about the origin, with the positions of the Context; periodic boundaries do not conserve it. Volume and density are
+    NaN for a System without periodic boundaries.
 
     Args:
-        context: of an integrator of this package, or of a `OpenMMIntegrator`.
-        observed: a State of it with energies; None asks for one, which costs an evaluation of the energy.
+        context: a Context with a `SIERIntegrator` or `OpenMMIntegrator`.
+        observed: a State of the Context with energies; None computes one, at the cost of an energy evaluation.
 
     Raises:
         TypeError: the Context has another integrator.
@@ -87,9 +87,9 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     kinetic = sum(bodies.kinetic_energies(motion))
     conserved = kinetic
     if isinstance(integrator, OpenMMIntegrator):
-        found = temperatures(bodies, motion, integrator.conservesMomentum)
+        kelvins = temperatures(bodies, motion, integrator.conservesMomentum)
     else:
-        found = integrator.computeTemperatures().in_kelvin()
+        kelvins = integrator.computeTemperatures().in_kelvin()
         if integrator.scheme.momentum_lag:
             conserved = sum(bodies.kinetic_energies(integrator.getWholeStepState()))
     if checks.gives_uncounted_heat(context):
@@ -103,7 +103,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
         kinetic,
         potential + kinetic,
         potential + conserved - integrator.countedHeat,
-        *found,
+        *kelvins,
         *momentum,
         *angular_momentum,
         volume,
@@ -114,5 +114,5 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
 
 
 def csv_line(values: Iterable[str | float]) -> str:
-    """Return a line of a CSV file: names without commas, numbers in the fewest digits that restore them exactly."""
+    """Return a line of a CSV file: names without commas, and numbers with the fewest digits that represent them."""
     return ",".join(map(str, values)) + "\n"

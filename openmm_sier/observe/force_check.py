@@ -1,4 +1,4 @@
-"""Find Forces that are not the gradient of their energy, which no step makes conserve it."""
+"""Find Forces that are not the gradient of their energy, with which no step conserves it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,34 +11,34 @@ from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.observe.work import Mismatch, Motions
 from openmm_sier.system.find_bodies import RigidBodies
 
-#: Bodies are looked at in so many parts, so that what is wrong in few of many shows too.
+#: Number of groups of bodies that are examined one by one, so that a fault in few of many bodies shows too.
 PARTS = 8
 
-#: Directions in which a part moves at first, and where something seems to be wrong.
+#: Number of directions in which a group moves at first, and after a suspicious mismatch.
 FIRST, MORE = 2, 6
 
-#: A mismatch counts where it is so many times its standard error.
+#: Ratio of a mismatch to its standard error above which it is significant.
 SIGNIFICANT = 5.0
 
-#: kJ/mol/nm. What is wrong by less, as the rounding of terms that are at their minimum, does not count.
+#: Mismatch in kJ/mol/nm below which it does not count, such as rounding of terms at their minimum.
 LEAST = 1e-6
 
-#: At most so many atoms are named.
+#: Maximum number of atoms named in a message.
 NAMED = 12
 
 
 @dataclass(frozen=True)
 class ForceFault:
-    """Describe a Force whose forces are not the gradient of its energy.
+    """Force that is not the gradient of its energy.
 
     Attributes:
-        force: its name and class.
-        number: of the Force in the System.
-        atoms: particle indices of the body on which it is most wrong.
-        body: the name of that body.
+        force: name and class of the Force.
+        number: index of the Force in the System.
+        atoms: particle indices of the body with the largest error.
+        body: name of the body.
         turns: True if the torque on the body is wrong, False if the force is.
-        size: the error, kJ/mol/nm; of a torque, kJ/mol.
-        of: the size of the force or torque itself, in the same unit.
+        size: error of the force, kJ/mol/nm, or torque, kJ/mol.
+        of: magnitude of the force or torque, in the same unit.
     """
 
     force: str
@@ -50,9 +50,9 @@ class ForceFault:
     of: float
 
     def __str__(self) -> str:
-        what, of_unit = ("torque", "kJ/mol") if self.turns else ("force", "kJ/mol/nm")
+        quantity, of_unit = ("torque", "kJ/mol") if self.turns else ("force", "kJ/mol/nm")
         return (
-            f"{self.force}, Force {self.number} of the System, is not the gradient of its energy: the {what} on "
+            f"{self.force}, Force {self.number} of the System, is not the gradient of its energy: the {quantity} on "
             f"{self.body} is {self.of:.2g} {of_unit}, and wrong by about {self.size:.2g}. With such a Force no step "
             "conserves the energy. Try another platform or precision, or other parameters of this Force"
         )
@@ -60,12 +60,12 @@ class ForceFault:
 
 @dataclass(frozen=True)
 class ForceCheck:
-    """Hold what `check_forces` found; print it.
+    """Result of `check_forces`. Print it for a summary.
 
     Attributes:
-        faults: one for each Force that is not the gradient of its energy; empty if all are.
-        checked: names of all Forces that were looked at.
-        tolerance: fraction of the forces on some bodies that may be wrong.
+        faults: Forces that are not the gradient of their energy.
+        checked: names of all Forces examined.
+        tolerance: tolerated relative error of the forces on a group of bodies.
     """
 
     faults: tuple[ForceFault, ...]
@@ -75,36 +75,36 @@ class ForceCheck:
     def __str__(self) -> str:
         if self.faults:
             return "\n".join(f"{fault}." for fault in self.faults)
-        what = ", ".join(self.checked) or "none"
-        return f"All Forces are the gradients of their energies within {100 * self.tolerance:g} %: {what}."
+        names = ", ".join(self.checked) or "none"
+        return f"All Forces are the gradients of their energies within {100 * self.tolerance:g} %: {names}."
 
 
 def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1) -> ForceCheck:
-    """Find Forces that are not the gradient of their energy. Use it when the energy drifts and you do not know why.
+    """Find Forces that are not the gradient of their energy. Use it if the energy drifts for no known reason.
 
     >>> print(check_forces(simulation.context))
     All Forces are the gradients of their energies within 1 %: HarmonicBondForce, NonbondedForce...
 
-    It moves bodies by some hundredths of an Angstrom in random directions, and compares the work of each Force with the
-    change of its energy, on the Context's platform and in its precision. This takes some 350 evaluations of all forces.
-    The Context stays as it is.
+    Bodies are moved by some hundredths of an Angstrom in random directions, and the work of each Force is compared with
+    the change of its energy, on the Context's platform and in its precision. This takes some 350 evaluations of all
+    forces. The Context is not changed.
 
-    It cannot see faults that are smaller than the rounding of energies in single precision, nor a jump of the energy at
-    a cut-off. `prepare_system` names NonbondedForces that have one.
+    Faults smaller than the rounding of energies in single precision cannot be detected, nor can jumps of the energy at
+    a cut-off. `prepare_system` names NonbondedForces with such a jump.
 
     Args:
-        context: a Context with positions and any integrator. Without a SIER integrator, bodies are those of the
+        context: a Context with positions and any integrator. Without a SIER integrator, bodies are defined by the
             System's constraints.
-        tolerance: fraction of the forces on an eighth of all bodies that may be wrong, between 0 and 1.
+        tolerance: tolerated relative error of the forces on an eighth of all bodies, between 0 and 1.
         seed: seed of the random directions.
 
     Returns:
         The faults, with names, atoms and sizes; print it.
 
     Raises:
-        TypeError: `context` is no Context, such as a Simulation.
+        TypeError: `context` is not a Context.
         ValueError: the tolerance is not between 0 and 1.
-        openmm.OpenMMException: an energy or a force is not finite, as where there are no positions, or atoms overlap.
+        openmm.OpenMMException: an energy or force is not finite: positions are not set, or atoms overlap.
     """
     if not isinstance(context, openmm.Context):
         remedy = ": give simulation.context" if hasattr(context, "context") else ""
@@ -116,8 +116,8 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
     names = {number: _name(system.getForce(number)) for number in motions.forces}
     worst: dict[int, _Place] = {}
     for place in _places(motions, bodies):
-        seen = _errors(motions, place, motions.forces, FIRST)
-        doubtful = [number for number, (error, force) in seen.items() if error > tolerance * force]
+        errors = _errors(motions, place, motions.forces, FIRST)
+        doubtful = [number for number, (error, force) in errors.items() if error > tolerance * force]
         for number, (error, force) in _errors(motions, place, doubtful, MORE).items():
             if error > tolerance * force and (number not in worst or error > worst[number].error):
                 worst[number] = place._replace(error=error, force=force)
@@ -128,7 +128,7 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
 
 
 class _Place(NamedTuple):
-    """Hold the numbers of some bodies, how they move, and the error of a Force there; see `_errors`."""
+    """Indices of bodies, whether they turn, and the error and size of a Force on them; see `_errors`."""
 
     bodies: np.ndarray
     turns: bool
@@ -137,7 +137,7 @@ class _Place(NamedTuple):
 
 
 def _places(motions: Motions, bodies: BodySet) -> Iterator[_Place]:
-    """Divide all bodies into parts, each of which is shifted, and turned where bodies can turn."""
+    """Yield groups of bodies to be shifted, and groups of bodies to be turned."""
     for turns in (False, True):
         able = np.flatnonzero(motions.radii > 0) if turns else np.arange(bodies.n)
         for part in np.array_split(able, min(PARTS, max(1, len(able)))):
@@ -146,25 +146,25 @@ def _places(motions: Motions, bodies: BodySet) -> Iterator[_Place]:
 
 
 def _errors(motions: Motions, place: _Place, numbers: list[int], times: int) -> dict[int, tuple[float, float]]:
-    """Return for each Force what is wrong with it on the bodies of a place, and itself, as norms, kJ/mol/nm.
+    """Return the error and the size of each Force on the bodies of a place, as norms, kJ/mol/nm.
 
-    The error is zero where it is not significant.
+    Insignificant errors are zero.
     """
     if not numbers:
         return {}
     along = [motions.along(place.bodies, numbers, place.turns) for _ in range(times)]
-    return {number: _error([found[number] for found in along]) for number in numbers}
+    return {number: _error([mismatches[number] for mismatches in along]) for number in numbers}
 
 
-def _error(found: list[Mismatch]) -> tuple[float, float]:
-    means, errors, forces = np.array(found).T
+def _error(mismatches: list[Mismatch]) -> tuple[float, float]:
+    means, errors, forces = np.array(mismatches).T
     square, noise = (means**2).mean(), (errors**2).mean()
     is_significant = np.isfinite(square) and square > SIGNIFICANT**2 * noise + LEAST**2
     return (float(np.sqrt(square - noise)) if is_significant else 0.0), float(np.sqrt((forces**2).mean()))
 
 
 def _located(motions: Motions, number: int, place: _Place) -> _Place:
-    """Find the body of a place on which a Force is most wrong, by halves."""
+    """Find the body of a place with the largest error of a Force, by bisection."""
     while len(place.bodies) > 1:
         halves = [place._replace(bodies=half) for half in np.array_split(place.bodies, 2)]
         errors = [_errors(motions, half, [number], MORE)[number] for half in halves]
@@ -190,5 +190,5 @@ def _name(force: openmm.Force) -> str:
 
 
 def _bodies(context: openmm.Context) -> BodySet:
-    found = getattr(context.getIntegrator(), "bodies", None)
-    return found if isinstance(found, BodySet) else RigidBodies.from_system(context.getSystem())
+    bodies = getattr(context.getIntegrator(), "bodies", None)
+    return bodies if isinstance(bodies, BodySet) else RigidBodies.from_system(context.getSystem())

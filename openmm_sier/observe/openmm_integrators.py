@@ -1,11 +1,11 @@
-"""OpenMM's own integrators, used like this package's: observed at whole steps, and restarted bit for bit.
+"""OpenMM's own integrators with the interface of this package: observed at whole steps, and restarted bit for bit.
 
-OpenMM's Verlet is a leapfrog: the velocities in its Context are those half a step before the positions. Everything here
-refers to whole steps: there velocities are advanced by half a step of the forces, as for OpenMM's own kinetic energy.
+OpenMM's Verlet is a leapfrog: velocities in its Context are half a step earlier than positions. Here velocities are
+advanced by half a step of the forces to whole steps, as for OpenMM's own kinetic energy.
 
-The random numbers of OpenMM's baths and barostats, and the size of its volume moves, are in no State. A run that goes
-on after a checkpoint must nevertheless equal one that is restarted from it. So both begin the noise anew there, with a
-seed derived from the run's seed and the step.
+States contain neither the random numbers of OpenMM's thermostats and barostats nor the size of its volume moves. A run
+continued after a checkpoint must nevertheless equal one restarted from it. So both reseed the noise at the checkpoint,
+with a seed derived from the run's seed and the step.
 """
 
 import math
@@ -23,28 +23,28 @@ from openmm_sier.system import tables
 from openmm_sier.system.solver_trial import SolverTrial
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, temperatures
 
-#: Tolerance of constraints; SETTLE is not better than 1e-8.
+#: Constraint tolerance; SETTLE is not more accurate than 1e-8.
 CONSTRAINT_TOLERANCE = 1e-7
 
-#: Steps between two attempts to change the volume, OpenMM's default. The count restarts at each checkpoint.
+#: Steps between two volume moves, OpenMM's default. The count restarts at each checkpoint.
 BAROSTAT_INTERVAL = 25
 
 
 class OpenMMIntegrator(openmm.Integrator):
-    """Give OpenMM's integrators the interface of this package's integrators. Call `bind` before anything else.
+    """OpenMM integrator with the interface of a SIER integrator. Call `bind` first.
 
     Attributes:
         bodies: the rigid bodies of the Context.
-        forceEvaluations: number of steps done, since each needs one.
+        forceEvaluations: number of steps completed, with one force evaluation each.
     """
 
     bodies: BodySet
 
-    #: Whether a bath or barostat of OpenMM gives heat that is not counted.
+    #: Whether a thermostat or barostat of OpenMM adds heat that is not counted.
     _bathed = False
 
     def bind(self, context: openmm.Context, bodies: BodySet) -> None:
-        """Tell the integrator about its Context and the bodies in it."""
+        """Set the Context of the integrator and the bodies in it."""
         self.bodies = bodies
         # The Context holds the integrator.
         self._context = weakref.proxy(context)
@@ -56,7 +56,7 @@ class OpenMMIntegrator(openmm.Integrator):
 
     @property
     def conservesMomentum(self) -> bool:
-        """Return whether the total momentum is conserved, see `MomentumConservation`."""
+        """Whether the total momentum is conserved, see `MomentumConservation`."""
         return self._momentum.holds(self.getIntegrationForceGroups(), self._has_friction())
 
     def _has_friction(self) -> bool:
@@ -76,15 +76,15 @@ class OpenMMIntegrator(openmm.Integrator):
 
     @property
     def countedHeat(self) -> float:
-        """See `SIERIntegrator.countedHeat`: NaN if a bath or barostat of OpenMM gives any."""
+        """See `SIERIntegrator.countedHeat`; NaN if a thermostat or barostat of OpenMM adds heat."""
         return math.nan if self._bathed else 0.0
 
     def computeTemperatures(self) -> Temperatures:
-        """Return temperatures, as `SIERIntegrator.computeTemperatures` gives them."""
+        """Return temperatures; see `SIERIntegrator.computeTemperatures`."""
         return temperatures(self.bodies, self.getBodyState(), self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
-        """Return no further columns of the log."""
+        """Return additional columns of the log: none."""
         return {}
 
 
@@ -108,16 +108,16 @@ def make_integrator(
     friction: float = 1.0,
     pressure: float | None = None,
 ) -> tuple[openmm.System, OpenMMIntegrator]:
-    """Make an integrator of OpenMM, and a copy of a System; add the thermostat and barostat to the copy.
+    """Create an integrator of OpenMM, and a copy of a System with a thermostat and barostat.
 
     Args:
-        system: to be simulated.
-        positions: of its particles, (N, 3), nm.
+        system: System to be simulated.
+        positions: positions of its particles, (N, 3), nm.
         name: "verlet" or "langevinmiddle".
-        step: ps.
-        temperature: K; None at constant energy, which "langevinmiddle" does not have.
-        friction: 1/ps; with Verlet, the collision rate of its AndersenThermostat.
-        pressure: bar, of a MonteCarloBarostat; None at constant volume.
+        step: step, ps.
+        temperature: K; None for constant energy, with "verlet" only.
+        friction: friction, 1/ps; with Verlet, collision rate of the AndersenThermostat.
+        pressure: pressure of a MonteCarloBarostat, bar; None for constant volume.
 
     Raises:
         openmm.OpenMMException: OpenMM cannot satisfy the System's constraints.
@@ -139,34 +139,34 @@ def make_integrator(
 
 
 def seed_noise(system: openmm.System, integrator: openmm.Integrator, seed: int, step: int) -> None:
-    """Set the seeds with which the next Context, or the next `reinitialize`, starts at a given step of a run."""
-    noisy = [one for one in (integrator, *system.getForces()) if hasattr(one, "setRandomNumberSeed")]
-    # OpenMM takes 31 bits, and draws a seed itself where it is given 0.
+    """Set the seeds of an integrator and Forces for the next Context or `reinitialize`, at a given step of a run."""
+    noisy = [source for source in (integrator, *system.getForces()) if hasattr(source, "setRandomNumberSeed")]
+    # OpenMM uses 31 bits, and chooses a random seed for 0.
     words = np.random.SeedSequence([seed, step]).generate_state(len(noisy))
-    for one, word in zip(noisy, words.tolist(), strict=True):
-        one.setRandomNumberSeed(word % (2**31 - 1) + 1)
+    for source, word in zip(noisy, words.tolist(), strict=True):
+        source.setRandomNumberSeed(word % (2**31 - 1) + 1)
 
 
 def continue_as_restart(context: openmm.Context, seed: int) -> None:
-    """Make a Context of a `OpenMMIntegrator` continue from a checkpoint exactly as a restart from it would."""
+    """Make a Context of an `OpenMMIntegrator` continue after a checkpoint exactly like a restart from it."""
     state = context.getState(positions=True, velocities=True, parameters=True)
     seed_noise(context.getSystem(), context.getIntegrator(), seed, context.getStepCount())
-    # Keeping the state here would keep the old noise.
+    # reinitialize(preserveState=True) would keep the old noise.
     context.reinitialize()
     context.setState(state)
 
 
 def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:
-    """Return the state of the bodies at a whole step, from atoms that one of OpenMM's integrators moves.
+    """Return the state of the bodies at a whole step of an OpenMM integrator.
 
     Raises:
         NotFiniteError, RigidityError: the positions do not form the bodies.
     """
-    integrator, now = context.getIntegrator(), Snapshot.of(context)
-    q, A = bodies.fit(now.positions)
-    p, L = bodies.momenta(now.velocities, A)
+    integrator, snapshot = context.getIntegrator(), Snapshot.of(context)
+    q, A = bodies.fit(snapshot.positions)
+    p, L = bodies.momenta(snapshot.velocities, A)
     if isinstance(integrator, openmm.VerletIntegrator):
-        # Constraint forces need not be known: within a body they exert no net force or torque, and between bodies the
+        # Constraint forces are not needed: within a body they exert no net force or torque, and between bodies the
         # projection replaces them.
         F, tau = bodies.forces_and_torques(_forces(context), A)
         half = 0.5 * integrator.getStepSize().value_in_unit(unit.picosecond)
@@ -178,8 +178,8 @@ def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:
 def shift_velocities(context: openmm.Context, time: float) -> None:
     """Advance the velocities of a Context by its forces over a time in ps, which may be negative.
 
-    Half a step back turns velocities at whole steps into those that OpenMM's Verlet starts from; half a step forward
-    undoes this.
+    Half a step backwards turns velocities at whole steps into the initial velocities of OpenMM's Verlet; half a step
+    forwards reverts this.
     """
     masses, velocities = tables.masses(context.getSystem()), Snapshot.of(context).velocities
     massive = masses > 0

@@ -1,8 +1,8 @@
-"""The molecular pressure tensor of a periodic box: from the momenta of centres, and the energy change under strain.
+"""Molecular pressure tensor of a periodic box, from momenta of molecules and the energy change under strain.
 
 V P = sum over molecules of p p^T/M - dU/d(strain), where centres follow the box and molecules keep their shape. With
-periodic boundaries the sum of centres times forces is not this virial: it lacks the change of the box. U is therefore
-differentiated as a whole, including its sums over periodic images and its correction for long-range dispersion.
+periodic boundaries the sum of centres times forces is not this virial, since it lacks the change of the box. Therefore
+the total U is differentiated, including sums over periodic images and the long-range dispersion correction.
 """
 
 import numpy as np
@@ -25,19 +25,19 @@ COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 #: derivative causes an error of 0.5 bar at this strain, and the rounding of energies in single precision one of 5 bar.
 STRAIN = 1e-3
 
-#: Columns of a file of pressure tensors.
+#: Columns of PressureReporter.
 COLUMNS = ("Step", "Time (ps)", *(f"Pressure {'xyz'[i]}{'xyz'[j]} (bar)" for i, j in COMPONENTS), "Box Volume (nm^3)")
 
 
 class MolecularPressure:
-    """Compute the molecular pressure tensor of the simulation in one Context.
+    """Molecular pressure tensor of the simulation in a Context.
 
     >>> pressure = MolecularPressure(simulation.context)
     >>> components = pressure.components(simulation.context.getState(positions=True, velocities=True))
 
-    It computes energies in a second Context of the same System on the same Platform, so that the first stays as it is.
-    A tensor costs 12 energy evaluations. It follows changes of global parameters and of the integrator's force groups,
-    but not those by `updateParametersInContext` after it was made.
+    Energies are computed in a second Context of the same System on the same Platform, so that the first is not changed.
+    A tensor costs 12 energy evaluations. Changes of global parameters and of the integrator's force groups are
+    followed, but not later calls of `updateParametersInContext`.
     """
 
     def __init__(self, context: openmm.Context) -> None:
@@ -46,8 +46,8 @@ class MolecularPressure:
             context: a Context of a periodic System.
 
         Raises:
-            ValueError: the System is not periodic, has molecules without mass, or a force that holds particles to
-                fixed places or is not defined in the strained boxes.
+            ValueError: the System is not periodic, has massless molecules, or a Force that ties particles to fixed
+                points or is not defined in strained boxes.
         """
         system = context.getSystem()
         _check(system)
@@ -96,13 +96,13 @@ class MolecularPressure:
             for stretch, turn in pair:
                 self._context.setPeriodicBoxVectors(*_reduced(box @ stretch.T))
                 self._context.setPositions((centres @ stretch.T)[self._owners] + arms @ turn.T)
-                found = self._context.getState(energy=True, groups=groups)
-                energies.append(found.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole))
+                strained = self._context.getState(energy=True, groups=groups)
+                energies.append(strained.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole))
             slopes.append((energies[0] - energies[1]) / (2 * STRAIN))
         return np.array(slopes)
 
     def _follow(self, box: np.ndarray, positions: np.ndarray) -> None:
-        """Bring the second Context to the state of the first, without memory of earlier states."""
+        """Copy the state of the first Context to the second, without memory of earlier states."""
         follow_parameters(self._source, self._context)
         if self._forgets:
             self._context.setPeriodicBoxVectors(*box)
@@ -111,17 +111,15 @@ class MolecularPressure:
 
 
 def _check(system: openmm.System) -> None:
-    needs = "a pressure tensor needs"
+    needs = "a pressure tensor requires"
     if not system.usesPeriodicBoundaryConditions():
         raise ValueError(f"{needs} a System with periodic boundary conditions, but this one has none")
     for force in (entry.force for entry in all_forces(system)):
         if isinstance(force, openmm.CustomExternalForce):
-            raise ValueError(
-                f"{needs} forces that act between particles, and the System has a CustomExternalForce: remove it"
-            )
-        # OpenMM's Ewald sums are for rectangular boxes only, which it checks only when a Context is created.
+            raise ValueError(f"{needs} forces between particles, but the System has a CustomExternalForce: remove it")
+        # OpenMM supports Ewald sums only in rectangular boxes, and checks this only when a Context is created.
         if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.Ewald:
-            raise ValueError(f"{needs} PME: OpenMM has Ewald sums for rectangular boxes only. Take nonbondedMethod=PME")
+            raise ValueError(f"{needs} nonbondedMethod=PME: OpenMM supports Ewald sums only in rectangular boxes")
 
 
 def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,14 +135,14 @@ def _molecules(context: openmm.Context, masses: np.ndarray) -> tuple[np.ndarray,
     totals = np.bincount(owners, masses)
     if (totals == 0).any():
         atom = int(np.flatnonzero(totals[owners] == 0)[0])
-        raise ValueError(f"a pressure tensor needs molecules that move, but the molecule of atom {atom} has no mass")
+        raise ValueError(f"a pressure tensor requires moving molecules, but the molecule of atom {atom} has no mass")
     return owners, totals
 
 
 def _strain(axes: tuple[int, int], size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stretch of box and centres, and the turn of molecules, for a symmetric strain of one component.
+    """Return the stretch of box and centres, and the rotation of molecules, for a symmetric strain of one component.
 
-    OpenMM's boxes have upper triangular deformations only, so that the strained box is turned into that form. Turning
+    OpenMM's boxes allow only upper triangular deformations, so the strained box is rotated into that form. Rotating
     everything, molecules included, does not change the energy.
     """
     strained = np.eye(3)

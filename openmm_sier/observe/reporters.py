@@ -1,4 +1,4 @@
-"""Reporters for OpenMM's Simulation that know about rigid bodies."""
+"""Reporters of rigid bodies for OpenMM's Simulation."""
 
 import os
 from os import PathLike
@@ -11,12 +11,12 @@ from openmm_sier.observe import body_states, conservation, pressure
 from openmm_sier.system.arguments import whole_number
 from openmm_sier.system.user_warnings import warn
 
-#: Bytes; rows are shorter.
+#: Maximum length of a row, bytes.
 LONGEST_ROW = 2**16
 
 
 class _Reporter:
-    """OpenMM's protocol for all reporters: the steps between reports, and the parts of the State that they need."""
+    """Base class with OpenMM's protocol of reporters."""
 
     INCLUDE: tuple[str, ...] = ()
 
@@ -30,9 +30,9 @@ class _Reporter:
 
 
 class _TableReporter(_Reporter):
-    """Write rows of numbers, the first of which counts steps, as CSV."""
+    """Reporter of rows of numbers, the first of which is the step, as CSV."""
 
-    #: The first columns of a file.
+    #: First columns of a file.
     COLUMNS: tuple[str, ...]
 
     def __init__(self, file: str | PathLike[str], reportInterval: int, append: bool = False) -> None:
@@ -40,33 +40,33 @@ class _TableReporter(_Reporter):
         Args:
             file: path of the CSV file.
             reportInterval: number of steps between two rows, at least 1.
-            append: True continues an existing file without a second header. An incomplete last row, as a killed run
-                leaves it, is removed with a warning. False replaces the file.
+            append: True continues an existing file without a second header, and removes an incomplete last row of a
+                killed run with a warning. False replaces the file.
 
         Raises:
-            ValueError: the interval is not a whole number of at least 1, or the file to be continued has other columns.
+            ValueError: the interval is not a whole number of at least 1, or the existing file has other columns.
             OSError: the file cannot be opened.
         """
         super().__init__(reportInterval)
         self._path = Path(file)
         continued = append and self._path.exists() and self._path.stat().st_size
-        self._header = self._columns_there() if continued else None
+        self._header = self._read_columns() if continued else None
         if continued:
             self._cut_incomplete_row()
         self._out = self._path.open("a" if append else "w", newline="\n")
 
-    def _columns_there(self) -> tuple[str, ...]:
+    def _read_columns(self) -> tuple[str, ...]:
         with self._path.open() as file:
             heading = file.readline()
         if not heading.endswith("\n"):
             raise ValueError(f"{self._path} cannot be continued: its heading was cut off. Remove the file")
-        found = heading.rstrip().split(",")
-        if tuple(found[: len(self.COLUMNS)]) != self.COLUMNS:
+        names = heading.rstrip().split(",")
+        if tuple(names[: len(self.COLUMNS)]) != self.COLUMNS:
             raise ValueError(
-                f"{self._path} cannot be continued: it has {len(found)} columns that begin with "
-                f"{', '.join(found[:3])}, expected the {len(self.COLUMNS)} of {type(self).__name__}"
+                f"{self._path} cannot be continued: it has {len(names)} columns that begin with "
+                f"{', '.join(names[:3])}, expected the {len(self.COLUMNS)} columns of {type(self).__name__}"
             )
-        return tuple(found)
+        return tuple(names)
 
     def _cut_incomplete_row(self) -> None:
         with self._path.open("r+b") as file:
@@ -101,16 +101,17 @@ class _TableReporter(_Reporter):
 
 
 class ConservationReporter(_TableReporter):
-    """Write conserved quantities and the temperatures of translation and rotation as CSV.
+    """Reporter of conserved quantities and of temperatures of translation and rotation, as CSV.
 
     >>> simulation.reporters.append(ConservationReporter("run.csv", 10))
 
-    The columns are those of the log of `openmm-sier run`, `openmm_sier.observe.conservation.COLUMNS`, and those that
-    the integrator adds, such as the acceptance of hybrid Monte Carlo. `openmm_sier.observe.conservation.row` describes
+    The columns are `openmm_sier.observe.conservation.COLUMNS`, as in the log of `openmm-sier run`, and additional ones
+    of the integrator, such as the acceptance of hybrid Monte Carlo. `openmm_sier.observe.conservation.row` describes
     them, and `openmm_sier.analysis.read_log` reads the file.
 
     At constant energy the conserved and the total energy may differ by a constant, 3/2 kT on average: `createSystem`
-    adds a CMMotionRemover, which stops the drift of the whole box in the first step, and that energy counts as heat.
+    adds a CMMotionRemover, which stops the drift of the box in the first step, and the energy of the drift counts as
+    heat.
     """
 
     COLUMNS = conservation.COLUMNS
@@ -120,18 +121,18 @@ class ConservationReporter(_TableReporter):
         """Write one row, and flush it.
 
         Raises:
-            ValueError: the file to be continued is that of another kind of integrator.
+            ValueError: the existing file belongs to another kind of integrator.
         """
         self._write(conservation.columns(simulation.integrator), conservation.row(simulation.context, state))
 
 
 class PressureReporter(_TableReporter):
-    """Write the molecular pressure tensor of a periodic box, in bar, as CSV; for any integrator and any molecules.
+    """Reporter of the molecular pressure tensor of a periodic box, in bar, as CSV, for any integrator and molecules.
 
     >>> simulation.reporters.append(PressureReporter("pressure.csv", 5))
 
-    `openmm_sier.observe.pressure` says how it is computed. A row costs 12 energy evaluations, in a separate Context:
-    the run is bit-identical to one without this reporter. The columns are `openmm_sier.observe.pressure.COLUMNS`.
+    See `openmm_sier.observe.pressure` for the method. A row costs 12 energy evaluations, in a separate Context: the run
+    is bit-identical to one without this reporter. The columns are `openmm_sier.observe.pressure.COLUMNS`.
     """
 
     COLUMNS = pressure.COLUMNS
@@ -151,12 +152,12 @@ class PressureReporter(_TableReporter):
 
 
 class BodyStateReporter(_Reporter):
-    """Write the bodies' centres, attitudes and momenta to an HDF5 file. Needs the extra `openmm-sier[hdf5]`.
+    """Reporter of the bodies' centres, attitudes and momenta to an HDF5 file. Requires the extra `openmm-sier[hdf5]`.
 
     >>> simulation.reporters.append(BodyStateReporter("run.h5", 10))
 
-    `openmm_sier.observe.body_states` says what the file holds. Every frame is flushed, so that the file of a run that
-    was killed can be read.
+    See `openmm_sier.observe.body_states` for the format. Every frame is flushed, so that the file of a killed run is
+    readable.
     """
 
     def __init__(
@@ -171,26 +172,26 @@ class BodyStateReporter(_Reporter):
         Args:
             file: path of the HDF5 file, which is replaced unless `append` is true.
             reportInterval: number of steps between two frames, at least 1.
-            append: True continues after the last frame of the file, which must have the same bodies. A file that is
-                missing or has no frame is begun.
-            unwrapped: True writes centres as they are in the Context, along continuous paths. False moves each centre
-                into the periodic box, as OpenMM's trajectories do by default (`enforcePeriodicBox`).
-            names: names of bodies for the file, as `select_bodies` returned them, or a mapping of names to the particle
-                indices of a body each. Other bodies have an empty name.
+            append: True continues after the last frame of the file, which must have the same bodies. A missing or empty
+                file is started.
+            unwrapped: True writes centres along continuous paths, as in the Context. False wraps each centre into the
+                periodic box, as OpenMM's trajectories do by default (`enforcePeriodicBox`).
+            names: names of bodies, as returned by `select_bodies`, or a mapping from names to particle indices. Other
+                bodies have an empty name.
 
         Raises:
-            ValueError: the interval is not a whole number of at least 1; at the first report, the file to be continued
-                has other bodies, or a name is not that of one body.
+            ValueError: the interval is not a whole number of at least 1; at the first report, the existing file has
+                other bodies, or a name does not belong to exactly one body.
             ModuleNotFoundError: h5py is missing.
         """
         super().__init__(reportInterval)
         try:
             import h5py
         except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("body states need h5py: pip install 'openmm-sier[hdf5]'") from error
+            raise ModuleNotFoundError("BodyStateReporter requires h5py: pip install 'openmm-sier[hdf5]'") from error
         self._path, self._unwrapped, self._names = Path(file), unwrapped, names
         self._begun = False
-        # The oldest file format does not mark files as open for writing; the mark would lock readers out after a kill.
+        # The oldest file format does not mark files as open for writing; a mark would lock out readers after a kill.
         self._file = h5py.File(self._path, "a" if append else "w", libver="earliest")
         self._file.flush()
 

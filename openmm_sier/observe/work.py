@@ -1,7 +1,7 @@
-"""The work that each Force of a Context does along a short motion of bodies, less what its energy loses there.
+"""Compare the work of each Force of a Context with its energy change along short motions of bodies.
 
-Bodies move on straight lines and turn about fixed axes, each in a random direction. Where forces are the gradient of an
-energy the difference is zero, to the rounding of the platform.
+Bodies move on straight lines and turn about fixed axes, each in a random direction. If forces are the gradient of an
+energy, work and energy loss agree within the rounding of the platform.
 """
 
 import math
@@ -16,26 +16,26 @@ from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.second_context import second_context
 
-#: nm. Atoms move about so far to either side of where they are. Differences of energies in single precision need as
-#: much, and Simpson's rule follows the steepest repulsion over it to 1e-5.
+#: Typical displacement of atoms to either side, nm: large enough for energy differences in single precision, and small
+#: enough for Simpson's rule to follow the steepest repulsion to 1e-5.
 REACH = 5e-3
 
-#: A motion is divided into so many segments. What is rounding, or a pair that crosses a cut-off, differs between them.
+#: Number of segments of a motion. Rounding, or a pair that crosses a cut-off, differs between them.
 SEGMENTS = 5
 
-#: OpenMM has 32 force groups. One is for all Forces that are not looked at.
+#: Number of Forces examined in one Context: OpenMM has 32 force groups, and one is for all other Forces.
 BATCH = 31
 
 _FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
 class Mismatch(NamedTuple):
-    """Hold the work of forces less the loss of energy, for each nm of a motion in given directions.
+    """Work of forces minus loss of energy, per nm of a motion in given directions.
 
     Attributes:
-        mean: over the segments of the motion, kJ/mol/nm.
-        error: standard error of the mean, by the scatter of the segments.
-        force: the norm of what moves the bodies in such directions, kJ/mol/nm.
+        mean: mean over the segments of the motion, kJ/mol/nm.
+        error: standard error of the mean, from the scatter of the segments.
+        force: norm of the forces on the bodies, or torques over radii, kJ/mol/nm.
     """
 
     mean: float
@@ -44,26 +44,26 @@ class Mismatch(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """Velocities of bodies, (n, 3), and their rates of rotation, (n, 3), along a motion."""
+    """Velocities, (n, 3), and angular velocities, (n, 3), of bodies along a motion."""
 
     velocity: np.ndarray
     spin: np.ndarray
 
 
 class Motions:
-    """Random motions of some bodies, and what Forces do along them.
+    """Random motions of bodies, with work and energies of Forces along them.
 
     Attributes:
-        forces: numbers of the Forces of the System that exert forces.
-        radii: of gyration of the bodies, not weighted by mass, (n,), nm; 0 for points.
+        forces: indices of the Forces of the System that exert forces.
+        radii: radii of gyration of the bodies, not weighted by mass, (n,), nm; 0 for points.
     """
 
     def __init__(self, context: openmm.Context, bodies: BodySet, seed: int):
         """
         Args:
-            context: with positions; it is not changed.
-            bodies: what moves in it.
-            seed: of the random directions.
+            context: a Context with positions; it is not changed.
+            bodies: its bodies.
+            seed: seed of the random directions.
         """
         self._random, self._n = np.random.default_rng(seed), bodies.n
         state = context.getState(positions=True)
@@ -81,32 +81,32 @@ class Motions:
         self._contexts = [(batch, _by_groups(context, batch)) for batch in batches]
 
     def along(self, members: np.ndarray, numbers: Sequence[int], turns: bool) -> dict[int, Mismatch]:
-        """Move bodies in random directions, and measure what Forces do.
+        """Move bodies in random directions, and return the mismatch of each Force.
 
         Args:
-            members: numbers of the bodies that move, (m,).
-            numbers: of the Forces.
-            turns: whether the bodies turn about their centres, or are shifted.
+            members: indices of the moving bodies, (m,).
+            numbers: indices of the Forces.
+            turns: whether the bodies turn about their centres or are shifted.
 
         Raises:
             openmm.OpenMMException: an energy or a force is not finite.
         """
         directions = self._directions(members, turns)
         times = REACH * np.linspace(-1, 1, 2 * SEGMENTS + 1)
-        found = {}
+        mismatches = {}
         for batch, context in self._contexts:
             groups = {number: 1 << group for group, number in enumerate(batch) if number in numbers}
             points = [self._evaluate(context, groups, directions, time) for time in times] if groups else []
             for number in groups:
                 energies, powers, forces = np.array([point[number] for point in points]).T
-                found[number] = _mismatch(energies, powers, forces[SEGMENTS], times[1] - times[0])
-        return found
+                mismatches[number] = _mismatch(energies, powers, forces[SEGMENTS], times[1] - times[0])
+        return mismatches
 
     def _directions(self, members: np.ndarray, turns: bool) -> Directions:
         moves = Directions(*np.zeros((2, self._n, 3)))
         random = self._random.standard_normal((len(members), 3))
         if turns:
-            # Atoms move as far as they do by shifts.
+            # Atoms move as far as by shifts.
             radii = self.radii[members, None]
             moves.spin[members] = np.divide(random, radii, out=np.zeros_like(random), where=radii > 0)
         else:
@@ -116,7 +116,7 @@ class Motions:
     def _evaluate(
         self, context: openmm.Context, groups: dict[int, int], moves: Directions, time: float
     ) -> dict[int, tuple[float, float, float]]:
-        """Return for each Force its energy, its power along the motion, and the norm of what moves the bodies."""
+        """Return energy, power along the motion, and norm of forces or torques over radii, for each Force."""
         velocity, spin = moves.velocity[self._owners], moves.spin[self._owners]
         arms = _turned(self._arms, spin * time)
         positions = self._positions.copy()
@@ -124,7 +124,7 @@ class Motions:
         context.setPositions(positions)
         context.computeVirtualSites()
         speeds = velocity + np.cross(spin, arms)
-        found = {}
+        results = {}
         for number, group in groups.items():
             state = context.getState(energy=True, forces=True, groups=group)
             energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
@@ -136,11 +136,11 @@ class Motions:
                     "close to them. Set positions first; if atoms overlap, minimize the energy"
                 )
             acting = self._acting(forces, arms, moves)
-            found[number] = energy, float((forces * speeds).sum()), float(np.linalg.norm(acting))
-        return found
+            results[number] = energy, float((forces * speeds).sum()), float(np.linalg.norm(acting))
+        return results
 
     def _acting(self, forces: np.ndarray, arms: np.ndarray, moves: Directions) -> np.ndarray:
-        """Return forces on the bodies that are shifted, and torques over radii on those that turn."""
+        """Return forces on shifted bodies, and torques over radii on turning bodies."""
         shifted, turned = (moves.velocity != 0).any(axis=1), (moves.spin != 0).any(axis=1)
         torques = self._sums(np.cross(arms, forces))[turned] / self.radii[turned, None]
         return np.concatenate([self._sums(forces)[shifted], torques])
@@ -151,14 +151,14 @@ class Motions:
 
 
 def _mismatch(energies: np.ndarray, powers: np.ndarray, force: float, interval: float) -> Mismatch:
-    """Compare energies and powers at equally spaced points, two for each segment and one more."""
+    """Return the mismatch from energies and powers at equally spaced points, two per segment and one more."""
     work = interval / 3 * (powers[:-2:2] + 4 * powers[1:-1:2] + powers[2::2])
     each = (work + np.diff(energies[::2])) / (2 * interval)
     return Mismatch(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))), float(force))
 
 
 def _by_groups(context: openmm.Context, batch: Sequence[int]) -> openmm.Context:
-    """Make a Context of the same System in which each Force of a batch has a group of its own, in their order."""
+    """Return a Context of the same System in which each Force of a batch has a separate group, in order."""
     system = openmm.XmlSerializer.clone(context.getSystem())
     for number, force in enumerate(system.getForces()):
         force.setForceGroup(batch.index(number) if number in batch else BATCH)

@@ -162,7 +162,7 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
     """
     whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
     if not whole or isinstance(value, bool) or value < 0:
-        raise ValueError(f"{name} must be a nonnegative whole number, got {value!r}")
+        raise ValueError(f"{name} must be a whole number of at least 0, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")
     if value > most:

@@ -192,7 +192,7 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch, engin
 def test_trials_that_are_long_do_not_go_on():
     assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
     assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
-    with pytest.raises(ValueError, match="extraChances must be a nonnegative whole number, got -1"):
+    with pytest.raises(ValueError, match="extraChances must be a whole number of at least 0, got -1"):
         SIERHMCIntegrator(300, 0.009, extraChances=-1)
 
 

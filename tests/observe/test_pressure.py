@@ -233,7 +233,7 @@ def test_refusals(tmp_path, box):
         topology, system, SIERIntegrator(0.0005, "SIER2"), "Reference", (positions, 0 * positions)
     )
     simulation.reporters.append(PressureReporter(tmp_path / "p.csv", 1))
-    with pytest.raises(ValueError, match="needs a System with periodic boundary conditions"):
+    with pytest.raises(ValueError, match="requires a System with periodic boundary conditions"):
         simulation.step(1)
     held = with_forces(box[1], openmm.CustomExternalForce("x"))
     with pytest.raises(ValueError, match="has a CustomExternalForce"):

@@ -211,7 +211,7 @@ def test_body_states_have_the_names_of_domains(tmp_path):
         path = tmp_path / f"{number}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, names=names))
         if number > 1:
-            with pytest.raises(ValueError, match=f"{number}.h5 cannot be begun: names must be those of whole bodies"):
+            with pytest.raises(ValueError, match=f"{number}.h5 cannot be begun: names must belong to whole bodies"):
                 simulation.step(1)
             continue
         simulation.step(1)
@@ -294,7 +294,7 @@ def test_body_states_are_continued(tmp_path, box):
     topology, positions, system = cluster_system(4)
     other = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), "Reference", (positions, 0 * positions))
     other.reporters.append(BodyStateReporter(path, 1, append=True))
-    with pytest.raises(ValueError, match=r"bodies.h5 cannot be continued: its 59 bodies are not those of this System"):
+    with pytest.raises(ValueError, match=r"bodies.h5 cannot be continued: its 59 bodies are not the bodies of this System"):
         other.step(1)
 
 

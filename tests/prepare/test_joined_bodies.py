@@ -66,9 +66,7 @@ def test_an_integrator_without_the_bodies_of_the_preparation_is_refused(kind, en
     lists = [atoms for atoms in lists if len(atoms) > 1]
     copied = openmm.XmlSerializer.clone(system)
     for others in (None, lists[1:], [lists[0][1:], *lists[1:]]):
-        with pytest.raises(
-            RigidityError, match=r"prepared this System for a rigid body with atoms \d+ and \d+, but"
-        ):
+        with pytest.raises(RigidityError, match=r"prepared this System for a rigid body with atoms \d+ and \d+, but"):
             openmm.Context(copied, SIERLangevinIntegrator(300, 1, 0.01, bodies=others, engine=engine), platform())
     for same in (bodies, lists):
         context = openmm.Context(copied, SIERLangevinIntegrator(300, 1, 0.01, bodies=same), platform())

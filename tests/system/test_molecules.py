@@ -141,7 +141,7 @@ def test_bonds_of_the_topology_alone_count_too(peptide):
 
 def test_positions_of_another_shape_are_refused(peptide):
     _, positions, systems = peptide
-    with pytest.raises(ValueError, match=rf"shape \({len(positions)}, 3\) of the System.s particles, got \(5, 3\)"):
+    with pytest.raises(ValueError, match=rf"shape \({len(positions)}, 3\), one row per particle, got \(5, 3\)"):
         make_whole(systems["none"], positions[:5])
 
 
