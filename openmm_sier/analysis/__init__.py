@@ -1,4 +1,4 @@
-"""Makes many runs, and turns finished ones into numbers: logs, means with errors, viscosity, data for validation."""
+"""Make many runs and analyse finished ones: logs, means with errors, viscosity, diffusion, data for validation."""
 
 from openmm_sier.analysis.logs import read_log
 from openmm_sier.analysis.many_runs import run_many

@@ -1,4 +1,4 @@
-"""Reads the logs of runs: tables of numbers in CSV, with a heading."""
+"""Read the logs of runs: CSV tables of numbers with a heading."""
 
 import io
 import os
@@ -16,14 +16,14 @@ def read_log(path: str | os.PathLike[str], *, whole_lines: bool = False) -> dict
 
     Args:
         path: the CSV file.
-        whole_lines: True leaves out a last line without its end, as a killed run writes it; False refuses it.
+        whole_lines: True skips an incomplete last line of a killed run; False refuses it.
 
     Returns:
-        An array (rows,) for each name in the heading.
+        Arrays (rows,) by the names in the heading.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: a row has no numbers, or not as many as the heading has names.
+        ValueError: a row contains something else than numbers, or not as many as the heading has names.
     """
     with io.TextIOWrapper(open_regular(path)) as file:
         columns = file.readline().rstrip().split(",")

@@ -1,4 +1,4 @@
-"""Energy conservation of a run: its error, defined once. The drift is `statistics.slope_and_error`.
+"""Energy errors of a run. For the drift see `statistics.slope_and_error`.
 
 Temperatures are in `openmm_sier.system.temperature`, since integrators report them too.
 """
@@ -9,47 +9,47 @@ import numpy as np
 
 from openmm_sier.analysis.statistics import rms
 
-#: Length in ps of the blocks whose means show how far the energy walks. It is far above the periods of librations and
-#: of hydrogen bonds, with which the energy of a step oscillates.
+#: Length in ps of the blocks whose means show the random walk of the energy, far above the periods of librations and
+#: hydrogen bonds, with which the energy oscillates.
 BLOCK = 1.0
 
-#: Fewest values in a block.
+#: Minimum number of values in a block.
 FEWEST = 8
 
 
 def energy_error(total: np.ndarray, potential: np.ndarray) -> float:
-    """Return rms(H)/rms(V), the energy error; H and V are taken about their means over the whole run.
+    """Return rms(H)/rms(V), the energy error, with H and V relative to their means over the run.
 
     Source: van Zon and Schofield (2007), section IV.
 
     Args:
-        total: what is conserved, kJ/mol, (n,).
-        potential: kJ/mol, (n,).
+        total: conserved energy, kJ/mol, (n,).
+        potential: potential energy, kJ/mol, (n,).
 
     Returns:
-        NaN for fewer than three values, or where the potential energy is constant.
+        The error; NaN for fewer than three values, or if the potential energy is constant.
     """
     return _over_fluctuation(rms(total), potential)
 
 
-def _over_fluctuation(found: float, potential: np.ndarray) -> float:
+def _over_fluctuation(deviation: float, potential: np.ndarray) -> float:
     spread = rms(potential) if len(potential) > 2 else 0.0
-    return found / spread if spread > 0 else math.nan
+    return deviation / spread if spread > 0 else math.nan
 
 
 def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """Return the energy error within 1 ps: H is taken about a straight line in each block.
+    """Return the energy error within 1 ps, with H relative to a straight line in each block.
 
-    It tells a step that is too long where H may drift or walk for good reasons, as it does with a heat bath. Blocks are
-    longer where they would have fewer than `FEWEST` values.
+    It detects too long a step even if H drifts or walks for legitimate reasons, as with a heat bath. Blocks are longer
+    if they would have fewer than `FEWEST` values.
 
     Args:
-        time: ps, (n,), evenly spaced.
-        total: what is conserved, kJ/mol, (n,).
-        potential: kJ/mol, (n,), about its mean over the whole run.
+        time: times, ps, (n,), evenly spaced.
+        total: conserved energy, kJ/mol, (n,).
+        potential: potential energy, kJ/mol, (n,); its fluctuation is relative to the mean over the run.
 
     Returns:
-        NaN for fewer than three values, or where the potential energy is constant.
+        The error; NaN for fewer than three values, or if the potential energy is constant.
     """
     rest = []
     for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
@@ -67,12 +67,12 @@ def energy_walk(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> f
     """Return the energy error without its oscillations: the scatter of means of H over 1 ps, divided by rms(V).
 
     Args:
-        time: ps, (n,), evenly spaced.
-        total: what is conserved, kJ/mol, (n,).
-        potential: kJ/mol, (n,).
+        time: times, ps, (n,), evenly spaced.
+        total: conserved energy, kJ/mol, (n,).
+        potential: potential energy, kJ/mol, (n,).
 
     Returns:
-        NaN for a run of fewer than three blocks, or where the potential energy is constant.
+        The error; NaN for fewer than three blocks, or if the potential energy is constant.
     """
     means = np.array([block.mean() for block in blocks(time, total)])
     return _over_fluctuation(rms(means), potential) if len(means) > 2 else math.nan

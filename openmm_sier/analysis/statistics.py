@@ -1,4 +1,4 @@
-"""Estimates: values with standard errors. Of means of series, of slopes, by the jackknife, over runs."""
+"""Estimates with standard errors: means of series, means over runs, slopes, and the jackknife."""
 
 from __future__ import annotations
 
@@ -11,40 +11,39 @@ import numpy as np
 
 from openmm_sier.dynamics.correlation import inefficiency, is_constant
 
-#: Independent samples below which an error means little. A series so short does not show how long it remembers.
+#: Number of independent samples below which an error means little: so short a series hides its correlation time.
 FEWEST = 20
 
-#: Number of groups that the jackknife leaves out in turn.
+#: Number of groups omitted one by one in the jackknife.
 GROUPS = 40
 
-#: Runs from which on their scatter tells the error of their mean.
+#: Number of runs from which their scatter gives the error of the mean.
 ENOUGH_RUNS = 5
 
-#: Number of beginnings of a series that are tried when it is asked where it settled.
+#: Number of initial segments of a series that are tested for equilibration.
 BEGINNINGS = 50
 
-#: The longest of them, as a share of the series. A shorter rest does not show how long it remembers.
+#: Length of the longest initial segment, as a fraction of the series. A shorter rest would hide its correlation time.
 LONGEST_BEGINNING = 0.5
 
-#: Standard errors by which the mean of a beginning differs from that of the rest before it counts as not settled; and
-#: independent values of the rest at which twice as many are asked for, since few of them seem to have a shorter memory
-#: and less scatter than they have. Of series without a trend one in a hundred then seems to have one, and of those that
-#: also have a slow part which a run hardly shows, one in twenty.
+#: Difference in standard errors between the means of an initial segment and of the rest above which the segment is not
+#: equilibrated; and number of independent values in the rest at which the threshold is doubled, because short series
+#: underestimate their correlation time and scatter. Of series without a trend one in a hundred then seems to have one,
+#: and of series with a slow component that a run hardly shows, one in twenty.
 UNSETTLED, FEW_SETTLED = 4.0, 10
 
-#: Standard errors of a trend that is left out of a series too short to tell.
+#: Trend in standard errors above which initial segments of a series too short to decide are discarded.
 DOUBTFUL = 2.0
 
 
 class Estimate(NamedTuple):
-    """Hold a value and its standard error; print it.
+    """Value with a standard error. Print it for a summary.
 
     Attributes:
-        value: NaN if there is none.
-        error: NaN if it is unknown, 0 for what does not fluctuate.
-        samples: number of independent samples that the error was found from; infinite if they were not counted. An
-            error from fewer than `FEWEST` is too small on average: from 5 samples it is 0.8 of what it should be, from
-            2 samples half.
+        value: the value; NaN if there is none.
+        error: standard error; NaN if unknown, 0 for constant quantities.
+        samples: number of independent samples behind the error; infinite if they were not counted. An error from fewer
+            than `FEWEST` is too small on average: 0.8 of the true error from 5 samples, half of it from 2.
     """
 
     value: float
@@ -52,7 +51,7 @@ class Estimate(NamedTuple):
     samples: float = math.inf
 
     def __str__(self) -> str:
-        """Show two digits of the error, marked by ≥ where it is from few samples, and by ? where it is unknown."""
+        """Return text with two digits of the error, marked by ≥ if it is from few samples, or ? if it is unknown."""
         if math.isnan(self.value):
             return "-"
         if not math.isfinite(self.error):
@@ -66,12 +65,12 @@ class Estimate(NamedTuple):
         return f"{self.value:.{digits}f} ± {'≥' if self.samples < FEWEST else ''}{self.error:.{digits}f}"
 
     def times(self, factor: float) -> Estimate:
-        """Return value and error times a factor, for another unit."""
+        """Return the estimate times a factor, for another unit."""
         return self._replace(value=self.value * factor, error=self.error * abs(factor))
 
 
 def format_number(value: float, digits: int = 4) -> str:
-    """Return a number with so many significant digits, and without an exponent from 1e-4 to 1e7.
+    """Return a number with `digits` significant digits, and without an exponent from 1e-4 to 1e7.
 
     >>> format_number(-12345.6), format_number(0.0123456, digits=2)
     ('-12346', '0.012')
@@ -121,7 +120,7 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
     >>> print(pooled([Estimate(1.0, 0.3), Estimate(2.0, 0.4)]))
     1.50 ± 0.25
 
-    The error is from their scatter if there are `ENOUGH_RUNS`, else from their errors.
+    The error is from the scatter of at least `ENOUGH_RUNS` runs, or else from the errors of the runs.
     """
     values, errors, samples = np.array(estimates, dtype=float).T
     if is_constant(values) and not errors.any():
@@ -134,15 +133,15 @@ def pooled(estimates: Sequence[Estimate]) -> Estimate:
 def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
     """Return the mean over runs, with an error from their scatter or, for few runs, from their errors.
 
-    Where few runs have no errors, their scatter is taken all the same, and marked as of few samples.
+    If few runs have no errors, their scatter is used nevertheless, and the error is marked as from few samples.
     """
     if len(values) == 1:
         return values[0]
     estimates = [value if isinstance(value, Estimate) else Estimate(value, math.nan) for value in values]
-    found = pooled(estimates)
-    if math.isfinite(found.error):
-        return found
-    return of_independent(np.array([each.value for each in estimates]))._replace(samples=len(values))
+    mean = pooled(estimates)
+    if math.isfinite(mean.error):
+        return mean
+    return of_independent(np.array([estimate.value for estimate in estimates]))._replace(samples=len(values))
 
 
 def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:
@@ -152,9 +151,9 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
     >>> variance = jackknife(lambda kept: values[kept].var(), len(values))
 
     Args:
-        estimate: takes the indices of samples and returns a number.
-        n: number of samples; each is a group of its own if there are fewer than `groups`.
-        groups: how many, of neighbouring samples. In a series each must be longer than the correlation time.
+        estimate: function of the indices of samples that returns a number.
+        n: number of samples; each is a group by itself if there are fewer than `groups`.
+        groups: number of groups of neighbouring samples. In a series each must be longer than the correlation time.
     """
     value, k = estimate(np.arange(n)), min(n, groups)
     if k < 2:
@@ -164,14 +163,14 @@ def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GRO
     return Estimate(value, math.sqrt(k - 1) * float(np.std(left_out)))
 
 
-# --- what has not settled ---
+# --- equilibration ---
 
 
 class Settling(NamedTuple):
-    """The beginning of the part of a series that fluctuates about one mean.
+    """Equilibrated part of a series, which fluctuates about one mean.
 
     Attributes:
-        begin: index of its first value; the length of the series if that has a trend to its end.
+        begin: index of its first value; the length of the series if a trend continues to the end.
         samples: number of independent values in it. Fewer than `FEWEST` do not show a trend.
     """
 
@@ -182,10 +181,10 @@ class Settling(NamedTuple):
 def settled_from(series: np.ndarray) -> int:
     """Return the index from which a series (n,) fluctuates about one mean; 0 if it does so from the start.
 
-    It is where the rest has the most independent values, if the mean of what comes before differs from that of the rest
-    by more than chance gives it. A series whose rest still has a trend has not settled: its length is returned.
+    The index maximizes the number of independent values in the rest, if the means before and after it differ
+    significantly. If the rest still has a trend, the series has not settled, and its length is returned.
 
-    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as `pymbar.timeseries.detect_equilibration` has it.
+    Source: Chodera, J. Chem. Theory Comput. 12, 1799 (2016), as in `pymbar.timeseries.detect_equilibration`.
 
     >>> series = np.random.default_rng(1).normal(size=1000)
     >>> series[:100] += 20
@@ -196,11 +195,11 @@ def settled_from(series: np.ndarray) -> int:
 
 
 def settling(series: np.ndarray) -> Settling:
-    """Return the part of a series (n,) that fluctuates about one mean, as `settled_from`, and its independent values.
+    """Return the equilibrated part of a series (n,), see `settled_from`, and its number of independent values.
 
-    Where the whole series has enough independent values, a beginning is left out only if its mean differs from that of
-    the rest by `UNSETTLED` standard errors. Where no rest has enough, it is left out until no doubtful trend is left,
-    but at most half of the series.
+    If the whole series has enough independent values, an initial segment is discarded only if its mean differs from
+    that of the rest by `UNSETTLED` standard errors. If no rest has enough, segments are discarded until no doubtful
+    trend is left, up to half of the series.
     """
     values = np.asarray(series, dtype=float)
     n = len(values)
@@ -224,7 +223,7 @@ def settling(series: np.ndarray) -> Settling:
 
 
 def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
-    """Return whether the mean before an index differs from that of the rest by more than chance gives it."""
+    """Return whether the means before and after an index differ significantly."""
     first, rest = values[:begin], values[begin:]
     memory = inefficiency(rest)
     samples = max(1.0, len(rest) / memory)
@@ -233,16 +232,16 @@ def _begins_elsewhere(values: np.ndarray, begin: int) -> bool:
 
 
 def _trend(values: np.ndarray) -> tuple[float, float, float]:
-    """Return how far a straight line through a series rises or falls, its error, and the number of independent values.
+    """Return the rise or fall of a straight line through a series, its error, and the number of independent values.
 
-    Too few values have no trend.
+    The trend of too few values is zero.
     """
     if len(values) < FEWEST:
         return 0.0, 0.0, float(len(values))
     places = np.linspace(-0.5, 0.5, len(values))
     line = np.polyval(np.polyfit(places, values, 1), places)
     samples = len(values) / inefficiency(values - line)
-    # Of the difference between the ends of a line through so many independent values.
+    # The error is that of the difference between the ends of a line through `samples` independent values.
     return abs(line[-1] - line[0]), rms(values - line) * math.sqrt(12 / samples), samples
 
 
@@ -254,7 +253,7 @@ def _is_significant(difference: float, error: float, samples: float) -> bool:
 
 
 def block_means(values: np.ndarray, blocks: int) -> np.ndarray:
-    """Return the means of equal blocks of a series; a remainder that fills no block is left out at its start."""
+    """Return the means of equal blocks of a series; a remainder at the start is left out."""
     values = np.asarray(values, dtype=float)
     length = len(values) // blocks
     return values[len(values) - blocks * length :].reshape(blocks, length).mean(axis=1)
@@ -271,7 +270,7 @@ def slope_and_error(x: np.ndarray, y: np.ndarray, blocks: int = 10) -> Estimate:
     Args:
         x: the first series, (n,).
         y: the second series, (n,).
-        blocks: how many. A series with fewer values has a slope but no error, one of two values or fewer has neither.
+        blocks: number of blocks. With fewer values there is a slope but no error, with fewer than three neither.
     """
     if len(x) < 3:
         return Estimate(math.nan, math.nan)

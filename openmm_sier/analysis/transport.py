@@ -1,4 +1,4 @@
-"""Transport coefficients of liquids: the shear viscosity from pressure tensors, and self-diffusion from places."""
+"""Transport coefficients of liquids: shear viscosity from pressure tensors, and self-diffusion from positions."""
 
 import math
 
@@ -11,43 +11,43 @@ from openmm_sier.dynamics.correlation import mean_products
 #: 1 nm^2/ps in 10^-9 m^2/s, and kJ/mol/(nm^3) ps in mPa s.
 NM2_PER_PS, KJ_PER_NM3_PS = 1e3, 1.66053907e-3
 
-#: The constant of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004),
+#: Constant of a cubic lattice with a neutralizing background (Yeh and Hummer, J. Phys. Chem. B 108, 15873 (2004),
 #: Eq. 12).
 YEH_HUMMER = 2.837297
 
-#: ps; upper limit of the integral of the pressure's correlation for the viscosity. In liquid water at room temperature,
-#: stress relaxes in some 0.6 ps, so less than a thousandth of the integral lies beyond, while the error grows with the
-#: square root of the limit.
+#: Upper limit in ps of the integral of the pressure's correlation for the viscosity. In liquid water at room
+#: temperature stress relaxes in some 0.6 ps, so less than a thousandth of the integral lies beyond, while the error
+#: grows with the square root of the limit.
 MEMORY = 5.0
 
-#: ps; longest interval between pressures for the viscosity. Water molecules librate with periods of 30 fs and more, and
+#: Maximum interval between pressures for the viscosity, ps. Water molecules librate with periods of 30 fs and more, and
 #: motion as fast as the interval is mistaken for slow motion. The error is 0.1 % at 20 fs, 0.4 % at 24 fs and 1 % at
 #: 30 fs in SPC/E.
 COARSEST = 0.03
 
-#: Most parts of a run that tell the error of its viscosity.
+#: Maximum number of parts of a run whose scatter gives the error of its viscosity.
 PARTS = 8
 
-#: Displacements to which the slope for self-diffusion is fitted; more would hardly lower its error.
+#: Number of displacements in the fit of the slope for self-diffusion; more would hardly lower its error.
 SLOPE_POINTS = 11
 
 
 class TooShortError(ValueError):
-    """A run is too short, or has too few frames, for a property."""
+    """Run that is too short, or has too few frames, for a property."""
 
 
 def shear_viscosity(
     tensors: np.ndarray, interval: float, volume: float, temperature: float, last: float = MEMORY
 ) -> Estimate:
-    """Compute the shear viscosity, mPa s, by the formula of Green and Kubo.
+    """Return the shear viscosity, mPa s, by the Green-Kubo formula.
 
     >>> tensors = np.random.default_rng(1).normal(scale=500, size=(2000, 6))
     >>> viscosity = shear_viscosity(tensors, interval=0.02, volume=15.4, temperature=297)
 
-    Five components of the traceless pressure tensor are independent, and fluctuate alike in a liquid. The error is from
-    the scatter of their integrals in up to eight parts of the run, each at least ten times as long as `last`. The upper
-    limit of the integral is given, not read off the integral, where noise would choose it. Integrals are by the
-    trapezoidal rule, which is exact where nothing in the correlation is as fast as the interval.
+    The five independent components of the traceless pressure tensor fluctuate alike in a liquid. The error is from the
+    scatter of their integrals in up to eight parts of the run, each at least ten times as long as `last`. The upper
+    limit of the integral is fixed in advance: noise would affect a choice from the integral itself. Integrals use the
+    trapezoidal rule, which is exact if nothing in the correlation is as fast as the interval.
 
     Args:
         tensors: pressure tensors, (n, 6), bar, components xx, yy, zz, xy, xz and yz.
@@ -62,12 +62,12 @@ def shear_viscosity(
     Source: Daivis and Evans, J. Chem. Phys. 100, 541 (1994), the sum over all components.
     """
     if interval > COARSEST * (1 + 1e-9):
-        raise TooShortError(f"viscosity needs pressures {COARSEST:g} ps apart or less, got {interval:g} ps")
+        raise TooShortError(f"viscosity needs pressures at most {COARSEST:g} ps apart, got {interval:g} ps")
     n, lags = len(tensors), max(1, round(last / interval))
     if n < 2 * lags:
         raise TooShortError(
-            f"viscosity needs a run of {2 * last:g} ps or more, got {n * interval:g} ps; for an error of a few per "
-            "cent it needs many times that"
+            f"viscosity needs a run of at least {2 * last:g} ps, got {n * interval:g} ps; an error of a few per cent "
+            "needs a run many times as long"
         )
     xx, yy, zz, xy, xz, yz = np.asarray(tensors, dtype=float).T * BAR
     shears = np.stack([xy, xz, yz, (xx - yy) / 2, (xx + yy - 2 * zz) / math.sqrt(12)])
@@ -80,18 +80,18 @@ def shear_viscosity(
 
 
 def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, last: float = 5.0) -> Estimate:
-    """Compute the coefficient of self-diffusion in the periodic box, 10^-9 m^2/s, by Einstein's relation.
+    """Return the self-diffusion coefficient in the periodic box, 10^-9 m^2/s, by the Einstein relation.
 
     >>> walks = np.random.default_rng(1).normal(scale=0.02, size=(300, 64, 3)).cumsum(axis=0)
     >>> diffusion = self_diffusion(walks, interval=0.1)
 
     Each frame is an origin from which the mean square displacement gives a slope. The result is the mean of these
-    slopes, its error that of a correlated series. Later displacements would add more noise than information.
+    slopes, with the error of a correlated series. Longer times would add more noise than information.
 
     Args:
         centres: centres of m molecules in n frames, (n, m, 3), nm, along continuous paths; see `unwrapped`.
         interval: time between frames, ps.
-        first: shortest time for the slope, ps; before it molecules rattle in their cages.
+        first: shortest time for the slope, ps; at shorter times molecules rattle in their cages.
         last: longest time for the slope, ps.
 
     Raises:
@@ -99,8 +99,8 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
     """
     if len(centres) * interval <= 3 * last or interval > last / 5 * (1 + 1e-9):
         raise TooShortError(
-            f"self-diffusion needs a run of more than {3 * last:g} ps, got {len(centres) * interval:g} ps, and a frame "
-            f"every {last / 5:g} ps or more often, got one every {interval:g} ps"
+            f"self-diffusion needs a run of more than {3 * last:g} ps, got {len(centres) * interval:g} ps, and frames "
+            f"at most {last / 5:g} ps apart, got {interval:g} ps"
         )
     lags = np.unique(np.linspace(first / interval, last / interval, SLOPE_POINTS).round().astype(int))
     origins = len(centres) - lags[-1]
@@ -113,23 +113,23 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
 
 
 def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Follow positions (n, m, 3) through the faces of rectangular boxes of edges (n, 3), without the mean motion.
+    """Return continuous paths of positions (n, m, 3) in rectangular boxes of edges (n, 3), without the mean motion.
 
     >>> paths = unwrapped(np.array([[[0.9, 0, 0], [0, 0, 0]], [[0.1, 0, 0], [0, 0, 0]]]), np.ones((2, 3)))
 
-    Each step is the shortest one in the box at its end, which keeps diffusion correct where the box changes.
+    Each step is the shortest one in the box at its end, which keeps diffusion correct if the box changes.
 
     Source: von Bülow, Bullerjahn and Hummer, J. Chem. Phys. 153, 021101 (2020).
     """
     steps = np.diff(np.asarray(wrapped, dtype=float), axis=0)
-    now = edges[1:, None]
-    steps -= now * np.round(steps / now)
+    box_edges = edges[1:, None]
+    steps -= box_edges * np.round(steps / box_edges)
     steps -= steps.mean(axis=1, keepdims=True)
     return np.concatenate([wrapped[:1], wrapped[:1] + np.cumsum(steps, axis=0)])
 
 
 def without_finite_size(diffusion: Estimate, temperature: float, edge: float, viscosity: Estimate) -> Estimate:
-    """Correct a coefficient of self-diffusion in a cubic box for the size of the box, 10^-9 m^2/s.
+    """Return a self-diffusion coefficient corrected for the size of a cubic box, 10^-9 m^2/s.
 
     >>> print(without_finite_size(Estimate(2.3, 0.02), temperature=297, edge=2.5, viscosity=Estimate(0.9, 0.05)))
     2.574 ± 0.025

@@ -191,15 +191,15 @@ def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[t
     """Leave out residues, and return what to say of it."""
     if not names:
         return []
-    there = _names(fixer.topology)
+    counts = _names(fixer.topology)
     for name in names:
-        if name not in there:
-            raise ForceFieldError(f"{path} has no residue {name} to leave out; it has {' '.join(sorted(there))}")
-    found = [residue for residue in fixer.topology.residues() if residue.name in names]
+        if name not in counts:
+            raise ForceFieldError(f"{path} has no residue {name} to leave out; it has {' '.join(sorted(counts))}")
+    left_out = [residue for residue in fixer.topology.residues() if residue.name in names]
     modeller = app.Modeller(fixer.topology, fixer.positions)
-    modeller.delete(found)
+    modeller.delete(left_out)
     fixer.topology, fixer.positions = modeller.topology, modeller.positions
-    return [("residues left out", ", ".join(f"{there[name]} {name}" for name in dict.fromkeys(names)))]
+    return [("residues left out", ", ".join(f"{counts[name]} {name}" for name in dict.fromkeys(names)))]
 
 
 def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
@@ -207,7 +207,7 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
     changes = []
     fixer.findMissingResidues()
     chains = list(fixer.topology.chains())
-    kept: dict[tuple[int, int], list[str]] = {}
+    retained: dict[tuple[int, int], list[str]] = {}
     for (chain, place), names in fixer.missingResidues.items():
         residues = list(chains[chain].residues())
         inside = 0 < place < len(residues)
@@ -216,9 +216,9 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
         else:
             where = f"{'before' if place == 0 else 'after'} {_named(residues[0 if place == 0 else -1])}"
         is_added = inside or ends
-        kept |= {(chain, place): names} if is_added else {}
+        retained |= {(chain, place): names} if is_added else {}
         changes.append(("residues added" if is_added else "missing at an end, left out", f"{len(names)} {where}"))
-    fixer.missingResidues = kept
+    fixer.missingResidues = retained
     fixer.findNonstandardResidues()
     replaced = Counter((residue.name, by) for residue, by in fixer.nonstandardResidues)
     changes += [("residues replaced", f"{count} {name} by {by}") for (name, by), count in replaced.items()]

@@ -52,8 +52,8 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
     if kind not in _READERS:
         raise ForceFieldError(f"{path} is {kind}, but coordinates are expected")
     with refusing(f"cannot read {path} as {kind}"):
-        found = _READERS[kind](str(path))
-    return found._replace(box=box_of(path, found.box, edges))
+        coordinates = _READERS[kind](str(path))
+    return coordinates._replace(box=box_of(path, coordinates.box, edges))
 
 
 def _amber(path: str) -> Coordinates:
@@ -84,7 +84,7 @@ def _state(path: str) -> Coordinates:
 _READERS = {AMBER_COORDINATES: _amber, GRO: _gro, CRD: _crd, STATE: _state}
 
 
-def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topology, source: str | Path) -> None:
+def refuse_other_atoms(path: str | Path, coordinates: Coordinates, topology: app.Topology, source: str | Path) -> None:
     """Refuse coordinates that are not those of the atoms of a topology.
 
     Their numbers must agree, and in residues of several atoms the elements, as far as names tell them.
@@ -96,12 +96,12 @@ def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topol
     Raises:
         ForceFieldError: naming the first atom that differs.
     """
-    number, expected = len(found.positions), topology.getNumAtoms()
+    number, expected = len(coordinates.positions), topology.getNumAtoms()
     if number != expected:
         raise ForceFieldError(f"{path} has {number} atoms, but {source} has {expected}")
-    for atom, name in zip(topology.atoms(), found.names, strict=False):
-        one, two = (_letter(each) for each in (atom.name, name))
-        if one and two and one != two and len(atom.residue) > 1:
+    for atom, name in zip(topology.atoms(), coordinates.names, strict=False):
+        expected_letter, letter = (_letter(text) for text in (atom.name, name))
+        if expected_letter and letter and expected_letter != letter and len(atom.residue) > 1:
             raise ForceFieldError(
                 f"{path} has {name} where {source} has {named_atom(atom)}: are the atoms in another order?"
             )

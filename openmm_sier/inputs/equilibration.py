@@ -140,13 +140,13 @@ def prepare(
             f"minimized to {energy:.5g} kJ/mol: the largest force on a molecule was {strongest:.3g} kJ/mol/nm, and is "
             f"{_strongest_force(context):.3g}"
         )
-    found = equilibrate(context, temperature, seed, time, report)
+    outcome = equilibrate(context, temperature, seed, time, report)
     stop_centre_of_mass(context)
-    if found.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
-        _set_energy(context, temperature, found.means.potential)
+    if outcome.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
+        _set_energy(context, temperature, outcome.means.potential)
     context.setTime(0)
     context.setStepCount(0)
-    return found
+    return outcome
 
 
 def _strongest_force(context: openmm.Context) -> float:
@@ -207,12 +207,12 @@ def equilibrate(
         )
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that no short one counts as much as a long one.
-    each = math.ceil(steps / max(1, round(steps * step / WINDOW)))
+    window_steps = math.ceil(steps / max(1, round(steps * step / WINDOW)))
     windows: list[Means] = []
     done, settled = 0, False
     with report.progress(f"equilibration at {temperature:g} K", steps, step) as advance:
         while done < steps and not (settled and time is None):
-            length = min(each, steps - done)
+            length = min(window_steps, steps - done)
             windows.append(_window(bath, length, advance, done))
             done += length
             settled = _has_settled(windows, temperature, dof)
@@ -221,10 +221,10 @@ def equilibrate(
     doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
     described = _describe(last, done * step, temperature, dof) if done else ""
     _copy_atoms_and_box(context, bath)
-    found = Equilibration(done * step, last, settled, doubtful, described)
+    outcome = Equilibration(done * step, last, settled, doubtful, described)
     if done:
-        _tell(found, report)
-    return found
+        _report(outcome, report)
+    return outcome
 
 
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
@@ -302,16 +302,16 @@ def _describe(means: Means, time: float, temperature: float, dof: DegreesOfFreed
     return f"{time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {min(2 * WINDOW, time):.2g} ps"
 
 
-def _tell(found: Equilibration, report: Report) -> None:
+def _report(outcome: Equilibration, report: Report) -> None:
     """Tell of an equilibration, with a warning of a doubtful one."""
-    if found.doubtful:
+    if outcome.doubtful:
         warnings.warn(
-            f"not equilibrated after {found.described}: a temperature is out of bounds, or the potential energy still "
+            f"not equilibrated after {outcome.described}: a temperature is out of bounds, or the potential energy still "
             "changes. Equilibrate for longer, and minimize the energy first if you have not",
             EquilibrationWarning,
             stacklevel=4,
         )
-    report.note(f"equilibrated for {found.described}" + ("" if found.settled else "; not settled"))
+    report.note(f"equilibrated for {outcome.described}" + ("" if outcome.settled else "; not settled"))
 
 
 def stop_centre_of_mass(context: openmm.Context) -> None:
@@ -334,7 +334,7 @@ def _set_energy(context: openmm.Context, temperature: float, potential: float) -
     bodies, conserved = integrator.bodies, integrator.conservesMomentum
     state = context.getState(energy=True, velocities=True)
     thermal = 0.5 * sum(degrees_of_freedom(bodies, conserved)) * GAS_CONSTANT * temperature
-    now = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-    wanted, there = thermal + potential - now, sum(thermal_energies(bodies, integrator.getBodyState(), conserved))
-    if wanted > LEAST_MOTION * thermal and there > 0:
-        context.setVelocities(state.getVelocities(asNumpy=True) * math.sqrt(wanted / there))
+    present = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    target, kinetic = thermal + potential - present, sum(thermal_energies(bodies, integrator.getBodyState(), conserved))
+    if target > LEAST_MOTION * thermal and kinetic > 0:
+        context.setVelocities(state.getVelocities(asNumpy=True) * math.sqrt(target / kinetic))

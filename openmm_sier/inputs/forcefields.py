@@ -329,12 +329,12 @@ def warn_about_thin_box(path: str | Path, box: Box) -> None:
         path: of the coordinates.
         box: that was read from them.
     """
-    found = density_of(box)
-    if found is None or found >= THINNEST or not meshed_forces(box.system):
+    box_density = density_of(box)
+    if box_density is None or box_density >= THINNEST or not meshed_forces(box.system):
         return
     end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
     warn(
-        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {found:.2g} g/ml, less "
+        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {box_density:.2g} g/ml, less "
         f"than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is wrong"
     )
 

@@ -136,7 +136,7 @@ _READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile
 def _box_of_topology(
     source: _Source, files: Sequence[str | Path], constraints: str | None, interactions: Interactions
 ) -> Box:
-    path, found, topology, kind = source
+    path, coordinates, topology, kind = source
     if kind_of(path) == STATE:
         raise ForceFieldError(
             f"{path} is {STATE} and needs a System of OpenMM as its topology, but {topology} is {kind}: give the "
@@ -150,21 +150,21 @@ def _box_of_topology(
         )
     parameters = [forcefields.locate(str(file), path.parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
-        file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
+        file = _READERS[kind](str(topology), periodicBoxVectors=coordinates.box)
         create = file.createSystem
         if kind == PSF:
             # OpenMM's other readers add no bonds that constraints hold by themselves.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
-    if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
+    if coordinates.box is None and file.topology.getPeriodicBoxVectors() is not None:
         raise ForceFieldError(
             f"{path} has no periodic box, but {topology} was made for one: give coordinates with their box, or its "
             "`edges` (--edges)"
         )
-    refuse_other_atoms(path, found, file.topology, topology)
+    refuse_other_atoms(path, coordinates, file.topology, topology)
     if kind == TOP:
         _warn_about_rigid_water(topology, file)
     try:
-        system = forcefields.build_system(create, found.box, constraints, interactions)
+        system = forcefields.build_system(create, coordinates.box, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{topology}: {error}") from error
     return _box(source, system, file.topology, files)
@@ -185,7 +185,7 @@ def _warn_about_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
 
 
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
-    path, found, topology, kind = source
+    path, coordinates, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
         with open_regular(topology) as file:
             system = read_system(file)
@@ -195,14 +195,14 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
             raise ForceFieldError(
                 f"{topology} has a {force.getName()}, but the run sets the ensemble: remove this Force from the System"
             )
-    named = found.topology or _topology_of(system)
-    refuse_other_atoms(path, found._replace(names=()), named, topology)
+    named = coordinates.topology or _topology_of(system)
+    refuse_other_atoms(path, coordinates._replace(names=()), named, topology)
     _refuse_other_masses(path, system, named, topology)
     if not system.usesPeriodicBoundaryConditions():
         named.setPeriodicBoxVectors(None)
     else:
-        if found.box is not None:
-            system.setDefaultPeriodicBoxVectors(*found.box)
+        if coordinates.box is not None:
+            system.setDefaultPeriodicBoxVectors(*coordinates.box)
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         named.setPeriodicBoxVectors(vectors * unit.nanometer)
     forcefields.finish_system(system, interactions)
@@ -234,10 +234,10 @@ def _topology_of(system: openmm.System) -> app.Topology:
     """
     topology, kinds = app.Topology(), {"OHH": "HOH"}
     chain, masses = topology.addChain(), tables.masses(system)
-    for centre, found in hydrogens(system).items():
+    for centre, bonded in hydrogens(system).items():
         # What heavy hydrogens have is from these.
-        masses[centre] += (masses[found] - HYDROGEN).sum()
-        masses[found] = HYDROGEN
+        masses[centre] += (masses[bonded] - HYDROGEN).sum()
+        masses[bonded] = HYDROGEN
     for molecule in _molecules(system):
         elements = [app.Element.getByMass(masses[i]) if masses[i] > 0 else None for i in molecule]
         symbols = [element.symbol if element else "X" for element in elements]
@@ -252,7 +252,7 @@ def _molecules(system: openmm.System) -> list[list[int]]:
     """Return the particles of each molecule, in their order; a molecule whose particles are apart comes in parts."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
-    return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
+    return [list(run) for _, run in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
 
 
 # --- what was read ---
@@ -287,12 +287,12 @@ def _included(topology: Path) -> Iterator[Path]:
     """Return files that a top file includes from beside it, and those that these include; relative to it."""
     if kind_of(topology) != TOP:
         return
-    pending, seen = [Path(topology.name)], set()
+    pending, reached = [Path(topology.name)], set()
     while pending:
         including = pending.pop()
         for name in _INCLUDED.findall((topology.parent / including).read_text(errors="replace")):
-            found = next((p for p in (Path(name), including.parent / name) if (topology.parent / p).is_file()), None)
-            if found is not None and found not in seen:
-                seen.add(found)
-                pending.append(found)
-                yield found
+            included = next((p for p in (Path(name), including.parent / name) if (topology.parent / p).is_file()), None)
+            if included is not None and included not in reached:
+                reached.add(included)
+                pending.append(included)
+                yield included

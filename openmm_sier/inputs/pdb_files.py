@@ -138,7 +138,7 @@ def first_line(error: BaseException) -> str:
 
 
 @contextmanager
-def refusing(what: str = "") -> Iterator[None]:
+def refusing(action: str = "") -> Iterator[None]:
     """Make errors of OpenMM's readers `ForceFieldError`; those of files that cannot be read, and our own, stay.
 
     Args:
@@ -149,7 +149,7 @@ def refusing(what: str = "") -> Iterator[None]:
     except (ForceFieldError, OSError):
         raise
     except Exception as error:
-        raise ForceFieldError(f"{what}: {first_line(error)}" if what else first_line(error)) from error
+        raise ForceFieldError(f"{action}: {first_line(error)}" if action else first_line(error)) from error
 
 
 def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
