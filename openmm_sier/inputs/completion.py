@@ -1,4 +1,4 @@
-"""Structures as archives have them, made complete by PDBFixer and put into water by OpenMM's Modeller."""
+"""Complete structures from archives by PDBFixer, and solvate them by OpenMM's Modeller."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from openmm_sier.observe.conservation import density
 if TYPE_CHECKING:
     from pdbfixer import PDBFixer
 
-#: The force field of a structure for which none is named.
+#: Default force field.
 FILES = ("amber14-all.xml", "amber14/tip3p.xml")
 
-#: Shapes of boxes, as Modeller names them.
+#: Shapes of boxes, with Modeller's names.
 SHAPES = ("cube", "octahedron", "dodecahedron")
 
-#: nm, the least distance between a solute and its images, mol/l of ions beyond those that neutralize it, and pH.
+#: Minimum distance between a solute and its images, nm; concentration of ions beyond neutralization, mol/l; and pH.
 PADDING, SALT, PH = 1.0, 0.15, 7.0
 
-#: Modeller's water by the number of its particles. It has one box for all models with as many.
+#: Modeller's water models by number of particles; it has one box for all models with the same number.
 WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
 
-#: nm, above which a bond between two residues goes across a gap. The longest bonds, of sulfur, have 0.21 nm.
+#: Length in nm above which a bond between two residues spans a gap; the longest bonds, of sulfur, have 0.21 nm.
 LONGEST_BOND = 0.3
 
-#: Most residues that a message names.
+#: Maximum number of residues named in a message.
 NAMED = 6
 
 
@@ -52,8 +52,8 @@ class Completed(NamedTuple):
     Attributes:
         topology: openmm.app.Topology, without a box unless the structure is in water.
         positions: Quantity.
-        files: of the force field.
-        changes: what was added, replaced or left out, each with how much of it.
+        files: files of the force field.
+        changes: pairs of a kind of change (added, replaced, left out) and its amount.
     """
 
     topology: app.Topology
@@ -70,21 +70,21 @@ def complete(
     ph: float = PH,
     seed: int = 1,
 ) -> Completed:
-    """Add what a structure lacks, by PDBFixer: residues within chains, heavy atoms and hydrogens.
+    """Add missing residues within chains, heavy atoms and hydrogens to a structure, by PDBFixer.
 
-    Residues that are not standard, such as selenomethionine, become the standard ones that they are made from.
+    Nonstandard residues, such as selenomethionine, are replaced by the standard residues they derive from.
 
     Args:
-        path: of a PDB or PDBx/mmCIF file, of which the first model is taken.
-        files: of the force field that the structure is for.
+        path: path of a PDB or PDBx/mmCIF file, of which the first model is used.
+        files: files of the force field for the structure.
         leave_out: names of residues to leave out.
-        ends: whether residues that are missing at the ends of chains are added too.
-        ph: by which the hydrogens of residues are chosen.
-        seed: of the places of what is added.
+        ends: whether missing residues at the ends of chains are added too.
+        ph: pH, which determines the hydrogens of residues.
+        seed: seed of the positions of added atoms.
 
     Raises:
-        ForceFieldError: the file is none, a chain has a gap that nothing tells how to fill, a name is that of no
-            residue, or a residue has no template in the force field.
+        ForceFieldError: the file has another format, a chain has a gap without a sequence to fill it, a name in
+            `leave_out` does not occur, or a residue has no template in the force field.
         ModuleNotFoundError: PDBFixer is not installed.
         OSError: the file cannot be read.
     """
@@ -115,15 +115,15 @@ def solvate(
     seed: int = 1,
     beside: str | Path = ".",
 ) -> Completed:
-    """Put a structure into water with ions, by Modeller.
+    """Solvate a structure in water with ions, by Modeller.
 
     Args:
-        structure: with all its atoms.
-        shape: of the box, one of `SHAPES`.
-        padding: the least distance between the solute and its images, nm.
+        structure: a structure with all its atoms.
+        shape: shape of the box, one of `SHAPES`.
+        padding: minimum distance between the solute and its images, nm.
         salt: concentration of ions beyond those that neutralize the solute, mol/l.
-        seed: of the places of ions.
-        beside: directory in which files of the force field are looked for too.
+        seed: seed of the positions of ions.
+        beside: additional directory to search for files of the force field.
 
     Raises:
         ForceFieldError: the force field has no water, or no ions.
@@ -139,7 +139,7 @@ def solvate(
             boxShape=shape,
             ionicStrength=salt * unit.molar,
         )
-        # Whoever reads the file adds them again.
+        # Readers of the file add them again.
         modeller.delete([atom for atom in modeller.topology.atoms() if atom.element is None])
     before, after = (_names(topology) for topology in (structure.topology, modeller.topology))
     added = after - before
@@ -156,18 +156,18 @@ def solvate(
 
 
 def as_pdb(structure: Completed) -> str:
-    """Return a PDB file that names its force field, as `openmm-sier run` reads it."""
+    """Return a PDB file that names its force field, for `openmm-sier run`."""
     file = io.StringIO()
     file.writelines(f"{REMARK} {name}\n" for name in structure.files)
     app.PDBFile.writeFile(structure.topology, structure.positions, file, keepIds=True)
     return file.getvalue()
 
 
-# --- what is missing ---
+# --- missing residues and atoms ---
 
 
 def _fixer(path: str | Path) -> PDBFixer:
-    """Return PDBFixer's view of a file."""
+    """Return the PDBFixer of a file."""
     try:
         from pdbfixer import PDBFixer
     except ModuleNotFoundError as error:
@@ -178,7 +178,7 @@ def _fixer(path: str | Path) -> PDBFixer:
 
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
-    """Seed Python's random numbers, by which Modeller places hydrogens and ions, and put them back at the end."""
+    """Seed Python's random numbers, which Modeller uses to place hydrogens and ions, and restore them at the end."""
     before = random.getstate()
     random.seed(seed)
     try:
@@ -188,7 +188,7 @@ def _seeded(seed: int) -> Iterator[None]:
 
 
 def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[tuple[str, str]]:
-    """Leave out residues, and return what to say of it."""
+    """Leave out residues, and return the change."""
     if not names:
         return []
     counts = _names(fixer.topology)
@@ -203,7 +203,7 @@ def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[t
 
 
 def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
-    """Find the residues that chains lack, replace those that are not standard, and return what to say of both."""
+    """Find missing residues, replace nonstandard ones, and return the changes."""
     changes = []
     fixer.findMissingResidues()
     chains = list(fixer.topology.chains())
@@ -227,7 +227,7 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
 
 
 def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
-    """Add heavy atoms, those of missing residues included, and return what to say of it."""
+    """Add heavy atoms, including those of missing residues, and return the changes."""
     fixer.findMissingAtoms()
     incomplete = {*fixer.missingAtoms, *fixer.missingTerminals}
     missing = sum(map(len, (*fixer.missingAtoms.values(), *fixer.missingTerminals.values())))
@@ -242,7 +242,7 @@ def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
 
 
 def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quantity) -> None:
-    """Refuse bonds across a gap in a chain, with which OpenMM joins the residues on either side."""
+    """Refuse bonds across a gap in a chain, by which OpenMM joins the residues on either side."""
     places = np.array(positions.value_in_unit(unit.nanometer))
     for one, two in topology.bonds():
         if one.residue is two.residue:
@@ -258,7 +258,7 @@ def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quant
 
 
 def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.ForceField) -> None:
-    """Refuse residues that have no template in the force field, even if it changes templates at the ends of chains."""
+    """Refuse residues without a template in the force field, even if its patches for chain ends are considered."""
     topology = structure.topology
     try:
         add_virtual_sites(topology, structure.positions, forcefield)
@@ -276,11 +276,11 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
         ) from error
 
 
-# --- words ---
+# --- descriptions ---
 
 
 def _names(topology: app.Topology) -> Counter[str]:
-    """Return how many residues of each name there are."""
+    """Return the number of residues with each name."""
     return Counter(residue.name for residue in topology.residues())
 
 
@@ -289,14 +289,14 @@ def _named(residue: Any) -> str:
 
 
 def _listed(residues: Any) -> str:
-    """Return the names of residues, of many the first ones and how many there are."""
+    """Return the names of residues; for many, the first names and the total number."""
     ordered = sorted(residues, key=lambda residue: residue.index)
     names = ", ".join(map(_named, ordered[:NAMED]))
     return names if len(ordered) <= NAMED else f"{names} and others, {len(ordered)} in all"
 
 
 def _size_of_water(forcefield: app.ForceField) -> int:
-    """Return how many particles a water molecule of the force field has."""
+    """Return the number of particles in a water molecule of the force field."""
     topology = app.Topology()
     residue = topology.addResidue("HOH", topology.addChain())
     oxygen, *hydrogens = (

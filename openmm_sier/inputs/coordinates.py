@@ -1,4 +1,4 @@
-"""Coordinates of all kinds, as OpenMM's readers read them."""
+"""Read coordinates of all supported formats with OpenMM's readers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,18 +12,18 @@ from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, ST
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
 from openmm_sier.system.untrusted_files import open_regular, read_state
 
-#: Elements by whose letter atoms are told apart, where a name begins with one of them.
+#: Elements recognized by the first letter of an atom's name.
 _LETTERS = "HCNOPS"
 
 
 class Coordinates(NamedTuple):
-    """Hold the contents of a file of coordinates.
+    """Contents of a coordinate file.
 
     Attributes:
-        positions: Quantity of all atoms.
+        positions: positions of all atoms, a Quantity.
         box: periodic box vectors; None without a box.
-        names: of the atoms; empty where the file has none.
-        topology: of a PDB or PDBx/mmCIF file; None for other files.
+        names: names of the atoms; empty if the file has none.
+        topology: topology of a PDB or PDBx/mmCIF file; None for other files.
     """
 
     positions: Quantity
@@ -33,15 +33,15 @@ class Coordinates(NamedTuple):
 
 
 def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> Coordinates:
-    """Read a file of coordinates.
+    """Read a coordinate file.
 
     Args:
-        path: of a PDB or PDBx/mmCIF file, an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of CHARMM,
-            or a State of OpenMM in XML.
-        edges: of the periodic box, nm, where the file has none.
+        path: path of a PDB or PDBx/mmCIF file, an inpcrd or rst7 file of AMBER, a gro file of GROMACS, a crd file of
+            CHARMM, or a State of OpenMM in XML.
+        edges: edges of the periodic box, nm, if the file has none.
 
     Raises:
-        ForceFieldError: it is none of these, or OpenMM cannot read it.
+        ForceFieldError: the file has none of these formats, or OpenMM cannot read it.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -58,7 +58,7 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
 
 def _amber(path: str) -> Coordinates:
     file = app.AmberInpcrdFile(path)
-    # OpenMM has False in place of a box in some files of one or two atoms.
+    # OpenMM returns False instead of a box for some files of one or two atoms.
     return Coordinates(file.getPositions(asNumpy=True), file.boxVectors or None)
 
 
@@ -85,16 +85,18 @@ _READERS = {AMBER_COORDINATES: _amber, GRO: _gro, CRD: _crd, STATE: _state}
 
 
 def refuse_other_atoms(path: str | Path, coordinates: Coordinates, topology: app.Topology, source: str | Path) -> None:
-    """Refuse coordinates that are not those of the atoms of a topology.
+    """Refuse coordinates that do not belong to the atoms of a topology.
 
-    Their numbers must agree, and in residues of several atoms the elements, as far as names tell them.
+    The numbers of atoms must agree, and in residues of several atoms the elements, as far as names show them.
 
     Args:
-        path, found: of the coordinates.
-        topology, source: of the topology, and the file that it is from.
+        path: path of the coordinates.
+        coordinates: the coordinates.
+        topology: the topology.
+        source: path of the topology.
 
     Raises:
-        ForceFieldError: naming the first atom that differs.
+        ForceFieldError: the numbers of atoms differ, or an atom does; the message names the first.
     """
     number, expected = len(coordinates.positions), topology.getNumAtoms()
     if number != expected:
@@ -108,6 +110,6 @@ def refuse_other_atoms(path: str | Path, coordinates: Coordinates, topology: app
 
 
 def _letter(name: str) -> str:
-    """Return the element that a name tells; empty where it does not."""
+    """Return the element implied by a name; empty if it implies none."""
     first = name.lstrip("0123456789'")[:1].upper()
     return first if first in _LETTERS else ""

@@ -1,4 +1,4 @@
-"""The start of a run: positions and velocities at a temperature."""
+"""Prepare the start of a run: positions and velocities at a temperature."""
 
 import math
 import warnings
@@ -23,17 +23,17 @@ from openmm_sier.system import tables
 from openmm_sier.system.second_context import platform_of
 from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
 
-#: Net force on a molecule in kJ/mol/nm above which a start is minimized, over the root of the number of its bodies, as
-#: which it grows. Among 512 molecules of water at 297 K the largest is 1000 to 2200.
+#: Net force on a molecule in kJ/mol/nm, divided by the square root of its number of bodies, above which a start is
+#: minimized. Among 512 molecules of water at 297 K the largest is 1000 to 2200.
 LARGE_FORCE = 5e3
 
-#: Equilibration: friction in 1/ps, and a scheme whose step leaves rotations within 0.3 K of translations. SIER2 would
-#: need steps of 0.5 fs for that.
+#: Friction of an equilibration, 1/ps, and a scheme and step with rotations within 0.3 K of translations. SIER2 would
+#: need steps of 0.5 fs.
 FRICTION = 5.0
 SCHEME, STEP = SIER4G, 0.006
 
-#: Fraction of the longest step that a system's bonds allow which an equilibration takes, if it is less than `STEP`. At
-#: that longest step, energies of bonds in the kicks are off by a tenth, which falls as the fraction's fourth power.
+#: Step of an equilibration as a fraction of the longest step allowed by a system's bonds, if shorter than `STEP`. At
+#: that longest step energies of bonds in the kicks are off by a tenth, which falls as the fourth power of the fraction.
 SHARE_OF_LONGEST = 0.75
 
 #: Temperatures and potential energies are averaged over windows of this length in ps. The last two windows must agree
@@ -41,25 +41,25 @@ SHARE_OF_LONGEST = 0.75
 WINDOW = 1.0
 FEWEST_WINDOWS = 3
 
-#: Steps between two samples of them.
+#: Steps between two samples.
 EVERY = 6
 
-#: ps, after which an equilibration gives up.
+#: Maximum length of an equilibration, ps.
 LONGEST = 20.0
 
-#: K. No bound on a temperature is tighter than this, since schemes have errors of their own.
+#: Tightest bound on a temperature, K, since schemes have errors too.
 TIGHTEST = 1.0
 
-#: Least kinetic energy with which a run at constant energy is started, as a fraction of that at its temperature.
+#: Minimum kinetic energy at the start of a run at constant energy, as a fraction of the thermal one.
 LEAST_MOTION = 0.1
 
 
 class EquilibrationWarning(UserWarning):
-    """An equilibration ended before temperatures and potential energy had settled."""
+    """Warning that an equilibration ended before temperatures and potential energy had settled."""
 
 
 class Means(NamedTuple):
-    """Means over some time: temperatures in K, NaN where nothing moves so, and the potential energy in kJ/mol."""
+    """Mean temperatures in K, NaN without degrees of freedom, and mean potential energy in kJ/mol."""
 
     translation: float
     rotation: float
@@ -68,14 +68,14 @@ class Means(NamedTuple):
 
 
 class Equilibration(NamedTuple):
-    """The end of an equilibration.
+    """Result of an equilibration.
 
     Attributes:
-        time: that it took, ps.
-        means: over the last two windows.
+        time: simulated time, ps.
+        means: means over the last two windows.
         settled: whether temperatures and potential energy are within their bounds, see `equilibrate`.
-        doubtful: whether it has not settled, and was long enough to, or a temperature is out of its bounds.
-        described: its time and temperatures, with their bounds, in words; empty if it took no time.
+        doubtful: whether the liquid has not settled although there was time, or a temperature is out of bounds.
+        described: text with time, temperatures and bounds; empty if it took no time.
     """
 
     time: float
@@ -86,18 +86,18 @@ class Equilibration(NamedTuple):
 
 
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
-    """Make a Context, in mixed precision if possible, with no more threads than this process may use cores.
+    """Return a new Context, in mixed precision if possible, with at most one thread per core available to the process.
 
     Args:
-        system, integrator: of the Context.
-        platform: its name; None takes the platform that OpenMM takes by itself, the fastest that works here.
+        system, integrator: System and integrator of the Context.
+        platform: name of the platform; None for OpenMM's choice, the fastest one that works.
     """
     chosen = usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
     properties, names = {}, chosen.getPropertyNames()
     if "Precision" in names:
         properties["Precision"] = "mixed"
     if "Threads" in names:
-        # OpenMM counts the cores of the machine.
+        # OpenMM counts all cores of the machine.
         properties["Threads"] = str(min(int(chosen.getPropertyDefaultValue("Threads")), cores()))
     return openmm.Context(system, integrator, chosen, properties)
 
@@ -113,21 +113,21 @@ def prepare(
 ) -> Equilibration:
     """Prepare a new run: minimize, equilibrate, stop the centre of mass, and set the clock to zero.
 
-    A run at constant energy gets the kinetic energy that makes its total energy equal to the mean over the
-    equilibration, so that its mean temperature is that of the bath. From a snapshot of the bath it would be off by
+    For a run at constant energy the kinetic energy is set so that the total energy equals the mean over the
+    equilibration, and the mean temperature that of the bath. Starting from a snapshot of the bath, it would be off by
     T sqrt(k/C), with the heat capacity C: 4 K for 512 molecules of water.
 
     Args:
-        context: with a SIERIntegrator.
+        context: a Context with a SIERIntegrator.
         positions: (N, 3), a quantity.
-        temperature: in K.
-        seed: of velocities and noise.
-        time: of the equilibration, ps; None goes on until the liquid has settled, see `equilibrate`.
-        minimize: whether to minimize first; None does so where forces are larger than in a liquid.
-        report: gets notes and progress.
+        temperature: temperature, K.
+        seed: seed of velocities and noise.
+        time: time of the equilibration, ps; None continues until the liquid has settled, see `equilibrate`.
+        minimize: whether to minimize first; None does so if forces are larger than in a liquid.
+        report: receives notes and progress.
 
     Returns:
-        How the equilibration ended.
+        The result of the equilibration.
     """
     context.setPositions(positions)
     context.computeVirtualSites()
@@ -154,7 +154,7 @@ def _strongest_force(context: openmm.Context) -> float:
     bodies = context.getIntegrator().bodies
     forces = context.getState(forces=True).getForces(asNumpy=True)
     forces = forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)[bodies.owners >= 0]
-    # Bonds pull at the bodies of a molecule much more than its surroundings do.
+    # Bonds exert much larger forces on the bodies of a molecule than its surroundings.
     _, molecules, sizes = np.unique(bodies.molecules, return_inverse=True, return_counts=True)
     owners = molecules[bodies.owners[bodies.owners >= 0]]
     net = np.linalg.norm([np.bincount(owners, column) for column in forces.T], axis=0)
@@ -165,10 +165,10 @@ def _strongest_force(context: openmm.Context) -> float:
 def equilibrate(
     context: openmm.Context, temperature: float, seed: int = 1, time: float | None = None, report: Report = SILENT
 ) -> Equilibration:
-    """Bring a Context to equilibrium at a temperature, and at a pressure if one is kept.
+    """Equilibrate a Context at a temperature, and at constant pressure if its integrator or System has a barostat.
 
     Velocities are drawn at random, and a heat bath acts until the liquid has settled. Afterwards the Context has the
-    positions, velocities and box of the end; its time and step count stay as they were. An error leaves it unchanged.
+    final positions, velocities and box; its time and step count do not change. An error leaves it unchanged.
 
     The liquid has settled when, over the last two windows of 1 ps,
 
@@ -176,23 +176,22 @@ def equilibrate(
       T sqrt(2/dof), the canonical standard deviation of a snapshot, or 1 K if that is more. With a friction of 5/ps the
       mean over 2 ps scatters by a third of that, so one in a hundred windows counts as unsettled by chance;
     - the mean potential energy of the second differs from that of the first by less than 2 kT sqrt(dof/2), two
-      canonical standard deviations of the kinetic energy. A start from a lattice still releases many times that, even
-      when the bath already holds the temperature.
+      canonical standard deviations of the kinetic energy. A start from a lattice still releases many times as much
+      after the temperature has settled.
 
-    The first window is ignored. The same seed gives the same result where the platform's forces are deterministic.
+    The first window is ignored. The same seed gives the same result if the platform's forces are deterministic.
 
     Args:
-        context: of a SIERIntegrator, whatever its ensemble. It holds the positions to start from, and the pressure in
-            its integrator or System.
-        temperature: in K.
-        seed: of velocities and noise.
-        time: ps. None goes on until the liquid has settled, for 20 ps at most, and warns if it has not by then. With a
-            number it runs for that time, whether the liquid has settled or not, and warns where a temperature is out of
-            its bounds.
-        report: gets notes and progress.
+        context: a Context with a SIERIntegrator of any ensemble, initial positions, and the pressure in its integrator
+            or System.
+        temperature: temperature, K.
+        seed: seed of velocities and noise.
+        time: time, ps. None continues until the liquid has settled, for at most 20 ps, and warns if it has not. A
+            number runs for that time in any case, and warns if a temperature is out of bounds.
+        report: receives notes and progress.
 
     Returns:
-        How it ended.
+        The result.
 
     Raises:
         TypeError: the Context has another integrator.
@@ -206,7 +205,7 @@ def equilibrate(
             f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or rotations are too fast for longer ones"
         )
     steps = round((LONGEST if time is None else time) / step)
-    # Windows have nearly equal lengths, so that no short one counts as much as a long one.
+    # Windows have nearly equal lengths, so that a short one does not count as much as a long one.
     window_steps = math.ceil(steps / max(1, round(steps * step / WINDOW)))
     windows: list[Means] = []
     done, settled = 0, False
@@ -217,7 +216,7 @@ def equilibrate(
             done += length
             settled = _has_settled(windows, temperature, dof)
     last = Means(*np.mean(windows[-2:], axis=0)) if windows else Means(*4 * [math.nan])
-    # Who gives a time may know that it is too short to tell.
+    # A user may choose a time that is too short to settle.
     doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
     described = _describe(last, done * step, temperature, dof) if done else ""
     _copy_atoms_and_box(context, bath)
@@ -245,7 +244,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
 
 
 def _copy_atoms_and_box(context: openmm.Context, other: openmm.Context) -> None:
-    """Give a Context the positions, velocities and box of another one."""
+    """Copy the positions, velocities and box of another Context."""
     time, steps = context.getTime(), context.getStepCount()
     context.setState(other.getState(positions=True, velocities=True))
     context.setTime(time)
@@ -285,7 +284,7 @@ def _has_settled(windows: list[Means], temperature: float, dof: DegreesOfFreedom
 
 
 def _are_within_bounds(means: Means, temperature: float, dof: DegreesOfFreedom) -> bool:
-    """Return whether mean temperatures, of what moves at all, are near enough to the temperature asked for."""
+    """Return whether mean temperatures of all kinds of motion with degrees of freedom are within their bounds."""
     pairs = zip(means[:3], dof, strict=True)
     return all(abs(mean - temperature) <= bound(temperature, number) for mean, number in pairs if number)
 
@@ -296,18 +295,18 @@ def bound(temperature: float, dof: float) -> float:
 
 
 def _describe(means: Means, time: float, temperature: float, dof: DegreesOfFreedom) -> str:
-    """Say how long an equilibration took, and which temperatures it had at its end."""
+    """Return text with the time and the final temperatures of an equilibration."""
     pairs = zip(("T_trans", "T_rot", "T_flexible"), means[:3], dof, strict=True)
     shown = [f"{name} = {value:.0f} K (bound: {bound(temperature, n):.0f} K)" for name, value, n in pairs if n]
     return f"{time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {min(2 * WINDOW, time):.2g} ps"
 
 
 def _report(outcome: Equilibration, report: Report) -> None:
-    """Tell of an equilibration, with a warning of a doubtful one."""
+    """Report an equilibration, and warn if it is doubtful."""
     if outcome.doubtful:
         warnings.warn(
-            f"not equilibrated after {outcome.described}: a temperature is out of bounds, or the potential energy still "
-            "changes. Equilibrate for longer, and minimize the energy first if you have not",
+            f"not equilibrated after {outcome.described}: a temperature is out of bounds, or the potential energy "
+            "still changes. Equilibrate for longer, and minimize the energy first if you have not",
             EquilibrationWarning,
             stacklevel=4,
         )
@@ -326,8 +325,8 @@ def _set_energy(context: openmm.Context, temperature: float, potential: float) -
     """Scale all velocities so that the total energy is the mean total energy at a temperature.
 
     Args:
-        context: at the end of an equilibration, the centre of mass at rest.
-        temperature: in K.
+        context: a Context at the end of an equilibration, with the centre of mass at rest.
+        temperature: temperature, K.
         potential: mean potential energy at this temperature, kJ/mol.
     """
     integrator = context.getIntegrator()

@@ -1,11 +1,11 @@
-"""Tell what a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
+"""Identify kinds of files by content: AMBER and GROMACS both use the suffix .top, AMBER and CHARMM .crd."""
 
 import re
 from pathlib import Path
 
 from openmm_sier.system.untrusted_files import open_regular
 
-#: Kinds of files, in words for messages.
+#: Kinds of files, as named in messages.
 PDB = "a PDB file"
 MMCIF = "a PDBx/mmCIF file"
 AMBER_COORDINATES = "a coordinate file of AMBER"
@@ -18,20 +18,20 @@ PSF = "a psf file of CHARMM"
 SYSTEM = "a System of OpenMM"
 UNKNOWN = "of no kind that is known"
 
-#: Kinds that have names and residues beside positions, kinds that have positions alone, and kinds of topologies.
+#: Kinds with positions, names and residues; kinds with positions only; and kinds of topologies.
 STRUCTURES = (PDB, MMCIF)
 POSITIONS = (AMBER_COORDINATES, GRO, CRD, STATE)
 TOPOLOGIES = (PRMTOP, TOP, PSF, SYSTEM)
 
-#: Bytes that are looked at.
+#: Number of bytes inspected.
 HEAD = 2**20
 
-#: What files of a kind begin with, after blanks; the bytes of NetCDF files are those of AMBER's binary coordinates.
+#: Starts of files, after blanks; NetCDF files are AMBER's binary coordinates.
 _BEGINNINGS = {"%VERSION": PRMTOP, "PSF": PSF, "*": CRD, "CDF": AMBER_COORDINATES, "\ufffdHDF": AMBER_COORDINATES}
 
 _ROOT = re.compile(r"<(State|System)\b")
 
-#: What a line of other files of a kind begins with; the first that is found tells.
+#: Starts of lines in other kinds of files; the first match counts.
 _LINES = {
     MMCIF: re.compile(r"^\s*_atom_site\.", re.MULTILINE),
     PDB: re.compile(r"^(ATOM|HETATM)", re.MULTILINE),
@@ -40,14 +40,14 @@ _LINES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """Return the kind of a file, one of those above.
+    """Return the kind of a file, one of the constants above.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with open_regular(path) as file:
         text = file.read(HEAD).decode(errors="replace")
-    # Titles may begin with anything.
+    # Titles may start with anything.
     if kind := _counted(text.splitlines()[:3]):
         return kind
     begun = text.lstrip()
@@ -61,7 +61,7 @@ def kind_of(path: str | Path) -> str:
 
 
 def _counted(lines: list[str]) -> str:
-    """Return the kind of a file that has a title, the number of atoms and then the atoms; empty for others."""
+    """Return the kind of a file with a title, the number of atoms and then the atoms; empty for other files."""
     if len(lines) < 3 or not lines[1].split() or not lines[1].split()[0].isdigit():
         return ""
     if re.match(r"( *-?\d+\.\d+){3}", lines[2]):

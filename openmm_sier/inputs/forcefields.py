@@ -1,4 +1,4 @@
-"""Force fields: those that a PDB file names, and the System that is built with them."""
+"""Find the force field of a PDB file, and build Systems with it."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,47 +24,46 @@ from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.untrusted_files import open_regular
 from openmm_sier.system.user_warnings import warn
 
-#: Where the project's own force fields and boxes are: in an installed package, and in a checkout.
+#: Directories of this project's force fields and boxes, in an installed package and in a checkout.
 PACKAGE = Path(__file__).parent.parent
 SHIPPED = (PACKAGE / "systems", PACKAGE.parent / "systems")
 
-#: Where OpenMM's are.
+#: Directory of OpenMM's force fields.
 OF_OPENMM = Path(app.__file__).parent / "data"
 
-#: A PDB file names its force field in records that begin like this; one file name follows.
+#: Start of PDB records that name a force-field file.
 REMARK = "REMARK  99 FORCEFIELD"
 
-#: Where interactions in a periodic box end by default, and where Lennard-Jones starts to be switched off, nm.
+#: Default cut-off in a periodic box, and start of the switching of Lennard-Jones interactions, nm.
 CUTOFF = 0.9
 SWITCH = 0.75
 
-#: OpenMM's ewaldErrorTolerance, from which the mesh follows. A smaller one serves no scheme's usual step: balanced,
-#: SIER4P at 6 fs has 0.0145 % of rms(H)/rms(V) in water, and SIER4G 0.09 %.
+#: Default ewaldErrorTolerance. A smaller one helps no scheme at its usual step: with balanced sums rms(H)/rms(V) in
+#: water at 6 fs is 0.0145 % for SIER4P and 0.09 % for SIER4G.
 EWALD_TOLERANCE = 1e-4
 
-#: The smallest density of a box without a word, g/ml, below that of all liquids but those of hydrogen and helium.
+#: Density below which a warning is issued, g/ml; only liquid hydrogen and helium are thinner.
 THINNEST = 0.3
 
-#: What may be constrained besides water, as in OpenMM's createSystem, which is bonds to hydrogen, all bonds, or all
-#: bonds and the angles of hydrogens.
+#: Values of OpenMM's argument `constraints`: bonds to hydrogen, all bonds, or all bonds and angles of hydrogens.
 CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
 
-#: The longest cut-off as a fraction of the narrowest box width. OpenMM refuses 0.5, and a barostat may shrink the box.
+#: Maximum cut-off as a fraction of the smallest box width. OpenMM refuses 0.5, and a barostat may shrink the box.
 LARGEST_CUTOFF = 0.45
 
 
-#: Most points of the mesh of PME. In single precision this many take 8 GiB.
+#: Maximum number of mesh points of PME, which take 8 GiB in single precision.
 MOST_MESH_POINTS = 2**31
 
 
 class Interactions(NamedTuple):
-    """Hold how interactions of a box are cut off; None leaves it to `pme_system`.
+    """Settings of nonbonded interactions and hydrogen masses; None for the defaults of `pme_system`.
 
     Attributes:
-        cutoff: of the direct sum of PME and of Lennard-Jones, nm.
-        switch: where Lennard-Jones starts to be switched off, nm; 0 for a jump at the cut-off.
-        tolerance: of the sums of PME.
-        hydrogen_mass: of hydrogens, in water too, dalton, taken from the atoms that they are bonded to.
+        cutoff: cut-off of the direct sum of PME and of Lennard-Jones interactions, nm.
+        switch: start of the switching of Lennard-Jones interactions, nm; 0 for a jump at the cut-off.
+        tolerance: error tolerance of PME.
+        hydrogen_mass: mass of hydrogens, in water too, dalton, at the expense of the atoms they are bonded to.
     """
 
     cutoff: float | None = None
@@ -77,11 +76,11 @@ USUAL = Interactions()
 
 
 def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
-    """Return the force-field files in records "REMARK  99 FORCEFIELD file.xml" of a PDB file, and why in words.
+    """Return the force-field files in records "REMARK  99 FORCEFIELD file.xml" of a PDB file, and a reason in words.
 
     Raises:
         ForceFieldError: there is no such record.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     with open_regular(path) as file:
         lines = file.read().decode(errors="replace").splitlines()
@@ -92,20 +91,20 @@ def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
 
 
 def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
-    """Load a ForceField from files, sought as given, in the directory `beside`, in this project and in OpenMM.
+    """Load a ForceField from files, searched as given, in the directory `beside`, in this project and in OpenMM.
 
     Raises:
-        ForceFieldError: a file is not found, or is no force field.
+        ForceFieldError: a file is not found, or is not a force field.
     """
     with refusing(f"cannot read the force field {' '.join(files)}"):
         return app.ForceField(*[locate(name, Path(beside)) for name in files])
 
 
 def locate(name: str, beside: Path) -> str:
-    """Return the path of a force-field file, or its name where OpenMM is to look for it; see `load`.
+    """Return the path of a force-field file, or its name if OpenMM is to search for it; see `load`.
 
     Raises:
-        OSError: it is no regular file, or cannot be read.
+        OSError: the file is not regular, or cannot be read.
     """
     for place in (directory / name for directory in (Path(), beside, *SHIPPED)):
         if place.exists() and not place.is_dir():
@@ -131,7 +130,7 @@ def _is_installed(path: Path) -> bool:
 def add_virtual_sites(
     topology: app.Topology, positions: Quantity, forcefield: app.ForceField
 ) -> tuple[app.Topology, Quantity]:
-    """Return topology and positions (a Quantity) with the virtual sites that the force field has and the file lacks.
+    """Return topology and positions (a Quantity) with the virtual sites of the force field added.
 
     Raises:
         ForceFieldError: the force field has no template for a residue.
@@ -149,16 +148,16 @@ def pme_system(
     constraints: str | None = None,
     interactions: Interactions = USUAL,
 ) -> openmm.System:
-    """Make the System of a box: rigid water, PME in a periodic box, no cut-off without one.
+    """Return the System of a box: rigid water, with PME in a periodic box, or else without a cut-off.
 
-    In a box too small for the cut-off it is shorter. The sums of PME are balanced (`openmm_sier.balance_pme`).
-    Lennard-Jones has the usual correction for its tail. The motion of the centre of mass is not removed.
+    The cut-off is shorter in a small box. The sums of PME are balanced (`openmm_sier.balance_pme`). Lennard-Jones
+    interactions have the usual long-range correction. The motion of the centre of mass is not removed.
 
     Args:
         topology: openmm.app.Topology.
         forcefield: openmm.app.ForceField.
-        constraints: besides those of water, one of `CONSTRAINTS`; None: none.
-        interactions: what is to be otherwise.
+        constraints: constraints besides those of water, one of `CONSTRAINTS`; None for none.
+        interactions: settings other than the defaults.
 
     Raises:
         ForceFieldError: the force field has no template for a residue, or the interactions do not fit the box.
@@ -173,15 +172,15 @@ def build_system(
     constraints: str | None = None,
     interactions: Interactions = USUAL,
 ) -> openmm.System:
-    """Make a System by a reader of OpenMM, with the settings of `pme_system`.
+    """Return the System of one of OpenMM's readers, with the settings of `pme_system`.
 
     Args:
-        create: the reader's createSystem.
+        create: createSystem of the reader.
         box: periodic box vectors; None without a box.
         constraints, interactions: see `pme_system`.
 
     Raises:
-        ForceFieldError: OpenMM can make no System, or the interactions do not fit the box.
+        ForceFieldError: OpenMM cannot create a System, or the interactions do not fit the box.
     """
     settings = {"constraints": CONSTRAINTS[constraints or "none"], **_cut_off(box, interactions)}
     with refusing():
@@ -191,10 +190,10 @@ def build_system(
 
 
 def finish_system(system: openmm.System, interactions: Interactions) -> None:
-    """Give a System the masses of hydrogens that are asked for, and balance its PME.
+    """Set the requested masses of hydrogens in a System, and balance its PME.
 
     Raises:
-        ForceFieldError: its mesh is too large.
+        ForceFieldError: the mesh is too large.
         ValueError: see `balance_pme`.
     """
     if interactions.hydrogen_mass is not None:
@@ -205,7 +204,7 @@ def finish_system(system: openmm.System, interactions: Interactions) -> None:
 
 
 def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]:
-    """Return the arguments of createSystem that cut interactions off."""
+    """Return the arguments of createSystem for cut-offs."""
     if box is None:
         if interactions.cutoff is not None or interactions.switch is not None:
             raise ForceFieldError("a cut-off or switch needs a periodic box, and there is none")
@@ -227,10 +226,10 @@ def _cut_off(box: Quantity | None, interactions: Interactions) -> dict[str, Any]
 
 
 def _refuse_huge_meshes(system: openmm.System) -> None:
-    """Refuse a box whose PME would take minutes and gigabytes before it failed.
+    """Refuse a box whose PME would take minutes and gigabytes before it fails.
 
     Raises:
-        ForceFieldError: naming the mesh.
+        ForceFieldError: the mesh is too large.
     """
     for force in meshed_forces(system):
         mesh = force.getPMEParameters()[1:]
@@ -243,16 +242,16 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
 
 
 class Box(NamedTuple):
-    """Hold a box to simulate: coordinates with their force field, molecules whole.
+    """Coordinates and System of a simulation, with whole molecules.
 
     Attributes:
-        topology: openmm.app.Topology, virtual sites included.
-        positions: Quantity, of all sites.
+        topology: openmm.app.Topology, including virtual sites.
+        positions: Quantity, including virtual sites.
         system: openmm.System.
-        files: of the force field.
-        reason: why these, in words.
-        listed: indices of the particles that the file of the coordinates lists, virtual sites only if it has them.
-        sources: the files that were read but for OpenMM's own, by what they are for.
+        files: files of the force field.
+        reason: reason for these files, in words.
+        listed: indices of the particles listed in the coordinate file, without added virtual sites.
+        sources: input files except those of OpenMM, by purpose.
     """
 
     topology: app.Topology
@@ -275,18 +274,18 @@ def read_box(
 
     Args:
         path: the file.
-        files: force-field files; None takes those that the PDB file names, see `pick`.
+        files: force-field files; None for those named in the PDB file, see `pick`.
         constraints, interactions: see `pme_system`.
-        edges: of its periodic box, nm, where the file has none.
+        edges: edges of the periodic box, nm, if the file has none.
 
     Raises:
-        ForceFieldError: the file is no such file, has atoms twice or no room in its box, no force field fits it, or a
-            molecule is broken, see `openmm_sier.make_whole`.
+        ForceFieldError: the file has another format, duplicate atoms, or a box too small for its atoms; no force field
+            fits it; or a molecule is broken, see `openmm_sier.make_whole`.
         OSError: the file cannot be read.
     """
     pdb = read_pdb(path, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-    # What a force field is recognized by, and where it puts virtual sites.
+    # Force fields need whole molecules to place virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:
         chosen, reason = (tuple(map(str, files)), "as given") if files else pick(path)
@@ -314,28 +313,29 @@ def describe(box: Box) -> str:
 
 
 def density_of(box: Box) -> float | None:
-    """Return the density of a box, g/ml; None without a periodic one."""
+    """Return the density of a box, g/ml; None if it is not periodic."""
     if (vectors := box_vectors(box.topology)) is None:
         return None
     return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
 
 
 def warn_about_thin_box(path: str | Path, box: Box) -> None:
-    """Warn of a box that is too thin for a liquid, as one is whose file was cut off, or with the box of another system.
+    """Warn if the density is too low for a liquid: the file may be cut off, or have the box of another system.
 
-    Without a mesh for charges, as of many coarse-grained models, nothing is expected of a density.
+    There is no warning without a mesh for charges, as in many coarse-grained models.
 
     Args:
-        path: of the coordinates.
-        box: that was read from them.
+        path: path of the coordinates.
+        box: the box read from it.
     """
     box_density = density_of(box)
     if box_density is None or box_density >= THINNEST or not meshed_forces(box.system):
         return
     end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
     warn(
-        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {box_density:.2g} g/ml, less "
-        f"than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is wrong"
+        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {box_density:.2g} g/ml, "
+        f"less than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is "
+        "wrong"
     )
 
 

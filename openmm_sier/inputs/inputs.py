@@ -1,4 +1,4 @@
-"""Read what is simulated from the files that people have: coordinates, with a force field or a topology."""
+"""Read the input of a simulation: coordinates, with a force field or a topology."""
 
 import hashlib
 import re
@@ -23,7 +23,7 @@ from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.untrusted_files import open_regular, read_system
 from openmm_sier.system.user_warnings import warn
 
-#: By the kind of a topology, what else makes a System and would do nothing there.
+#: Arguments without effect, by the kind of topology.
 IGNORED = {
     PRMTOP: ("forcefield",),
     TOP: ("forcefield",),
@@ -31,7 +31,7 @@ IGNORED = {
     SYSTEM: ("forcefield", "constraints", "cutoff", "switch", "tolerance", "edges"),
 }
 
-#: Dalton, of hydrogen, and above that of deuterium, below which no other atom is.
+#: Mass of hydrogen, and a bound between the masses of deuterium and all other elements, dalton.
 HYDROGEN, LIGHTEST_OTHER = 1.008, 2.5
 
 _INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
@@ -48,16 +48,16 @@ def read_input(
     """Read coordinates and build the System for them.
 
     Args:
-        path: of the coordinates, see `openmm_sier.inputs.coordinates.read_coordinates`.
+        path: path of the coordinates, see `openmm_sier.inputs.coordinates.read_coordinates`.
         topology: a prmtop file of AMBER, a top file of GROMACS, a psf file of CHARMM, or a System of OpenMM in XML;
             None for a PDB or PDBx/mmCIF file with a force field of OpenMM.
-        files: of the force field. For a psf file its parameter, topology and stream files; for a PDB or PDBx/mmCIF file
-            see `openmm_sier.inputs.forcefields.read_box`.
+        files: files of the force field. For a psf file parameter, topology and stream files; for a PDB or PDBx/mmCIF
+            file see `openmm_sier.inputs.forcefields.read_box`.
         constraints, interactions: see `openmm_sier.inputs.forcefields.pme_system`.
-        edges: of a rectangular periodic box, nm, where the file of the coordinates has none.
+        edges: edges of a rectangular periodic box, nm, if the coordinate file has none.
 
     Raises:
-        ForceFieldError: files are not of these kinds, do not fit each other, or OpenMM makes no System of them.
+        ForceFieldError: files have other formats or do not match, or OpenMM cannot create a System from them.
         OSError: a file cannot be read.
     """
     if topology is None:
@@ -78,8 +78,8 @@ def topology_kind(path: str | Path) -> str:
     """Return the kind of a topology, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
-        ForceFieldError: it is none.
-        OSError: it cannot be read.
+        ForceFieldError: the file is not a topology.
+        OSError: the file cannot be read.
     """
     if (kind := kind_of(path)) not in TOPOLOGIES:
         raise ForceFieldError(
@@ -95,7 +95,7 @@ def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
 
 
 class _Source(NamedTuple):
-    """The two files of an input: the coordinates, which have been read, and the topology with its kind."""
+    """Coordinates of an input, already read, and path and kind of its topology."""
 
     path: Path
     coordinates: Coordinates
@@ -104,7 +104,7 @@ class _Source(NamedTuple):
 
 
 def _refuse_half(path: str | Path) -> None:
-    """Refuse files that need another one."""
+    """Refuse files that require a second file."""
     kind = kind_of(path)
     if kind in TOPOLOGIES:
         raise ForceFieldError(
@@ -116,7 +116,7 @@ def _refuse_half(path: str | Path) -> None:
 
 
 def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
-    """Make a Box whose particles are all in the file of the coordinates; `files` are those of its force field."""
+    """Return a Box whose coordinate file lists all particles; `files` belong to its force field."""
     positions = source.coordinates.positions
     check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
     try:
@@ -153,7 +153,7 @@ def _box_of_topology(
         file = _READERS[kind](str(topology), periodicBoxVectors=coordinates.box)
         create = file.createSystem
         if kind == PSF:
-            # OpenMM's other readers add no bonds that constraints hold by themselves.
+            # OpenMM's other readers do not add constrained bonds by default.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
     if coordinates.box is None and file.topology.getPeriodicBoxVectors() is not None:
         raise ForceFieldError(
@@ -171,8 +171,8 @@ def _box_of_topology(
 
 
 def _warn_about_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
-    """Warn of a top file that asks for flexible water, which is rigid here in all files."""
-    # OpenMM defines it as True by itself, to read the bonds of water, and then makes them constraints.
+    """Warn if a top file requests flexible water, since water is rigid here."""
+    # OpenMM itself defines FLEXIBLE as True to read the bonds of water, and then makes them constraints.
     asks = file._defines.get("FLEXIBLE", True) is not True
     if asks and any(residue.name == "HOH" for residue in file.topology.residues()):
         warn(
@@ -210,9 +210,9 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
 
 
 def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
-    """Refuse names that are not those of a System's particles, as far as hydrogens tell.
+    """Refuse names that contradict the masses of a System's hydrogens.
 
-    All other atoms are heavier than light hydrogen even if their own hydrogens have taken most of their mass.
+    All other atoms are heavier than light hydrogen, even after mass repartitioning.
     """
     masses = tables.masses(system)
     for atom in named.atoms():
@@ -228,14 +228,14 @@ def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology,
 
 
 def _topology_of(system: openmm.System) -> app.Topology:
-    """Make a Topology for a System without one: molecules are residues, and elements follow from masses.
+    """Return a Topology for a System without one: molecules are residues, and elements follow from masses.
 
-    Water is HOH; residues of other kinds are M1, M2 and so on. Particles without mass have no element.
+    Water is HOH; residues of other kinds are M1, M2 and so on. Massless particles have no element.
     """
     topology, kinds = app.Topology(), {"OHH": "HOH"}
     chain, masses = topology.addChain(), tables.masses(system)
     for centre, bonded in hydrogens(system).items():
-        # What heavy hydrogens have is from these.
+        # Undo mass repartitioning.
         masses[centre] += (masses[bonded] - HYDROGEN).sum()
         masses[bonded] = HYDROGEN
     for molecule in _molecules(system):
@@ -249,19 +249,19 @@ def _topology_of(system: openmm.System) -> app.Topology:
 
 
 def _molecules(system: openmm.System) -> list[list[int]]:
-    """Return the particles of each molecule, in their order; a molecule whose particles are apart comes in parts."""
+    """Return the particles of each molecule, in order; molecules with separated particles are divided."""
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     molecule_of = {i: number for number, molecule in enumerate(context.getMolecules()) for i in molecule}
     return [list(run) for _, run in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
 
 
-# --- what was read ---
+# --- sources ---
 
 
 def sources_of(
     path: str | Path, topology: str | Path | None = None, files: Sequence[str | Path] | None = None
 ) -> dict[str, Path]:
-    """Return the files that `read_input` reads, by purpose, without OpenMM's own and GROMACS's.
+    """Return the files that `read_input` reads, by purpose, except files of OpenMM and GROMACS.
 
     Args:
         path, topology, files: see `read_input`.
@@ -284,7 +284,7 @@ def sources_of(
 
 
 def _included(topology: Path) -> Iterator[Path]:
-    """Return files that a top file includes from beside it, and those that these include; relative to it."""
+    """Yield files that a top file includes from its directory, also indirectly; paths are relative to it."""
     if kind_of(topology) != TOP:
         return
     pending, reached = [Path(topology.name)], set()

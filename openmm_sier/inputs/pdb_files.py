@@ -1,4 +1,4 @@
-"""PDB and PDBx/mmCIF files, with the mistakes refused of which a simulation would make nonsense."""
+"""Read PDB and PDBx/mmCIF files, and refuse errors that would make a simulation meaningless."""
 
 import warnings
 from collections.abc import Iterator, Sequence
@@ -14,38 +14,38 @@ from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
 from openmm_sier.system.boxes import reduced
 from openmm_sier.system.user_warnings import warn
 
-#: OpenMM warns so of an atom that a residue has twice, and keeps one of them.
+#: Start of OpenMM's warning of a duplicate atom, of which it keeps one.
 TWICE = "WARNING: duplicate atom "
 
-#: The largest density of a box, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
+#: Maximum density, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
 
-#: nm between opposite faces of a box, below which no cut-off reaches a neighbour: half of it is less than a bond.
+#: Minimum distance between opposite faces of a box, nm: a cut-off of half of it would be shorter than a bond.
 NARROWEST = 0.3
 
-#: nm, the longest edge of a box, in which any liquid fits.
+#: Maximum edge of a box, nm.
 LONGEST = 1e4
 
-#: The last column of the coordinates of an atom in a PDB file.
+#: Last column of the coordinates of an atom in a PDB file.
 COORDINATES_END = 54
 
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
 
 class ForceFieldError(ValueError):
-    """No force field is named, found or applied, or there are no coordinates that one could be for."""
+    """Error in a force field, in coordinates, or in their combination."""
 
 
 def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
     """Read a PDB or PDBx/mmCIF file.
 
     Args:
-        path: of the file.
-        edges: of its periodic box, see `box_of`.
+        path: path of the file.
+        edges: edges of the periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: it is none, is cut off, has an atom twice, two atoms in one place, or a box that cannot hold
-            its atoms.
+        ForceFieldError: the file has another format, is cut off, has duplicate atoms, two atoms in one place, or a box
+            too small for its atoms.
         OSError: the file cannot be read.
     """
     kind = check_records(path)
@@ -64,10 +64,10 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
 
 
 def check_records(path: str | Path) -> str:
-    """Return the kind of a PDB or PDBx/mmCIF file, after all reasons to refuse its atoms.
+    """Check the records of a PDB or PDBx/mmCIF file, and return its kind.
 
     Raises:
-        ForceFieldError: it is none, or is cut off.
+        ForceFieldError: the file has another format, or is cut off.
         OSError: the file cannot be read.
     """
     kind = kind_of(path)
@@ -79,10 +79,10 @@ def check_records(path: str | Path) -> str:
 
 
 def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
-    """Warn of a PDB or PDBx/mmCIF file with atoms in alternate locations; the topology is that of its first model."""
+    """Warn if a PDB or PDBx/mmCIF file has alternate locations; `topology` is that of its first model."""
     lines = Path(path).read_text(errors="replace").splitlines()
     records = sum(line.startswith(("ATOM", "HETATM")) for line in lines)
-    # Models have as many atoms each.
+    # All models have the same number of atoms.
     if records % max(topology.getNumAtoms(), 1):
         warn(
             f"{path} has atoms in alternate locations, of which the first is taken. If another one is more frequent, "
@@ -91,10 +91,10 @@ def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
 
 
 def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
-    """Return the periodic box of a file: its own or, if it has none, a rectangular one with given edges in nm.
+    """Return the periodic box of a file or, if it has none, a rectangular one with the given edges in nm.
 
     Raises:
-        ForceFieldError: both are given, or its own is longer than `LONGEST`.
+        ForceFieldError: both are given, or the box of the file has an edge above `LONGEST`.
     """
     if box is not None:
         if edges is not None:
@@ -115,10 +115,10 @@ def box_vectors(topology: app.Topology) -> np.ndarray | None:
 
 
 def extent(vectors: np.ndarray) -> str:
-    """Return lengths of the edges of a box, and the angles between them unless it is rectangular, in words.
+    """Return text with the edges of a box, and its angles unless it is rectangular.
 
     Args:
-        vectors: of the box in rows, (3, 3), nm.
+        vectors: box vectors as rows, (3, 3), nm.
     """
     vectors = reduced(vectors)
     lengths = np.linalg.norm(vectors, axis=1)
@@ -131,18 +131,18 @@ def extent(vectors: np.ndarray) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """Return an error's message on one line."""
+    """Return the message of an error on one line."""
     message = " ".join(str(error).split())
-    # The message of a KeyError is the key alone.
+    # The message of a KeyError is only the key.
     return f"{type(error).__name__} {message}".rstrip() if isinstance(error, LookupError) or not message else message
 
 
 @contextmanager
 def refusing(action: str = "") -> Iterator[None]:
-    """Make errors of OpenMM's readers `ForceFieldError`; those of files that cannot be read, and our own, stay.
+    """Context manager that converts errors of OpenMM's readers to `ForceFieldError`, except `OSError`.
 
     Args:
-        what: cannot be done, in front of the message.
+        action: the failed action, in front of the message, such as "cannot read FILE".
     """
     try:
         yield
@@ -153,15 +153,15 @@ def refusing(action: str = "") -> Iterator[None]:
 
 
 def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
-    """Refuse positions (N, 3) in nm of which a simulation would make nonsense; virtual sites may be anywhere.
+    """Refuse positions that would make a simulation meaningless; virtual sites may be anywhere.
 
     Args:
-        path: of the file that they are from, for messages.
-        topology: with the box, and with the elements of all atoms but virtual sites.
+        path: path of the file, for messages.
+        topology: topology with the box, and with the elements of all atoms except virtual sites.
         positions: (N, 3), nm.
 
     Raises:
-        ForceFieldError: they are not finite, two atoms are in one place, or the box cannot hold the atoms.
+        ForceFieldError: positions are not finite, two atoms are in one place, or the box is too small for the atoms.
     """
     atoms = [atom for atom in topology.atoms() if atom.element is not None]
     places = positions[[atom.index for atom in atoms]]
@@ -190,12 +190,12 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
 
 
 def has_end(path: str | Path) -> bool:
-    """Return whether a PDB file has the record that is its last one."""
+    """Return whether a PDB file has an END record."""
     return any(record.split() == ["END"] for record in Path(path).read_text(errors="replace").splitlines())
 
 
 def _check_lines(path: str | Path) -> None:
-    """Refuse a file that ends within a coordinate, of which OpenMM would read the digits that are left."""
+    """Refuse a file that ends within a coordinate, whose remaining digits OpenMM would read."""
     for number, line in enumerate(Path(path).read_text(errors="replace").splitlines(), 1):
         if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
             raise ForceFieldError(
@@ -205,7 +205,7 @@ def _check_lines(path: str | Path) -> None:
 
 
 def _check_edges(path: str | Path) -> None:
-    """Refuse the edges of a box that are no lengths."""
+    """Refuse box edges that are not positive numbers."""
     for record in Path(path).read_text(errors="replace").splitlines():
         if not record.startswith("CRYST1"):
             continue
@@ -222,5 +222,5 @@ def _check_edges(path: str | Path) -> None:
 
 
 def named_atom(atom: app.topology.Atom) -> str:
-    """Return an atom as messages name it."""
+    """Return the name of an atom for messages."""
     return f"atom {atom.id} ({atom.name} of {atom.residue.name} {atom.residue.id})"

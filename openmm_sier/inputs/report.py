@@ -1,20 +1,20 @@
-"""Reports of long computations: notes and progress.
+"""Progress reports of long computations.
 
-Nothing here prints. The command passes in an object that prints with rich; without one, computations are silent.
+Nothing here prints. The command passes an object that prints with rich; without one, computations are silent.
 """
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
-#: Takes the amount done so far, and a new description if that changes.
+#: Callback that receives the amount done so far, and a new description if it changes.
 Advance = Callable[..., None]
 
 
 class Report:
-    """The receiver of reports. This one ignores them; others extend it."""
+    """Receiver of reports, which ignores them; subclasses show them."""
 
     def note(self, message: str) -> None:
-        """Take a line of progress information."""
+        """Receive a line of progress information."""
 
     def progress(self, description: str, total: float, ps: float | None = None) -> AbstractContextManager[Advance]:
         """Show the progress of a computation, as a context manager.
