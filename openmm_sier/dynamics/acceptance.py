@@ -21,13 +21,13 @@ Directions of momenta are as they were drawn.
 
 A rejection reverses all momenta, so that molecules go back to where they came from. It is rarer where a trajectory that
 would be rejected goes on, and the energy error at its next end is compared with the same random number. The next end is
-accepted as often from there as it is from here: let p be the probabilities of the ends. From the end i the end k is
+accepted as often in the reverse direction: let p be the probabilities of the ends. From the end i the end k is
 reached with max(0, min(p_i, p_k) - max_j min(p_i, p_j))/p_i, where j are the ends between them. If this is positive,
 each p_j is below p_i and p_k, so that p_i times it is the same from either side.
 
-Let the momenta have a part a of the heat capacity, and each trial share out the energy anew. Then the potential energy
-is forgotten in 2/a - 1 trials where kinetic energies are independent, and in 1/a where each is the opposite of the one
-before: in rigid water, where a is about 0.35, in 5 trials and in 3. What is slower than trials stays as slow.
+Let a be the kinetic fraction of the heat capacity, and let each trial equilibrate kinetic and potential energy. Then
+the potential energy is forgotten in 2/a - 1 trials if kinetic energies are independent, and in 1/a if each is the
+opposite of the one before: in rigid water, where a is about 0.35, in 5 trials and in 3. Slower motions remain as slow.
 
 Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247 (1991)
 for partly refreshed momenta, which detailed balance requires to be reversed after a rejection; Gupta, Irbaeck, Karsch

@@ -12,8 +12,8 @@ from openmm_sier.dynamics.bodies import BodySet, molecule_of_atoms
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.noise import generator
 
-#: Largest change of ln V at the beginning, times the square root of the number of molecules. In these units ln V
-#: fluctuates by 1 in an ideal gas and by 0.25 in water, where half of the moves are accepted.
+#: Initial maximum change of ln V, times the square root of the number of molecules. In these units ln V fluctuates by 1
+#: in an ideal gas and by 0.25 in water, where half of the moves are accepted.
 FIRST_SIZE = 0.5
 
 #: Largest change of ln V that is ever tried.
@@ -31,15 +31,15 @@ JUDGED = 10, 30, 70, 150, 310, 630, 1270, 2550
 
 
 class MoveSize(NamedTuple):
-    """Choose the size of volume moves by the outcome of the first of them.
+    """Adaptive size of volume moves.
 
-    Moves of another size between them would break detailed balance. So the size changes ever more rarely, and not at
-    all where enough moves are accepted or after the last of `JUDGED`.
+    Changing the size between moves breaks detailed balance. So the size changes ever more rarely, and not at all if
+    enough moves are accepted or after the last of `JUDGED`.
 
     Attributes:
         largest: largest change of ln V.
         tried: number of moves so far.
-        accepted: sum of the probabilities to accept those since the size was judged.
+        accepted: sum of the acceptance probabilities of moves since the last adaptation.
     """
 
     largest: float
@@ -48,11 +48,11 @@ class MoveSize(NamedTuple):
 
     @classmethod
     def first(cls, molecules: int) -> MoveSize:
-        """Return the size with which a run begins."""
+        """Return the initial size of a run."""
         return cls(min(FIRST_SIZE / math.sqrt(molecules), LARGEST_SIZE))
 
     def after(self, probability: float) -> MoveSize:
-        """Return the size after a move that was accepted with a probability."""
+        """Return the size after a move with the given acceptance probability."""
         tried, accepted = self.tried + 1, self.accepted + probability
         if tried not in JUDGED:
             return MoveSize(self.largest, tried, accepted)
@@ -61,9 +61,9 @@ class MoveSize(NamedTuple):
 
 
 def _change(accepted: float) -> float:
-    """Return the factor on the size of moves of which a part was accepted, so that half of them will be.
+    """Return the factor on the size of moves for an acceptance of one half, given the present acceptance.
 
-    The part that is accepted of large moves is as 1/size, and the part that is rejected of small ones as the size.
+    The acceptance of large moves is proportional to 1/size, and the rejection of small ones to the size.
     """
     least, most = ACCEPTED
     if accepted < least:
@@ -74,16 +74,16 @@ def _change(accepted: float) -> float:
 
 
 class MonteCarloVolumeMove(NamedTuple):
-    """Describe a move of the volume by the method of OpenMM's MonteCarloBarostat.
+    """Volume move of the method of OpenMM's MonteCarloBarostat.
 
     Its random numbers are a function of a seed and of the number of draws so far, so that a restart is bit-identical.
 
     Source: Chow and Ferguson, Comput. Phys. Commun. 91, 283 (1995), with ln V for V.
 
     Attributes:
-        molecules: number of molecules, each of which is moved as a whole.
+        molecules: number of molecules, which move rigidly.
         growth: change of ln V.
-        chance: random number in [0, 1) that decides.
+        chance: random number in [0, 1) that decides on acceptance.
     """
 
     molecules: int
@@ -92,47 +92,47 @@ class MonteCarloVolumeMove(NamedTuple):
 
     @classmethod
     def drawn(cls, seed: int, draw: int, molecules: int, largest: float) -> MonteCarloVolumeMove:
-        """Return a move to be tried, whose random numbers are fixed by seed and draw.
+        """Return a trial move with the random numbers of a seed and draw.
 
         Args:
-            seed: of the run.
+            seed: seed of the run.
             draw: number of draws so far.
             molecules: number of molecules.
-            largest: change of ln V.
+            largest: largest change of ln V.
         """
         place, chance = generator(seed, draw, stream=1).random(2)
         return cls(molecules, largest * (2 * place - 1), chance)
 
     @property
     def factor(self) -> float:
-        """Return the factor on edges of the box and centres of molecules."""
+        """Factor on edges of the box and centres of molecules."""
         return math.exp(self.growth / 3)
 
     def probability(self, gain: float, pressure: float, volume: float, thermal: float) -> float:
-        """Return the probability by which a move in ln V is accepted, that of Metropolis.
+        """Return the Metropolis acceptance probability of a move in ln V.
 
         The centres of n molecules are scaled with the box.
 
         Args:
             gain: change of the potential energy, kJ/mol.
             pressure: kJ/mol/nm^3.
-            volume: before the move, nm^3.
+            volume: volume before the move, nm^3.
             thermal: kT, kJ/mol.
         """
         work = pressure * volume * math.expm1(self.growth)
         cost = gain + work - (self.molecules + 1) * thermal * self.growth
         if cost <= 0:
             return 1.0
-        # An energy of overlapping atoms may not be a number.
+        # The energy of overlapping atoms may be NaN.
         return math.exp(-cost / thermal) if thermal and math.isfinite(cost) else 0.0
 
     def is_accepted(self, probability: float) -> bool:
-        """Return whether a move with a probability to be accepted is so."""
+        """Return whether a move with the given acceptance probability is accepted."""
         return 1 - self.chance <= probability
 
 
 class MoleculeCentres:
-    """For each body the centre of mass of its molecule.
+    """Centres of mass of the molecules of bodies.
 
     Attributes:
         count: number of molecules.
@@ -141,8 +141,8 @@ class MoleculeCentres:
     def __init__(self, bodies: BodySet, molecules: Sequence[Sequence[int]]):
         """
         Args:
-            bodies: rigid and point bodies. Molecules that a body joins are one.
-            molecules: particle indices of what is moved as a whole.
+            bodies: rigid and point bodies. Molecules joined by a body count as one.
+            molecules: particle indices of each molecule.
         """
         molecule = molecule_of_atoms(molecules, bodies.n_particles)
         of_atoms = [molecule[species.atoms] for species in bodies.species]
@@ -153,7 +153,7 @@ class MoleculeCentres:
         self.count = int(self._owner.max()) + 1
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
-        """Return centres, (3, n), at centres of bodies (3, n)."""
+        """Return the centre of the molecule of each body, (3, n), for centres of bodies (3, n)."""
         return np.stack([np.bincount(self._owner, self._weights * x)[self._owner] for x in q])
 
 

@@ -1,6 +1,6 @@
-"""Rigid bodies: their masses, moments and sites, and the conversion between the coordinates of atoms and of bodies.
+"""Rigid bodies: masses, moments and sites, and conversions between atoms and bodies.
 
-Lengths are in nm, times in ps, masses in dalton, energies in kJ/mol, so that no conversion factor appears.
+Lengths are in nm, times in ps, masses in dalton, energies in kJ/mol, so that no conversion factors appear.
 Arrays of bodies are component-first: a vector for each of n bodies has shape (3, n), an attitude matrix (3, 3, n).
 Arrays of atoms have OpenMM's shape (N, 3).
 """
@@ -21,28 +21,28 @@ from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
 from openmm_sier.dynamics.vectors import body_frame
 
-#: Two arrays of bodies, of what moves and what turns them: centres and attitudes, momenta and angular momenta, forces
-#: and torques, or inverse masses, (n,), and inverse moments, (3, n).
+#: Two arrays of bodies, for translation and rotation: centres and attitudes, momenta and angular momenta, forces and
+#: torques, or inverse masses, (n,), and inverse moments, (3, n).
 Pair = tuple[np.ndarray, np.ndarray]
 
-#: Messages name so many residues of a body; of more the first and the last.
+#: Maximum number of residues of a body named in a message; of more, only the first and the last are named.
 MOST_RESIDUES = 3
 
 
 class NotFiniteError(ValueError):
-    """Vectors of bodies are not all finite.
+    """Error for vectors of bodies that are not finite.
 
     Attributes:
-        body: the number of the first body with a vector that is not finite.
-        what: names that vector and the body.
+        body: index of the first body with such a vector.
+        what: name of the vector and the body.
     """
 
     def __init__(self, quantity: str, vectors: np.ndarray, bodies: "BodySet") -> None:
         """
         Args:
-            quantity: names a vector, with a preposition: "force on".
-            vectors: of bodies, (k, n).
-            bodies: whose they are.
+            quantity: name of the vector with a preposition, such as "force on".
+            vectors: vectors of the bodies, (k, n).
+            bodies: the bodies.
         """
         self.body = int(np.isfinite(vectors).all(axis=0).argmin())
         self.what = f"{quantity} {bodies.describe(self.body)}"
@@ -51,7 +51,7 @@ class NotFiniteError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """Hold a phase point of n rigid bodies, as `integrator.getBodyState()` returns it. It never changes in place.
+    """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
 
     Attributes:
         q: centres of mass, (3, n), nm.
@@ -67,11 +67,11 @@ class BodyState:
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
-    """Return for each particle the number of its molecule.
+    """Return the molecule index of each particle, (N,).
 
     Args:
-        molecules: particle indices of each, as `Context.getMolecules()` gives them.
-        n_particles: of the system.
+        molecules: particle indices of each molecule, as returned by `Context.getMolecules()`.
+        n_particles: number of particles of the system.
     """
     numbers = np.zeros(n_particles, dtype=int)
     for number, atoms in enumerate(molecules):
@@ -80,18 +80,18 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
 
 
 class BodySet:
-    """Hold the rigid and point bodies of a system, and the constraints between them.
+    """Rigid and point bodies of a system, and the constraints between them.
 
-    Bodies are numbered species by species. Particles that belong to no body (virtual sites, fixed massless particles)
-    are left alone.
+    Bodies are numbered species by species. Particles without a body (virtual sites, fixed massless particles) are
+    ignored.
 
     Attributes:
         species: the kinds of body.
-        parts: for each species the slice of its bodies.
+        parts: slice of the bodies of each species.
         masses: (n,), dalton.
-        moments: (3, n), dalton nm^2.
-        molecules: for each body a number of its molecule, (n,).
-        sites: the atoms, with their places in the bodies.
+        moments: principal moments, (3, n), dalton nm^2.
+        molecules: molecule index of each body, (n,).
+        sites: the atoms, with their positions in the bodies.
     """
 
     def __init__(
@@ -104,12 +104,12 @@ class BodySet:
     ):
         """
         Args:
-            species: kinds of body; no particle may be in two.
+            species: kinds of body; no particle may be in two bodies.
             n_particles: number of particles of the system.
-            labels: for each particle the name of its residue, for messages.
+            labels: residue name of each particle, for messages.
             links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
-            molecules: for each body the number of its molecule, (n,); None: linked bodies form one molecule, any other
-                body is one by itself.
+            molecules: molecule index of each body, (n,). With None, linked bodies form a molecule, and any other body
+                is a molecule.
 
         Raises:
             ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
@@ -135,44 +135,44 @@ class BodySet:
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
-        """Show bodies by their numbers of atoms, and the constraints between points: `print(integrator.bodies)`."""
+        """Return a summary of bodies by numbers of atoms, and of constraints: `print(integrator.bodies)`."""
         kinds: dict[int, list[int]] = {}
         for s in self.species:
             kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
         points, constraints = sum(kinds.pop(1, [])), len(self.links[1])
-        parts = [
+        words = [
             f"{sum(counts)} rigid of {size} atoms" + (f" ({len(counts)} kinds)" if len(counts) > 1 else "")
             for size, counts in sorted(kinds.items())
         ]
         if points:
-            parts.append(f"{points} point{'s' if points > 1 else ''}")
+            words.append(f"{points} point{'s' if points > 1 else ''}")
         if constraints:
-            parts.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
-        return f"<{type(self).__name__}: {', '.join(parts) or 'none'}>"
+            words.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
+        return f"<{type(self).__name__}: {', '.join(words) or 'none'}>"
 
     @cached_property
     def constraints(self) -> Constraints:
-        """Return the constraints between point bodies.
+        """Constraints between point bodies.
 
         Raises:
-            ConstraintError: they contradict each other.
+            ConstraintError: the constraints contradict each other.
         """
         return Constraints(*self.links, self.masses, self.describe)
 
     @cached_property
     def dof(self) -> int:
-        """Return degrees of freedom of all bodies."""
+        """Number of degrees of freedom of all bodies."""
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
 
     @cached_property
     def flexible(self) -> np.ndarray:
-        """Tell which bodies are in a molecule with others, (n,), so that the molecule is not rigid."""
+        """Whether each body shares its molecule with other bodies, (n,), so that the molecule is flexible."""
         _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
         return (counts > 1)[place]
 
     @cached_property
     def owners(self) -> np.ndarray:
-        """Return for each particle the number of its body, (N,); -1 where it has none."""
+        """Body index of each particle, (N,); -1 without a body."""
         owners = np.full(self.n_particles, -1)
         for species, part in zip(self.species, self.parts, strict=True):
             owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
@@ -193,37 +193,37 @@ class BodySet:
                 )
 
     def restricted(self, bodies: np.ndarray) -> "BodySet":
-        """Return some of the bodies with the constraints between them. Their atoms keep their numbers.
+        """Return a subset of the bodies with the constraints between them. Atoms keep their indices.
 
         Args:
-            bodies: ascending numbers, (m,), which become 0 .. m-1.
+            bodies: ascending indices, (m,), which become 0 .. m-1.
 
         Raises:
-            ConstraintError: a constraint joins one of them to another body.
+            ConstraintError: a constraint joins a body of the subset to another body.
         """
-        wanted = np.asarray(bodies, dtype=np.int64)
+        indices = np.asarray(bodies, dtype=np.int64)
         kinds = []
         for species, part in zip(self.species, self.parts, strict=True):
-            rows = wanted[(wanted >= part.start) & (wanted < part.stop)] - part.start
+            rows = indices[(indices >= part.start) & (indices < part.stop)] - part.start
             if rows.size:
                 kinds.append(species.of_atoms(species.atoms[rows]))
-        between = self.constraints.restricted(wanted)
+        between = self.constraints.restricted(indices)
         links = between.pairs, between.lengths
-        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[wanted])
+        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[indices])
 
     def atoms_of(self, body: int) -> np.ndarray:
-        """Return particle indices of one body."""
+        """Return the particle indices of a body."""
         for s, part in zip(self.species, self.parts, strict=True):
             if part.start <= body < part.stop:
                 return s.atoms[body - part.start]
         raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
 
     def describe(self, body: int) -> str:
-        """Return a name for messages: residue, if known, and atoms of one body."""
+        """Return the name of a body for messages: residue, if known, and atoms."""
         return self.describe_atoms(self.atoms_of(body))
 
     def describe_atoms(self, atoms: Sequence[int] | np.ndarray) -> str:
-        """Return a name for messages: residues, if known, and atoms; those of large bodies as ranges."""
+        """Return the name of atoms for messages: residues, if known, and indices, as ranges in large bodies."""
         is_few = len(atoms) <= MAX_LISTED
         numbers = ", ".join(str(int(i)) for i in atoms) if is_few else as_ranges(atoms)
         names = f"atoms {numbers}" if len(atoms) > 1 else f"atom {numbers}"
@@ -237,26 +237,26 @@ class BodySet:
     # --- from atoms to bodies ---
 
     def fit(self, positions: np.ndarray, previous: BodyState | None = None) -> Pair:
-        """Return centres and attitudes of the bodies that atom positions form.
+        """Return centres and attitudes of bodies from atom positions.
 
         Args:
             positions: (N, 3), nm.
             previous: a state whose attitudes are kept, bit for bit, if they reproduce the positions to rounding. So a
-                barostat that moves bodies rigidly leaves their attitudes unchanged.
+                barostat that moves bodies rigidly does not change attitudes.
 
         Returns:
             (q, A), shapes (3, n) and (3, 3, n).
 
         Raises:
-            RigidityError: an atom is further than `Species.tolerance` from its place, positions are those of a mirror
-                image, or a position is not finite.
+            RigidityError: an atom is further than `Species.tolerance` from its site, positions form a mirror image, or
+                a position is not finite.
         """
         return self.fit_with_misfit(positions, previous)[:2]
 
     def fit_with_misfit(
         self, positions: np.ndarray, previous: BodyState | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Do what `fit` does, and also return the largest distance in nm of an atom from its place: (q, A, misfit)."""
+        """Like `fit`, but also return the largest distance of an atom of each body from its site: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
         for s, part in zip(self.species, self.parts, strict=True):
@@ -273,7 +273,7 @@ class BodySet:
         return q, A, misfit
 
     def _refuse_mirrored(self, species: Species, part: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
-        # Atoms nearer to the body than half way to its mirror image cannot fit the image better by the margin.
+        # Atoms less than half way from the body to its mirror image cannot fit the image better by the margin.
         suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
         if species.mirror_distance == 0 or not suspects.size:
             return
@@ -296,14 +296,14 @@ class BodySet:
         raise RigidityError(
             f"{self.describe(worst)} does not fit its rigid shape: an atom is {misfit[worst]:.4f} nm off, and only "
             f"{tolerances[worst]:.4g} nm or less is corrected ({np.count_nonzero(torn)} of {self.n} bodies fail). "
-            f"{unit}(1) If the periodic boundary cuts it, take make_whole(system, positions, bodies=bodies). (2) If "
+            f"{unit}(1) If the periodic boundary cuts it, call make_whole(system, positions, bodies=bodies). (2) If "
             "constraints keep it rigid, call context.applyConstraints(1e-6). (3) If you named it in `bodies`, minimize "
             "in a Context with this integrator, not with another one; or start from the positions that gave it its "
             "shape"
         )
 
     def momenta(self, velocities: np.ndarray, A: np.ndarray) -> Pair:
-        """Return momenta and angular momenta that atom velocities carry: the rigid part of their motion.
+        """Return momenta and angular momenta of bodies from atom velocities, the rigid part of the motion.
 
         Args:
             velocities: (N, 3), nm/ps.
@@ -322,10 +322,10 @@ class BodySet:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
 
         Args:
-            forces: on the particles, (N, 3), kJ/mol/nm. Those on virtual sites must already be passed on to massive
-                particles, as OpenMM does.
+            forces: forces on the particles, (N, 3), kJ/mol/nm. Forces on virtual sites must already be passed on to
+                massive particles, as OpenMM does.
             A: attitudes, (3, 3, n).
-            sites: the atoms on which there are forces; None for all.
+            sites: atoms with nonzero forces; None for all.
 
         Returns:
             (F, tau), each of shape (3, n), in kJ/mol/nm and kJ/mol.
@@ -354,10 +354,10 @@ class BodySet:
             q: centres, (3, n).
             A: attitudes, (3, 3, n).
             positions: (N, 3), nm, which change.
-            sites: the atoms that are wanted; None for all.
+            sites: atoms to be written; None for all.
 
         Raises:
-            NotFiniteError: a position is not finite. All have been written then.
+            NotFiniteError: a position is not finite. All positions have been written then.
         """
         chosen = self.sites if sites is None else sites
         if kernels.atoms.place(self.n, q, A, chosen.sets, chosen.places, chosen.atoms, positions):
@@ -365,13 +365,13 @@ class BodySet:
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
-        """Write the atom velocities of a state into `velocities`, shape (N, 3); other particles keep theirs."""
+        """Write the atom velocities of a state into `velocities`, (N, 3); other particles keep theirs."""
         moving, tables = (state.p, state.A, state.L), (self.sites.sets, self.sites.places, self.sites.atoms)
         kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
         return velocities
 
     def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> Pair:
-        """Return centres and attitudes of bodies displaced by `shift` times the accelerations by forces and torques.
+        """Return centres and attitudes displaced by `shift` times the accelerations due to forces and torques.
 
         Args:
             q, F, tau: (3, n).
@@ -384,17 +384,17 @@ class BodySet:
 
     @cached_property
     def inverse_masses(self) -> np.ndarray:
-        """Return inverse masses, (n,), 1/dalton."""
+        """Inverse masses, (n,), 1/dalton."""
         return 1 / self.masses
 
     @cached_property
     def inverse_moments(self) -> np.ndarray:
-        """Return inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is."""
+        """Inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is zero."""
         return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
 
     @cached_property
     def point_particles(self) -> np.ndarray:
-        """Return for each particle whether it is a body by itself, (N,)."""
+        """Whether each particle is a point body, (N,)."""
         alone = np.zeros(self.n_particles, dtype=bool)
         for species in self.species:
             if species.atoms.shape[1] == 1:
@@ -411,11 +411,11 @@ class BodySet:
 
     @cached_property
     def mass(self) -> float:
-        """Return the mass of all bodies, dalton."""
+        """Total mass of all bodies, dalton."""
         return float(self.masses.sum())
 
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Return the velocity of the common centre of mass at momenta (3, n), (3,), nm/ps; zero without bodies."""
+        """Return the velocity of the total centre of mass, (3,), nm/ps, for momenta (3, n); zero without bodies."""
         return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
@@ -423,11 +423,11 @@ class BodySet:
         return BodyState(state.q, state.p + self.masses * velocity[:, None], state.A, state.L)
 
     def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
-        """Return the energy that all bodies gain where a velocity is added to them, kJ/mol.
+        """Return the energy gain when a velocity is added to all bodies, kJ/mol.
 
         Args:
-            centre: velocity of their centre of mass before, (3,), nm/ps.
-            velocity: that is added, (3,), nm/ps.
+            centre: previous velocity of the centre of mass, (3,), nm/ps.
+            velocity: added velocity, (3,), nm/ps.
         """
         return self.mass * float((centre + 0.5 * velocity) @ velocity)
 

@@ -225,21 +225,21 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
     """
     part = as_slice(np.asarray(members))
     #: Places of all bodies at the end of the last drift, and those of the members as they were computed.
-    kept: list[np.ndarray] = []
+    last: list[np.ndarray] = []
 
     def places(state: BodyState) -> tuple[np.ndarray, np.ndarray]:
-        if kept and kept[0] is state.q and kept[1] is state.A:
-            return kept[2], kept[3]
+        if last and last[0] is state.q and last[1] is state.A:
+            return last[2], last[3]
         return state.q[:, part].copy(), state.A[:, :, part].copy()
 
     def apply(state: BodyState, h: float) -> BodyState:
         q, A = places(state)
-        own = within(BodyState(q, state.p[:, part].copy(), A, state.L[:, part].copy()), h)
+        member_state = within(BodyState(q, state.p[:, part].copy(), A, state.L[:, part].copy()), h)
         free = drift(state, h)
         moved = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
-        moved.q[:, part], moved.p[:, part] = own.q, own.p
-        moved.A[:, :, part], moved.L[:, part] = own.A, own.L
-        kept[:] = moved.q, moved.A, own.q, own.A
+        moved.q[:, part], moved.p[:, part] = member_state.q, member_state.p
+        moved.A[:, :, part], moved.L[:, part] = member_state.A, member_state.L
+        last[:] = moved.q, moved.A, member_state.q, member_state.A
         return moved
 
     return apply

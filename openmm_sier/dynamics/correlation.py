@@ -1,4 +1,4 @@
-"""The memory of a series: its correlation, and how many of its values are worth one independent value."""
+"""Correlation of series, and their statistical inefficiency."""
 
 import math
 
@@ -9,7 +9,7 @@ FEWEST_INDEPENDENT = 5
 
 
 def is_constant(values: np.ndarray) -> bool:
-    """Return whether values differ by rounding alone, as does the density of a box of constant volume."""
+    """Return whether values differ only by rounding, like the density of a box of constant volume."""
     return bool(np.ptp(values) <= 1e-13 * np.abs(values).max())
 
 
@@ -29,9 +29,10 @@ def mean_products(values: np.ndarray, longest: int) -> np.ndarray:
 
 
 def inefficiency(values: np.ndarray) -> float:
-    """Return how many values of a series (n,) are worth one independent value; 1 for a constant series.
+    """Return the statistical inefficiency of a series (n,): the number of values per independent value; 1 if constant.
 
-    The sum of the correlation to where it first is negative, as `pymbar.timeseries.statistical_inefficiency` has it.
+    The correlation is summed until it is negative for the first time, as in
+    `pymbar.timeseries.statistical_inefficiency`.
 
     Source: Chodera et al., J. Chem. Theory Comput. 3, 26 (2007).
     """
@@ -64,7 +65,7 @@ def _sum_of_correlation(values: np.ndarray) -> tuple[float, int]:
     products = mean_products(values - np.mean(values), n - 2)
     lags = np.arange(1, n - 1)
     correlation = products[1:] / products[0]
-    # Three lags always count: the correlation of what oscillates is negative early.
+    # Three lags always count: the correlation of oscillating quantities is negative early.
     ends = np.flatnonzero((correlation <= 0) & (lags > 3))
     last = int(ends[0]) if ends.size else len(lags)
     return max(1.0, float(1 + 2 * (correlation * (1 - lags / n))[:last].sum())), last

@@ -1,8 +1,8 @@
-"""Names of many numbers in a few words, for messages."""
+"""Short text for many indices, for messages."""
 
 from collections.abc import Iterable
 
-#: A list of at most this many numbers is written out.
+#: Maximum number of indices that are listed one by one.
 MAX_LISTED = 8
 
 
@@ -12,17 +12,17 @@ def ranges(numbers: Iterable[int]) -> list[tuple[int, int]]:
     >>> ranges([4, 0, 1, 2])
     [(0, 2), (4, 4)]
     """
-    found: list[tuple[int, int]] = []
+    runs: list[tuple[int, int]] = []
     for number in sorted(set(map(int, numbers))):
-        if found and number == found[-1][1] + 1:
-            found[-1] = found[-1][0], number
+        if runs and number == runs[-1][1] + 1:
+            runs[-1] = runs[-1][0], number
         else:
-            found.append((number, number))
-    return found
+            runs.append((number, number))
+    return runs
 
 
 def as_ranges(numbers: Iterable[int]) -> str:
-    """Return numbers as text, with each run of consecutive ones by its ends.
+    """Return numbers as text, with each run of consecutive numbers as a range.
 
     >>> as_ranges([4, 0, 1, 2])
     '0-2,4'

@@ -1,4 +1,4 @@
-"""Count the heat, the random numbers and the moves of a run."""
+"""Bookkeeping of heat, random numbers and counts of a run."""
 
 # Without this, annotations would import numpy.random, which is slow.
 from __future__ import annotations
@@ -12,23 +12,22 @@ from openmm_sier.dynamics.noise import generator
 
 
 class Mark(NamedTuple):
-    """Heat, kJ/mol, and number of draws at one moment."""
+    """Heat, kJ/mol, and number of draws at a point of a run."""
 
     heat: float
     draws: int
 
 
 class Ledger:
-    """Heat and random numbers of one run, and what its ensemble counts.
+    """Heat and random numbers of a run, and counts of its ensemble.
 
-    Operators and ensembles write here as they act. Whoever undoes what they did also brings the ledger back to its mark
-    of before.
+    Operators and ensembles update the ledger as they act. Undoing their actions includes restoring an earlier mark.
 
     Attributes:
-        heat: energy that baths and moves have given to the bodies, and forces have not, kJ/mol.
-        seed: fixes, with the number of draws, all random numbers; 0 before one was chosen.
-        draws: how often random numbers were drawn.
-        counts: what the ensemble counts, by name.
+        heat: energy from baths and moves, as opposed to forces, kJ/mol.
+        seed: determines all random numbers together with `draws`; 0 until a seed is chosen.
+        draws: number of draws of random numbers.
+        counts: counts of the ensemble, by name.
     """
 
     def __init__(self, seed: int = 0, counts: Iterable[str] = ()):
@@ -37,18 +36,18 @@ class Ledger:
         self.clear()
 
     def clear(self) -> None:
-        """Begin to count anew; the seed stays."""
+        """Reset heat, draws and counts; keep the seed."""
         self.heat, self.draws = 0.0, 0
         self.counts = dict.fromkeys(self.counts, 0.0)
 
     def noise(self, stream: int = 0) -> np.random.Generator:
-        """Return the random numbers of the present draw, see `noise.generator`; they are valid until the next call."""
+        """Return the generator of the present draw, see `noise.generator`; it is valid until the next call."""
         return generator(self.seed, self.draws, stream)
 
     def mark(self) -> Mark:
-        """Return heat and draws of now."""
+        """Return the present heat and draws."""
         return Mark(self.heat, self.draws)
 
     def go_back(self, mark: Mark) -> None:
-        """Bring heat and draws back to a mark."""
+        """Restore heat and draws of a mark."""
         self.heat, self.draws = mark

@@ -1,8 +1,8 @@
-"""The operators of a splitting scheme, and the loop that executes any scheme.
+"""Operators of splitting schemes, and the loop that executes a scheme.
 
-An operator is a function (state, time) -> state. It returns a new state and shares the arrays that it leaves alone: a
-kick keeps the very arrays q and A. `CachedForces` recognizes them, and so the force at the end of a step is reused at
-the start of the next without any bookkeeping.
+An operator is a function (state, time) -> state. It returns a new state that shares unchanged arrays: a kick keeps the
+arrays q and A themselves. `CachedForces` recognizes them, and so reuses the force at the end of a step at the start of
+the next one without any bookkeeping.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ Stepper = Callable[[BodyState], BodyState]
 
 
 class Rotation(Protocol):
-    """Rotate bodies freely, as `openmm_sier.dynamics.rotation.exact` does. Any function of these arguments will do."""
+    """Free-rotation map, such as `openmm_sier.dynamics.rotation.exact`; any function with these arguments."""
 
     def __call__(self, A: np.ndarray, L: np.ndarray, moments: Any, time: float, /) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes and angular momenta after a time.
@@ -53,7 +53,7 @@ class CachedForces:
         compute: (q, A) -> (F, tau), each (3, n).
 
     Attributes:
-        evaluations: how often `compute` was called.
+        evaluations: number of calls of `compute`.
     """
 
     def __init__(self, compute: Callable[..., tuple[np.ndarray, ...]]):
@@ -62,36 +62,36 @@ class CachedForces:
         self.invalidate()
 
     def invalidate(self) -> None:
-        """Compute anew next time: the potential has changed."""
+        """Discard cached forces, after a change of the potential."""
         self._q: np.ndarray | None = None
         self._A: np.ndarray | None = None
         self._found: tuple[np.ndarray, ...] = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
-            # Memory of the old ones is free before the new ones need it.
+            # Free the memory of old forces before computing new ones.
             self._q, self._A, self._found = None, None, ()
             self._found = self.at(state.q, state.A)
             self._q, self._A = state.q, state.A
         return self._found
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return forces and torques at other positions and attitudes, which are not kept.
+        """Return forces and torques at other positions and attitudes, without caching them.
 
         Raises:
-            ValueError: their shape is not that of the positions, (3, n).
+            ValueError: their shape differs from that of the positions, (3, n).
         """
         self.evaluations += 1
-        found = self._compute(q, A)
-        for vectors in found:
+        results = self._compute(q, A)
+        for vectors in results:
             if vectors.shape != q.shape:
-                shapes = " and ".join(str(each.shape) for each in found)
+                shapes = " and ".join(str(each.shape) for each in results)
                 raise ValueError(f"forces must have the shape {q.shape} of the positions, got {shapes}")
-        return found
+        return results
 
 
 def body_operators(bodies: BodySet, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
-    """Return the operators of all schemes without a heat bath."""
+    """Return the operators of schemes without a heat bath."""
     return {KICK: kick(forces), GRADIENT_KICK: gradient_kick(bodies, forces), **drifts(drift(bodies, rotation))}
 
 
@@ -189,11 +189,11 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> FreeMotion:
 
 
 def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-    """Return a function that makes a step of length h by the scheme's stages, and leaves the given state as it is.
+    """Return a function that makes a step of length h by the scheme's stages, without changing the given state.
 
     Args:
         scheme: the scheme.
-        operators: the operator for each operator name of the scheme.
+        operators: operators by name.
         h: length of the step, ps.
 
     Raises:

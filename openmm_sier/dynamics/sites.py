@@ -1,4 +1,4 @@
-"""Which atoms make up bodies, and where in the bodies they are."""
+"""Atoms of bodies, and their positions in the bodies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,10 +8,10 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class AlikeSites:
-    """The atoms of bodies that share one geometry.
+    """Atoms of bodies that share one geometry.
 
     Attributes:
-        part: which of all bodies they are.
+        part: slice of these bodies.
         atoms: particle indices, (m, k): m bodies of k atoms.
         places: atom positions in the principal frame, (3, k), nm.
     """
@@ -22,15 +22,15 @@ class AlikeSites:
 
 
 class Sites:
-    """The atoms of all bodies, in tables for kernels.
+    """Atoms of all bodies, in tables for kernels.
 
     Attributes:
-        alike: sets of bodies, one after the other.
-        sets: for each set its first body and the end of its bodies, the number of atoms of each body, and where the
-            set begins in `places` and in `atoms`, (m, 5).
+        alike: sets of bodies in order.
+        sets: first body and end of each set, number of atoms per body, and start of the set in `places` and in `atoms`,
+            (m, 5).
         places: atom positions in the principal frame, once for each set, (3, k), nm.
         atoms: particle indices, body by body.
-        ones: for each of `places` the weight 1, (k,).
+        ones: weights 1 of all `places`, (k,).
     """
 
     def __init__(self, alike: Sequence[AlikeSites]) -> None:
@@ -44,9 +44,9 @@ class Sites:
         self.ones = np.ones(self.places.shape[1])
 
     def at(self, atoms: np.ndarray) -> "Sites":
-        """Return the places at which any body of a set has one of some atoms, and what these bodies have there."""
-        found = []
+        """Return the sites at which any body of a set has one of the given atoms, for all bodies of the set."""
+        selected = []
         for each in self.alike:
-            wanted = np.isin(each.atoms, atoms).any(axis=0)
-            found.append(replace(each, atoms=each.atoms[:, wanted], places=each.places[:, wanted]))
-        return Sites(found)
+            is_selected = np.isin(each.atoms, atoms).any(axis=0)
+            selected.append(replace(each, atoms=each.atoms[:, is_selected], places=each.places[:, is_selected]))
+        return Sites(selected)

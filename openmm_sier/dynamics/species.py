@@ -1,4 +1,4 @@
-"""The geometry that bodies of one kind share, and how it is fitted to atom positions."""
+"""Geometry shared by bodies of one kind, and its fit to atom positions."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ OTHER_MOMENT = 1e-6
 
 
 def _direction(coordinates: np.ndarray) -> float:
-    """Return 1 or -1, by which the first of the outermost atoms along an axis comes onto its positive side.
+    """Return the sign that brings the first of the outermost atoms along an axis onto its positive side.
 
-    An eigenvector is known up to its sign, which rounding decides. The noise of a heat bath is drawn along the axes, so
-    a run with a seed would be another one on another processor.
+    Eigenvectors are defined up to a sign, which rounding decides. The noise of a heat bath is drawn along the axes, so
+    runs with one seed would differ between processors.
     """
     distances = np.abs(coordinates)
     # Symmetric atoms are equally far out to rounding.
@@ -51,12 +51,12 @@ def _direction(coordinates: np.ndarray) -> float:
 
 
 class RigidityError(ValueError):
-    """Atoms do not form the rigid body that they are meant to form."""
+    """Error for atoms that do not form the expected rigid body."""
 
 
 @dataclass(frozen=True, eq=False)
 class Species:
-    """All bodies that share one geometry.
+    """Bodies that share one geometry.
 
     Attributes:
         atoms: particle indices, (m, k): m bodies of k atoms.
@@ -77,8 +77,8 @@ class Species:
     def __post_init__(self) -> None:
         numbers = self.masses, self.sites, self.moments
         k = self.masses.size
-        found = self.atoms.shape[1:], *(each.shape for each in numbers)
-        if self.atoms.ndim != 2 or k == 0 or found != ((k,), (k,), (3, k), (3,)):
+        shapes = self.atoms.shape[1:], *(each.shape for each in numbers)
+        if self.atoms.ndim != 2 or k == 0 or shapes != ((k,), (k,), (3, k), (3,)):
             raise ValueError(
                 "species need atoms (m, k), masses (k,), sites (3, k) and moments (3,), got "
                 f"{self.atoms.shape}, {', '.join(str(each.shape) for each in numbers)}"
@@ -88,10 +88,10 @@ class Species:
         if not all(each.dtype.kind == "f" and np.isfinite(each).all() for each in numbers):
             raise ValueError("species need masses, sites and moments that are finite numbers")
         squares = (self.masses * self.sites**2).sum(axis=1)
-        own = squares.sum() - squares
-        if not (np.abs(self.moments - own) <= OTHER_MOMENT * own.max()).all():
+        expected = squares.sum() - squares
+        if not (np.abs(self.moments - expected) <= OTHER_MOMENT * expected.max()).all():
             raise ValueError(
-                f"moments must be those of the masses at their places, {own} dalton nm^2, got {self.moments}. For "
+                f"moments must be those of the masses at their places, {expected} dalton nm^2, got {self.moments}. For "
                 "other moments give the body other masses, as openmm_sier.set_inertia does"
             )
 
@@ -99,13 +99,13 @@ class Species:
     def from_coordinates(
         cls, atoms: ArrayLike, masses: ArrayLike, coordinates: ArrayLike, resolution: float = 0.0
     ) -> Species:
-        """Return species whose geometry is that of one set of atom positions.
+        """Return a species with the geometry of one set of atom positions.
 
         Args:
             atoms: particle indices, (m, k).
             masses: (k,), dalton, positive.
             coordinates: positions of the k atoms in any frame, (k, 3), nm.
-            resolution: if all atoms are within this distance of a principal plane, in nm, they are put onto it.
+            resolution: distance in nm within which all atoms are moved onto a principal plane.
         """
         masses = np.array(masses, dtype=float)
         r = np.array(coordinates, dtype=float)
@@ -122,7 +122,7 @@ class Species:
 
     @classmethod
     def from_sites(cls, atoms: ArrayLike, masses: np.ndarray, sites: np.ndarray) -> Species:
-        """Return species whose moments depend, to the bit, on nothing but its sites (3, k) and masses."""
+        """Return a species whose moments depend, to the bit, only on its sites (3, k) and masses."""
         sites = np.ascontiguousarray(sites)
         squares = (masses * sites**2).sum(axis=1)
         moments = squares.sum() - squares
@@ -143,12 +143,12 @@ class Species:
 
     @property
     def dof(self) -> int:
-        """Return degrees of freedom of one body, 3 for a point, 5 for a line and 6 otherwise."""
+        """Degrees of freedom of one body: 3 for a point, 5 for a line and 6 otherwise."""
         return 3 + int(np.count_nonzero(self.moments))
 
     @cached_property
     def tolerance(self) -> float:
-        """Return the largest distance in nm of an atom from its place at which the body is still recognized."""
+        """Largest distance in nm between an atom and its site at which the body is still recognized."""
         shortest = np.inf
         for i in range(1, self.sites.shape[1]):
             # One row at a time: all pairs of a large body, a rigid protein say, would take much memory.
@@ -158,18 +158,18 @@ class Species:
 
     @cached_property
     def mirror_distance(self) -> float:
-        """Return the largest distance in nm between an atom and its place in the mirror image; 0 for a planar body."""
+        """Largest distance in nm between a site and its mirror image; 0 for a planar body."""
         return float(self.mirrored().fit(self.sites.T[None])[1][0]) if self.sites.any(axis=1).all() else 0.0
 
     def are_mirrored(self, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
-        """Tell which bodies are mirror images, (m,): those whose atoms fit one, and `MIRROR_MARGIN` times better.
+        """Return which bodies are mirror images, (m,): their atoms fit the image, and `MIRROR_MARGIN` times better.
 
         Args:
-            arms: atom positions from the centres of mass, (m, k, 3), nm.
-            misfit: of the body itself, (m,), nm.
+            arms: atom positions relative to the centres of mass, (m, k, 3), nm.
+            misfit: misfits to the body itself, (m,), nm.
         """
-        found = self.mirrored().fit(arms)[1]
-        return (found * MIRROR_MARGIN < misfit) & (found <= self.tolerance)
+        mirror_misfit = self.mirrored().fit(arms)[1]
+        return (mirror_misfit * MIRROR_MARGIN < misfit) & (mirror_misfit <= self.tolerance)
 
     def fit(self, arms: np.ndarray, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (3, 3, m) of m bodies, and the largest distance of an atom from its place, (m,), nm.
@@ -179,7 +179,7 @@ class Species:
 
         Args:
             arms: atom positions from the centres of mass, (m, k, 3), nm.
-            kept: attitudes that are returned as they are if they fit to rounding.
+            kept: attitudes that are returned unchanged if they fit to rounding.
         """
         if not self.sites.any():
             attitudes = np.repeat(np.eye(3)[:, :, None], len(arms), axis=2) if kept is None else kept
@@ -201,14 +201,13 @@ class Species:
 
 
 def sites_of(species: Sequence[Species], parts: Sequence[slice]) -> tuple[Sites, np.ndarray]:
-    """Return the atoms of bodies, and for each of their places the fraction of the mass that is there, (k,).
+    """Return the atoms of bodies, and the fraction of the mass at each site, (k,).
 
-    Points are alike whatever their masses, and are one set where they follow each other; any other kind of body has a
-    set of its own.
+    Consecutive points form one set whatever their masses; any other kind of body has a separate set.
 
     Args:
         species: kinds of body.
-        parts: for each kind which of all bodies are of it.
+        parts: slice of the bodies of each kind.
     """
     sets, fractions = [], [np.empty(0)]
     kinds = zip(species, parts, strict=True)

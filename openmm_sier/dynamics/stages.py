@@ -1,4 +1,4 @@
-"""The stages that splitting schemes are made of."""
+"""Stages of splitting schemes."""
 
 from typing import NamedTuple
 
@@ -17,12 +17,12 @@ FLOWS = {GRADIENT_KICK: KICK, DRIFT_TO_BATH: DRIFT, DRIFT_FROM_BATH: DRIFT}
 
 
 class Stage(NamedTuple):
-    """Describe one operator of a step.
+    """One operator of a step.
 
     Attributes:
-        operator: its name.
-        fraction: of the step that it advances.
-        shift: for a gradient kick, the displacement of its force divided by (step)^2 times the acceleration.
+        operator: name of the operator.
+        fraction: fraction of the step by which it advances.
+        shift: displacement of the force of a gradient kick, divided by (step)^2 times the acceleration.
     """
 
     operator: str
@@ -31,8 +31,8 @@ class Stage(NamedTuple):
 
     def times(self, h: float) -> tuple[float, ...]:
         """Return arguments of the operator in a step of length h: its time, and a gradient kick's displacement."""
-        own = (self.fraction * h,)
-        return (*own, self.shift * h * h) if self.operator == GRADIENT_KICK else own
+        time = (self.fraction * h,)
+        return (*time, self.shift * h * h) if self.operator == GRADIENT_KICK else time
 
     @property
     def flow(self) -> str:

@@ -16,12 +16,12 @@ from openmm_sier.dynamics.operators import Operator
 
 @dataclass(frozen=True)
 class Thermostat(ABC):
-    """Describe a heat bath within the steps of a scheme: an operator that changes only momenta.
+    """Heat bath within the steps of a scheme: an operator that changes only momenta.
 
     Attributes:
-        temperature: in K.
-        friction: rate at which it acts on translation, 1/ps.
-        rotational_friction: rate at which it acts on rotation, 1/ps.
+        temperature: temperature, K.
+        friction: friction of translation, 1/ps.
+        rotational_friction: friction of rotation, 1/ps.
     """
 
     temperature: float
@@ -33,26 +33,26 @@ class Thermostat(ABC):
         """Return the thermostat as an operator of a splitting scheme.
 
         Args:
-            bodies: on which it acts.
-            ledger: gives it random numbers, and counts its heat and its draws.
+            bodies: bodies on which it acts.
+            ledger: source of random numbers, which counts heat and draws.
         """
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         """Return the new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
 
-        It is evaluated for each degree of freedom by itself, and velocities are constrained before and after it.
+        It is evaluated for each degree of freedom separately, and velocities are constrained before and after it.
 
         Args:
-            time, friction, thermal: expressions of the time for which it acts, of its friction, and of kT.
+            time, friction, thermal: expressions of its duration, of its friction, and of kT.
 
         Raises:
-            ValueError: there is no such expression, so that only the exact engine has this bath.
+            ValueError: there is no such expression, so that only the exact engine supports this bath.
         """
         raise ValueError(f"OpenMM cannot execute the heat bath {type(self).__name__} in a CustomIntegrator")
 
 
 class OrnsteinUhlenbeck(Thermostat):
-    """Describe the Langevin thermostat for rigid bodies.
+    """Langevin thermostat for rigid bodies.
 
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
     or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
@@ -69,7 +69,7 @@ class OrnsteinUhlenbeck(Thermostat):
 
         @lru_cache(maxsize=4)
         def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
-            """Return what momenta and angular momenta keep in a time h, and the widths of what they gain."""
+            """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
             (kept, gained), (kept_turning, turning) = map(_decay, (self.friction, self.rotational_friction), (h, h))
             return (kept, kept_turning), np.concatenate([gained * spreads[0], turning * spreads[1]])
 
@@ -87,5 +87,5 @@ class OrnsteinUhlenbeck(Thermostat):
 
 
 def _decay(friction: float, h: float) -> tuple[float, float]:
-    """Return the factor that a momentum keeps in a time h, and the share of its thermal deviation that it gains."""
+    """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
     return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

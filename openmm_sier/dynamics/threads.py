@@ -1,4 +1,4 @@
-"""Threads that share compiled loops over many bodies, and the cores there are for them."""
+"""Threads for compiled loops over many bodies, and the number of available cores."""
 
 import os
 from collections.abc import Callable

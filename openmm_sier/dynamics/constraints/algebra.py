@@ -26,7 +26,7 @@ from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints.graph import independent, joined
 from openmm_sier.dynamics.constraints.table import ConstraintTable
 
-#: How many atoms of a large component a message names.
+#: Maximum number of atoms of a component named in a message.
 NAMED = 8
 
 
@@ -80,7 +80,7 @@ class Constraints:
 
     @cached_property
     def _table(self) -> ConstraintTable:
-        """Return the constraints as kernels take them."""
+        """Constraints in the form used by kernels."""
         from scipy import sparse
 
         pairs, masses = np.searchsorted(self.members, self.pairs), self.masses[self.members]

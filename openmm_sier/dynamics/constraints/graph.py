@@ -10,7 +10,7 @@ PIVOT, SHIFT = 1e-9, 1e-12
 
 
 def joined(n: int, pairs: np.ndarray) -> np.ndarray:
-    """Return for each of n nodes the smallest number in its component of the graph with edges (c, 2), (n,)."""
+    """Return the smallest index in the connected component of each of n nodes, (n,), for edges (c, 2)."""
     ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     if not len(ends):
         return np.arange(n)

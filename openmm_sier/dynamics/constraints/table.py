@@ -1,4 +1,4 @@
-"""The constraints as kernels take them."""
+"""Constraints in the form used by kernels."""
 
 from typing import NamedTuple
 

@@ -1,6 +1,6 @@
-"""Free-rotation maps: the exact solution, the two that van Zon and Schofield (2007) compare it with, and RATTLE's.
+"""Free-rotation maps: the exact solution, two approximations compared by van Zon and Schofield (2007), and RATTLE.
 
-Each is a function (A, L, moments, h) -> (A, L) and can replace the others in every scheme, as in
+Each map is a function (A, L, moments, h) -> (A, L) and can replace the others in every scheme, as in
 `SIERIntegrator(h, rotation=rotation.mrdl)`.
 """
 

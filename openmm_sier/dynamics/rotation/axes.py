@@ -1,4 +1,4 @@
-"""The order of the principal axes in which the free-rotation maps work, and the check of their arguments."""
+"""Order of principal axes in free-rotation maps, and checks of their arguments."""
 
 import math
 from dataclasses import dataclass
