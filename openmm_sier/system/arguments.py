@@ -62,7 +62,7 @@ def checked_system(system: Any) -> openmm.System:
         return system
     remedy = ""
     if hasattr(system, "system") or hasattr(system, "getSystem"):
-        remedy = ". OpenMM reads a System when it makes a Context: pass the System before a Simulation is made from it"
+        remedy = ": give the System itself, before the Simulation or Context is made"
     raise TypeError(f"system must be an openmm.System, got a {type(system).__name__}{remedy}")
 
 

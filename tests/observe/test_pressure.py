@@ -241,7 +241,7 @@ def test_refusals(tmp_path, box):
     (frozen, point), (summed, _) = salt(), salt()
     frozen.setParticleMass(7, 0)
     summed.getForce(0).setNonbondedMethod(openmm.NonbondedForce.Ewald)
-    with pytest.raises(ValueError, match="Ewald sums for rectangular boxes only"):
+    with pytest.raises(ValueError, match="Ewald sums only in rectangular boxes"):
         MolecularPressure(still(summed, point))
     with pytest.raises(ValueError, match="atom 7 has no mass"):
         MolecularPressure(still(frozen, point))

@@ -302,7 +302,7 @@ def test_body_states_are_continued(tmp_path, box):
 def test_other_integrators_are_refused(tmp_path, box, make):
     simulation = simulation_at(box, openmm.VerletIntegrator(0.001))
     simulation.reporters.append(make(tmp_path / "file", 1))
-    with pytest.raises(TypeError, match="needs a SIER integrator"):
+    with pytest.raises(TypeError, match="requires a SIER integrator"):
         simulation.step(1)
 
 

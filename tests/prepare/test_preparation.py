@@ -323,7 +323,7 @@ def test_a_system_with_a_context_is_not_prepared(change):
     context = context_of(system, positions, SIERIntegrator(0.001, "SIER2"))
     # `getSystem` makes another Python object for the same System.
     for each in (system, context.getSystem()):
-        with pytest.raises(ValueError, match="has a Context already: prepare Systems before"):
+        with pytest.raises(ValueError, match="this System already has one: prepare Systems before"):
             change(each)
     assert openmm.XmlSerializer.serialize(system) == before
     change(copy.deepcopy(system))
@@ -436,7 +436,5 @@ def test_bodies_as_plain_lists():
 def test_a_simulation_is_refused_with_what_to_give():
     system, positions = system_of(chains())
     context = started(system, SIERIntegrator(0.001, "SIER2"), positions)
-    with pytest.raises(
-        TypeError, match=r"system must be an openmm.System, got a SIERContext: .*simulation.system before"
-    ):
+    with pytest.raises(TypeError, match=r"system must be an openmm.System, got a SIERContext: give the System itself"):
         prepare_system(context)
