@@ -1,1 +1,1 @@
-"""The experiments of the documentation, one command each. They are in the repository, and not installed."""
+"""Experiments of the documentation, one command each. They are part of the repository, but not installed."""

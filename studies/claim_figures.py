@@ -1,4 +1,4 @@
-"""The figures of claims, from the records that show them."""
+"""Figures of claims, from their records."""
 
 from __future__ import annotations
 

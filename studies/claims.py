@@ -1,4 +1,4 @@
-"""What README and the documentation claim of measurements, each beside the record that shows it.
+"""Claims of README and the documentation about measurements, each with its record.
 
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
 tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The table of

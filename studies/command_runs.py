@@ -1,4 +1,4 @@
-"""Runs of `openmm-sier run` that studies make: each in a directory and a process of its own, from which it goes on."""
+"""Runs of `openmm-sier run` for studies: each in a separate process and directory, from which it continues."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Energy error by the settings of the System: tolerance and balance of PME, cut-off, switch; SIER4G beside Verlet.
+"""Energy error of SIER4G and Verlet by settings of the System: tolerance and balance of PME, cut-off, switch.
 
     python -m studies.defaults                                 the whole table: 192 runs of 1 ps
     python -m studies.defaults --tolerance 5e-4 --starts 1     some of it

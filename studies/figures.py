@@ -1,4 +1,4 @@
-"""The figures of the documentation, drawn from the numbers in `studies/data`.
+"""Figures of the documentation, drawn from the numbers in `studies/data`.
 
     python -m studies.figures [--names energy speed]
 

@@ -1,4 +1,4 @@
-"""Averages of a solute in water by step, integrator and mass of hydrogens, and what a force evaluation is worth.
+"""Averages of a solute in water by step, integrator and mass of hydrogens, and their cost in force evaluations.
 
     python -m studies.heat_bath                                               the dipeptide, all methods, 250 ps each
     python -m studies.heat_bath --methods "LangevinMiddle, 4 fs" "SIER2, 10 fs" --time 1000

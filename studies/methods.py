@@ -1,4 +1,4 @@
-"""The integrators that studies compare: those of this package by scheme and free rotation, and OpenMM's own.
+"""Integrators compared by studies: those of this package by scheme and free rotation, and OpenMM's own.
 
 A `Method` has any step. A `Contestant` is one at a step, with what its System needs.
 """
@@ -119,7 +119,7 @@ class Contestant:
         return self.method.make(1e-3 * self.step, mine)
 
     def fit(self, system: openmm.System) -> None:
-        """Give the System masses of hydrogens, and prepare it."""
+        """Set the masses of hydrogens in the System, and prepare it."""
         if self.prepared:
             prepare_system(system, hydrogenMass=self.hydrogens)
         elif self.hydrogens is not None:
@@ -216,7 +216,7 @@ def with_bath(bath: Bath, seed: int) -> dict[str, Method]:
     return {name: kept(method) for name, method in ({"langevinmiddle": MIDDLE.of_openmm()} | own).items()}
 
 
-# --- what several studies compare ---
+# --- methods of several studies ---
 
 #: What a System gets for long steps in a bath.
 HEAVY: dict[str, Any] = {"hydrogens": 4.0, "prepared": True}

@@ -1,4 +1,4 @@
-"""Show tables, figures and numbers of records in cells of the documentation, which MyST-NB executes.
+"""Tables, figures and numbers of records for cells of the documentation, which MyST-NB executes.
 
     speeds = read("gpu.json", "speeds")
     show("gpu.json", table(speeds.query("box == 'dhfr'"), {"method": "{method}", "us": "{microseconds:.0f}"}))
@@ -100,7 +100,7 @@ def value(rows: pd.DataFrame, form: str) -> str:
 
 
 def studies() -> Markdown:
-    """Return all studies: commands, what they show, and what they took."""
+    """Return all studies: commands, results, and costs."""
     rows = [(f"`python -m {module}`", summary(module), times(module) or UNKNOWN) for module in modules()]
     return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it shows", "what it took"])))
 

@@ -1,4 +1,4 @@
-"""The table of README: for each purpose the gain on a CPU and on a GPU, beside OpenMM's own integrators at their best.
+"""The table of README: for each purpose the gain on a CPU and on a GPU over OpenMM's integrators at their best.
 
 A cell is text, or claims that fill it with figures of records.
 """
@@ -22,9 +22,9 @@ class Row:
 
     Attributes:
         purpose: of the user.
-        code: what to take.
-        on_cpu: what it brings on a CPU.
-        on_gpu: what it brings on a GPU.
+        code: lines of a script.
+        on_cpu: gain on a CPU.
+        on_gpu: gain on a GPU.
     """
 
     purpose: str

@@ -1,4 +1,4 @@
-"""Results of studies: tables of pandas with the settings that gave them, as files; as text they are in `text`.
+"""Results of studies: tables of pandas with their settings, as files; for text see `text`.
 
 A column that has a standard error has it in another one, whose name ends in `_error`.
 """
@@ -27,10 +27,10 @@ from studies.command import COMMAND, RunsSettings, claim, elapsed
 from studies.report import Report
 from studies.text import cell
 
-#: The records that pages show.
+#: Records shown on pages.
 DATA = Path(__file__).parent / "data"
 
-#: Packages that results can depend on.
+#: Packages that can affect results.
 PACKAGES = ("numpy", "openmm", "numba", "mpmath", "pandas")
 
 

@@ -1,4 +1,4 @@
-"""Reports of studies: the notes and the progress of the package's reports, and tables."""
+"""Reports of studies: notes, progress and tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time series of the runs of integrators that are compared."""
+"""Time series of runs of compared integrators."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from studies.records import replace_file
 from studies.report import SILENT, Report
 from studies.units import md
 
-#: K, beyond which a run counts as broken.
+#: Temperature in K above which a run counts as broken.
 HIGHEST_TEMPERATURE = 3000.0
 
 #: Time in fs between two samples: a fifth to a half of the periods of librations in water, 35 to 80 fs. Angular
 #: velocities decorrelate in some 20 fs.
 INTERVAL = 12.0
 
-#: Steps of a run before the one that is measured.
+#: Number of steps before a measured run.
 WARM_UP = 10
 
 
@@ -116,7 +116,7 @@ def equilibrated_liquid(
 
 @dataclass(frozen=True, kw_only=True)
 class GridSettings(BoxSettings, RunsSettings):
-    """Hold what studies take that make runs of a box from several starts.
+    """Settings of studies with runs of a box from several starts.
 
     Attributes:
         starts: equilibrated phase points, from which all runs start; their seeds follow `seed`.

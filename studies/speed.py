@@ -1,4 +1,4 @@
-"""Simulated time per day of OpenMM's integrators and of these, at the steps for which each is meant.
+"""Simulated time per day of OpenMM's integrators and of these, each at its usual step.
 
     python -m studies.speed [--platform CUDA] [--boxes water-512 peptide]
 

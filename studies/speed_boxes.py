@@ -1,4 +1,4 @@
-"""Boxes in which speeds are compared: water of any size, a peptide, a protein, each with a start."""
+"""Boxes for comparisons of speed: water of any size, a peptide, a protein, each with a start."""
 
 from __future__ import annotations
 

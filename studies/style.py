@@ -1,4 +1,4 @@
-"""The look of all figures: one colour and marker for each method, and lines with standard errors."""
+"""Style of all figures: one colour and marker for each method, and lines with standard errors."""
 
 from __future__ import annotations
 

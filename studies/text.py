@@ -18,7 +18,7 @@ import pandas as pd
 
 from openmm_sier.analysis.statistics import Estimate
 
-#: Headings of what several studies have, by its name in their tables.
+#: Headings of columns of several studies, by their names in tables.
 HEADINGS = {
     "label": "run",
     "fast": "fast forces",
@@ -37,7 +37,7 @@ HEADINGS = {
     "relative": "over Verlet at 2 fs",
 }
 
-#: A cell in which nothing is known.
+#: Cell without a value.
 UNKNOWN = "-"
 
 

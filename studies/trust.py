@@ -1,4 +1,4 @@
-"""Claims: what each says, and its bounds. The list is in `studies.claims`."""
+"""Claims: text and bounds. The list is in `studies.claims`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studies.records import DATA, Record
 
 ROOT = SYSTEMS.parent
 
-#: Least and most that a figure may be.
+#: Lower and upper bound of a figure.
 Bound = tuple[float, float]
 
 #: No bound on this side.

@@ -1,4 +1,4 @@
-"""Numbers of OpenMM's quantities."""
+"""Values of OpenMM's quantities."""
 
 from __future__ import annotations
 

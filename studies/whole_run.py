@@ -1,4 +1,4 @@
-"""Energy conservation over whole runs: how far the energy of each scheme walks at each step.
+"""Energy conservation over whole runs: random walk of the energy by scheme and step.
 
     python -m studies.whole_run                                              64 molecules of TIP3P, every scheme
     python -m studies.whole_run --liquids TIP4P/2005 OPC --methods verlet sier4g --steps 1.5 4.5 6

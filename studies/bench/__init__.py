@@ -1,1 +1,1 @@
-"""Energy error against cost, beside other programs, and how timings are taken."""
+"""Energy error against cost, compared with other programs, and timing."""

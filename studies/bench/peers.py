@@ -1,4 +1,4 @@
-"""LAMMPS and GROMACS, where they are installed, at the same liquid: rigid water of three sites.
+"""LAMMPS and GROMACS, if installed, with the same liquid: rigid water of three sites.
 
 Both get the positions, velocities, charges, cut-offs, Ewald parameter, mesh and spline order of the OpenMM System. What
 differs is written down in `DIFFERENCES` and printed with the comparison. With `usual` settings they get positions,

@@ -1,4 +1,4 @@
-"""Timings that allow for a machine's changing speed."""
+"""Timings that are robust against changes of a machine's speed."""
 
 from __future__ import annotations
 

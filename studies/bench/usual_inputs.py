@@ -1,4 +1,4 @@
-"""LAMMPS and GROMACS at the settings that they recommend for rigid water at constant energy, for comparisons of speed.
+"""LAMMPS and GROMACS at their recommended settings for rigid water at constant energy, for comparisons of speed.
 
 The cut-off is that of the OpenMM System. Everything else that decides the cost is each program's own choice.
 """

@@ -1,4 +1,4 @@
-"""Chains of rigid domains on flexible linkers, one bead a residue, in the manner of CALVADOS.
+"""Chains of rigid domains on flexible linkers with one bead per residue, similar to CALVADOS.
 
 Ashbaugh-Hatch and Debye-Hückel interactions and bonds with the parameters of CALVADOS 2 (G. Tesei and K. Lindorff-
 Larsen, Open Research Europe 2, 94 (2022)); domains with an elastic network as in F. Cao et al., Protein Science 33,

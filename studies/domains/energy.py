@@ -1,4 +1,4 @@
-"""Runs of a model at constant energy: by Verlet where springs hold bodies, by SIER4G where they are rigid."""
+"""Runs of a model at constant energy: by Verlet with springs in bodies, by SIER4G with rigid bodies."""
 
 from __future__ import annotations
 

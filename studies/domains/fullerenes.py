@@ -1,4 +1,4 @@
-"""Crystals of C60, whose molecules turn: Lennard-Jones atoms with Girifalco's parameters.
+"""Crystals of C60 with rotating molecules: Lennard-Jones atoms with Girifalco's parameters.
 
 The interactions are those of L. A. Girifalco, J. Phys. Chem. 96, 858 (1992). The springs join atoms up to two bonds
 apart, with the strength of the bond CA-CA of AMBER (W. D. Cornell et al., J. Am. Chem. Soc. 117, 5179 (1995)). The

@@ -1,4 +1,4 @@
-"""The chains of `studies.domains.chain` in LAMMPS, with `fix rigid/small`, where `lmp` is on the PATH.
+"""The chains of `studies.domains.chain` in LAMMPS, with `fix rigid/small`, if `lmp` is on the PATH.
 
 The input has the same positions, masses, bonds and interactions. Ashbaugh-Hatch is the sum of two Lennard-Jones pairs,
 of which one ends at its minimum. LAMMPS does not shift coul/debye to zero at its cut-off, where a pair of charges has

@@ -1,4 +1,4 @@
-"""Integrators of the study, by the names that tables have: rigid bodies, springs, or frames of four masses."""
+"""Integrators of the study, by their names in tables: rigid bodies, springs, or frames of four masses."""
 
 from __future__ import annotations
 

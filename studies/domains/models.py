@@ -1,4 +1,4 @@
-"""A model of the study: a System whose bodies are rigid, and one in which springs hold them."""
+"""Models of the study: a System with rigid bodies, and one with springs in the bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the study runs of each model: methods, steps and times."""
+"""Methods, steps and times of the runs of each model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigid domains beside elastic networks: averages in a bath, the longest step that is right, speed, and energy.
+"""Rigid domains and elastic networks: averages in a bath, the longest correct step, speed, and energy.
 
     python -m studies.domains                                  all models
     python -m studies.domains --models chain --kinds bath --methods sier2

@@ -1,4 +1,4 @@
-"""Carbon dioxide in a zeolite that does not move: TraPPE in all-silica LTA (ITQ-29).
+"""Carbon dioxide in a fixed zeolite: TraPPE in all-silica LTA (ITQ-29).
 
 The framework: A. Corma, F. Rey, J. Rius, M. J. Sabater and S. Valencia, Nature 431, 287 (2004); its interactions:
 TraPPE-zeo, P. Bai, M. Tsapatsis and J. I. Siepmann, J. Phys. Chem. C 117, 24375 (2013). Carbon dioxide: J. J. Potoff

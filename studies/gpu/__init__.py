@@ -1,4 +1,4 @@
-"""Measure what a step costs on a GPU, beside OpenMM's integrators, and averages that would show a wrong program.
+"""Cost of a step on a GPU, compared with OpenMM's integrators, and averages that would reveal a wrong program.
 
     python -m studies.gpu [--platform CUDA] [--benchmarks openmm/examples/benchmarks] [--boxes dhfr water-4096]
 

@@ -1,4 +1,4 @@
-"""Average energies and temperatures over a run."""
+"""Averages of energies and temperatures over a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boxes for GPUs: those of OpenMM's own benchmark, where its files are, water, and boxes repeated along their edges."""
+"""Boxes for GPUs: OpenMM's own benchmark, if its files exist, water, and boxes repeated along their edges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Call steps as `Simulation` does."""
+"""Calls of steps like those of `Simulation`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measure the speed of chains of beads with rigid domains, in a bath."""
+"""Speed of chains of beads with rigid domains, in a bath."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Follow the energy of runs without a bath."""
+"""Energy of runs without a bath."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choose the integrators that are compared on GPUs."""
+"""Integrators compared on GPUs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Define the settings of the study."""
+"""Settings of the study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measure the wall time of steps, by turns."""
+"""Wall time of steps, by turns."""
 
 from __future__ import annotations
 

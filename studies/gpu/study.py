@@ -1,4 +1,4 @@
-"""Measure each box, and write what was found."""
+"""Measurements of each box, and their record."""
 
 from __future__ import annotations
 

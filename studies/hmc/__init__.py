@@ -1,1 +1,1 @@
-"""Hybrid Monte Carlo: whether it is exact, and what averages of a liquid cost with it."""
+"""Hybrid Monte Carlo: exactness, and cost of averages of a liquid."""

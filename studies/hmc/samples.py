@@ -1,4 +1,4 @@
-"""Samples of a solute in water: dihedrals, charges for dipoles, and how many forces an independent sample costs."""
+"""Samples of a solute in water: dihedrals, charges for dipoles, and forces per independent sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solutes in water for the studies of hybrid Monte Carlo: read, prepared, in part frozen, and equilibrated."""
+"""Solutes in water for the studies of hybrid Monte Carlo: read, prepared, partly frozen, and equilibrated."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +25,7 @@ Moving = Literal["all", "water", "solute"]
 
 @dataclass(frozen=True, kw_only=True)
 class SoluteSettings(BoxSettings, RunsSettings):
-    """Hold what studies of a solvated molecule take.
+    """Settings of studies of a solvated molecule.
 
     Attributes:
         box: PDB file that names its force field, or `dhfr`.

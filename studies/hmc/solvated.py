@@ -1,4 +1,4 @@
-"""Acceptance of hybrid Monte Carlo of solvated molecules by step and by size, and whether solute or water limits it.
+"""Acceptance of hybrid Monte Carlo of solvated molecules by step and size, and its limit by solute or water.
 
     python -m studies.hmc.solvated dhfr --schemes sier4g verlet --steps 2 --out solvated
     python -m studies.hmc.solvated dhfr --moving water --trials 20 --out solvated      the protein is frozen

@@ -1,4 +1,4 @@
-"""Measure what exact averages cost beside those of LangevinMiddle: forces and time for an independent sample.
+"""Cost of exact averages compared with LangevinMiddle: forces and time per independent sample.
 
     python -m studies.hmc.trials                                                TIP3P, all methods, 500 ps each
     python -m studies.hmc.trials systems/peptide.pdb --methods "LangevinMiddle, 4 fs" "SIER2V2 HMC, 9 fs x 8, 1/ps"

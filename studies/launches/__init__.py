@@ -1,4 +1,4 @@
-"""What a step sends to a GPU, counted without one: kernels, copies, reads and writes, and Python beside them.
+"""Commands sent to a GPU per step, counted without one: kernels, copies, reads and writes, and time in Python.
 
     python -m studies.launches [--boxes tip3p-512] [--methods sier2 sier4g] [--precisions mixed]
 

@@ -1,4 +1,4 @@
-"""What a step sends to a GPU, as a command."""
+"""Commands sent to a GPU per step, as a command."""
 
 from __future__ import annotations
 

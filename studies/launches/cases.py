@@ -1,4 +1,4 @@
-"""Boxes and integrators whose commands are counted."""
+"""Boxes and integrators of the study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands of one case, counted in a process of its own.
+"""Commands of one case, counted in a separate process.
 
     python -c "from studies.launches import counting; counting.main()" BOX METHOD PRECISION SEED
 

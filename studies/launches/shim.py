@@ -1,4 +1,4 @@
-"""The library between OpenMM and OpenCL: compiled, preloaded, and asked for what it has counted."""
+"""Library between OpenMM and OpenCL: compilation, preloading, and counts."""
 
 from __future__ import annotations
 

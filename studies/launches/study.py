@@ -1,4 +1,4 @@
-"""All cases, and the tables of what they send."""
+"""All cases, and tables of their commands."""
 
 from __future__ import annotations
 

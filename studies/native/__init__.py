@@ -1,1 +1,1 @@
-"""The native engine beside the exact one: energies, baths, cost."""
+"""The native engine compared with the exact one: energies, baths, cost."""

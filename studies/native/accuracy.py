@@ -1,4 +1,4 @@
-"""The native engine beside the exact one: rms(H)/rms(V) of liquids by scheme, platform and number of substeps.
+"""The native engine compared with the exact one: rms(H)/rms(V) of liquids by scheme, platform and substeps.
 
     python -m studies.native.accuracy [BOX.pdb] [--time 0.3] [--schemes sier4g ...] [--substeps 2 3 5] [--fs 1 2]
         [--on CPU OpenCL:double OpenCL:mixed]

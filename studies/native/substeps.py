@@ -1,4 +1,4 @@
-"""Averages of rigid water in a heat bath by the number of substeps of the native engine, beside exact ones.
+"""Averages of rigid water in a heat bath by the number of substeps of the native engine, compared with exact ones.
 
     python -m studies.native.substeps [BOX.pdb] [--substeps 1 2 3] [--steps 9 10] [--time 100] [--starts 2]
 

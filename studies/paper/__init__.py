@@ -1,4 +1,4 @@
-"""The numerical tests of van Zon and Schofield (2007), repeated, with the paper's values beside ours.
+"""The numerical tests of van Zon and Schofield (2007), repeated, with the paper's values next to ours.
 
     python -m studies.paper free-rotation | dipole | water | all [--quick]
 

@@ -1,4 +1,4 @@
-"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and with PME; and where its runs start."""
+"""Liquid water as OpenMM Systems: with the paper's smooth molecular cut-off, and with PME; and starts of runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The numbers in van Zon and Schofield (2007), Phys. Rev. E 75, 056701, and how ours are written beside them."""
+"""Numbers of van Zon and Schofield (2007), Phys. Rev. E 75, 056701, and the format of comparisons with ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The runs of liquid water: from each phase point one with every method and step."""
+"""Runs of liquid water: from each phase point one with every method and step."""
 
 from __future__ import annotations
 
