@@ -146,7 +146,7 @@ class Identified(Protocol):
 
     @property
     def point(self) -> dict[str, Any]:
-        """Return what identifies the run, a part of what is kept of it."""
+        """Identifying part of the stored result of the run."""
 
 
 class Task(NamedTuple):

@@ -18,28 +18,28 @@ from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_B
 
 @dataclass(frozen=True)
 class Scheme:
-    """Describe one step of a splitting integrator as a list of stages, the first one first.
+    """One step of a splitting integrator as a list of stages, in order.
 
     >>> leapfrog = Scheme("leapfrog", (("kick", 0.5), ("drift", 1.0), ("kick", 0.5)))
     >>> leapfrog.order, leapfrog.force_evaluations, leapfrog.is_palindrome
     (2, 1, True)
 
     Attributes:
-        name: for messages and output.
-        stages: each a `Stage`, or a tuple (operator name, fraction of the step) that becomes one.
+        name: name in messages and output.
+        stages: `Stage` objects, or tuples (operator name, fraction of the step) that become stages.
         source: publication of the scheme.
-        constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy holds over runs
-            of any length (docs/measurements/whole-runs.md); None where nobody has looked.
-        bath_step: the usual step in a heat bath, ps, where the energy need not hold.
+        constant_energy_step: the usual step for rigid water at constant energy, ps, at which the energy is conserved
+            over runs of any length (docs/measurements/whole-runs.md); None if not measured.
+        bath_step: the usual step in a heat bath, ps, where the energy need not be conserved.
         heavy_bath_step: the same with hydrogens of 4 dalton, those of solutes of 3, see `prepare_system`.
-        trial_step: the usual step by hybrid Monte Carlo, ps, with which most trials of some ten thousand atoms are
+        trial_step: the usual step in hybrid Monte Carlo, ps, with which most trials of some ten thousand atoms are
             accepted (docs/measurements/sampling.md).
         heavy_trial_step: the same with hydrogens of 4 dalton, those of solutes of 3.
 
     Raises:
         ValueError: there are no stages, a number is not finite, the fractions of a flow do not sum to 1, or a plain
             operator has a shift.
-        TypeError: a name is no text, or what should be a number is none.
+        TypeError: a name is not a string, or a fraction or shift is not a number.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Scheme:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise TypeError(f"the name of a scheme must be a text, got {self.name!r}")
+            raise TypeError(f"the name of a scheme must be a string, got {self.name!r}")
         try:
             object.__setattr__(self, "stages", tuple(Stage(*stage) for stage in self.stages))
         except TypeError:
@@ -80,23 +80,23 @@ class Scheme:
 
     @property
     def operators(self) -> tuple[str, ...]:
-        """Return names of the operators, in order of appearance."""
+        """Names of the operators, in order of appearance."""
         return tuple(dict.fromkeys(stage.operator for stage in self.stages))
 
     @property
     def is_palindrome(self) -> bool:
-        """Return whether the list reads the same backwards, which makes the step time-reversible."""
+        """Whether the list reads the same backwards, which makes the step time-reversible."""
         return self.stages == self.stages[::-1]
 
     @property
     def reuses_force(self) -> bool:
-        """Return whether the force at the end of a step is the one at the start of the next."""
+        """Whether the force at the end of a step is the one at the start of the next."""
         ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]
         return DRIFT not in (*ends[:1], *ends[-1:])
 
     @cached_property
     def force_evaluations(self) -> int:
-        """Return force evaluations per step, not counting the first step of a run.
+        """Force evaluations per step, not counting the first step of a run.
 
         One for each kick at positions that a drift has changed, and one for the displaced force of a gradient kick.
         """
@@ -145,43 +145,43 @@ class Scheme:
 
     @cached_property
     def bath_divides_drift(self) -> bool:
-        """Return whether `with_bath` put the bath into the middle of a drift."""
+        """Whether `with_bath` put the bath into the middle of a drift."""
         return DRIFT_TO_BATH in self.operators
 
     @property
     def within_drifts(self) -> Scheme:
-        """Return the scheme of inner steps, where there are fast forces in the drifts."""
+        """Scheme of inner steps, for fast forces in the drifts."""
         return _SIER2_WITH_BATH if self.bath_divides_drift else SIER4G
 
     def inner_fraction(self, substeps: int) -> float:
-        """Return the longest inner step as a fraction of the step, with so many in the longest drift.
+        """Return the longest inner step as a fraction of the step, with `substeps` in the longest drift.
 
-        Where a bath divides a drift, the inner step that has it in its middle counts in the drifts on both sides.
+        If a bath divides a drift, the inner step around the bath counts in the drifts on both sides.
         """
         return 1 / (2 * substeps - 1) if self.bath_divides_drift else self.longest_drift / substeps
 
     @cached_property
     def momentum_lag(self) -> float:
-        """Return the fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
+        """Fraction of a kick by which momenta at the end of a step lag behind those of the palindrome.
 
-        It is 1/2 for Verlet's scheme with a bath in the middle of the drift, and 0 for palindromes. Where momenta lag,
-        the energy at the end of steps differs in first order of the step from that which a good step conserves.
+        It is 1/2 for Verlet's scheme with a bath in the middle of the drift, and 0 for palindromes. If momenta lag,
+        the energy at the end of steps differs in first order of the step from the conserved energy.
         """
         return 0.5 if [stage.flow for stage in self.stages] == [KICK, DRIFT, BATH, DRIFT] else 0.0
 
     @cached_property
     def longest_drift(self) -> float:
-        """Return the largest magnitude of a drift's fraction of the step; 0 without drifts."""
+        """Largest magnitude of a drift's fraction of the step; 0 without drifts."""
         return max((abs(stage.fraction) for stage in self.stages if stage.flow == DRIFT), default=0.0)
 
     @property
     def stability_limit(self) -> float:
-        """Return the product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
+        """Product of angular frequency and step below which a harmonic mode stays bounded, 2 for SIER2."""
         return self._limits[0]
 
     @property
     def accuracy_limit(self) -> float:
-        """Return the product of angular frequency and step below which energies of a mode are right within 10 %."""
+        """Product of angular frequency and step below which energies of a mode are right within 10 %."""
         return self._limits[1]
 
     @cached_property
@@ -190,19 +190,19 @@ class Scheme:
 
     @cached_property
     def order(self) -> int:
-        """Return the largest n for which the step is exact up to and including h^n; see `dynamics.order`."""
+        """Largest n for which the step is exact up to and including h^n; see `dynamics.order`."""
         return order_of(self.stages)
 
 
 def alternating(
     name: str, half: tuple[float, ...], source: str = "", first: str = KICK, **usual_steps: float
 ) -> Scheme:
-    """Return the palindrome of kicks and drifts that alternate.
+    """Return a palindrome of alternating kicks and drifts.
 
     Args:
-        name: of the scheme.
-        half: fractions from the outermost stage to the last one before the middle. The middle stage, which follows,
-            makes the fractions of its operator sum to 1.
+        name: name of the scheme.
+        half: fractions from the outermost stage to the last one before the middle. The middle stage makes the fractions
+            of its operator sum to 1.
         source: publication of the scheme.
         first: operator of the outermost stages.
         usual_steps: `constant_energy_step`, `bath_step`, `trial_step` and others of `Scheme`, ps.
