@@ -43,7 +43,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     if config.DISABLE_JIT:
         return function
-    compiled = numba.njit(function, **OPTIONS)
+    compiled: Any = numba.njit(function, **OPTIONS)
     try:
         with _cache_directory():
             # What `cache=True` sets.
