@@ -1,3 +1,4 @@
+import gc
 import math
 import os
 import signal
@@ -11,7 +12,7 @@ os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.ensembles import metropolis
-from tests.support import starts
+from tests.support import options, starts
 from tests.support.waters import cluster_system, periodic_system, settled
 
 
@@ -30,6 +31,11 @@ def pytest_configure(config):
     starts.Options.makes = config.getoption("make_starts")
     if starts.Options.makes and starts.Options.seed is not None:
         raise pytest.UsageError("--make-starts stores starts that are not displaced; leave out --displaced")
+
+
+def pytest_collection_finish():
+    """Spare the garbage collector what was imported and collected, which lives to the end."""
+    gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter, config):
@@ -51,6 +57,9 @@ def signals_reach_children():
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
+
+
+assembled_options = pytest.fixture(scope="session", autouse=True)(options.assembled_once)
 
 
 @pytest.fixture(autouse=True)

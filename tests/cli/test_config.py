@@ -10,7 +10,7 @@ from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.settings import NOTED
 from tests.support.commands import complaint, contents, run
 
-PLATFORM = ["--platform", "Reference", "--equilibrate", "0.006"]
+PLATFORM = ["--platform", "Reference", "--tolerance", "1e-3", "--equilibrate", "0.006"]
 
 
 def noted(checkpoint):

@@ -12,7 +12,7 @@ import pytest
 from openmm import app
 
 from openmm_sier.cli.files import checkpoints
-from tests.support.commands import SMALL, complaint, contents, rewrite_notes, run, write_lattice
+from tests.support.commands import SHORT, SMALL, complaint, contents, rewrite_notes, run, write_lattice
 
 #: What code that is executed writes.
 MARKER = "executed"
@@ -238,7 +238,7 @@ def test_a_topology_elsewhere_is_named_again(here, capsys, use):
     forcefield = app.ForceField("tip3p.xml")
     pdb = app.PDBFile("box.pdb")
     Path("system.xml").write_text(openmm.XmlSerializer.serialize(forcefield.createSystem(pdb.topology)))
-    run("run", "box.pdb", *SMALL, "--topology", "system.xml", "--steps", "2", "--overwrite")
+    run("run", "box.pdb", *SHORT, "--topology", "system.xml", "--steps", "2", "--overwrite")
     Path("there").mkdir()
     shutil.move("system.xml", "there/my system.xml")
     Path("here").mkdir()

@@ -19,7 +19,7 @@ from openmm_sier.inputs.inputs import read_input
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme
 from tests.support import inputs
-from tests.support.commands import SMALL, complaint, contents, run, write_lattice
+from tests.support.commands import SHORT, SMALL, complaint, contents, run, write_lattice
 from tests.support.inputs import EDGE
 from tests.support.matrices import representatives
 from tests.support.waters import force_of, plain_context
@@ -162,7 +162,8 @@ def test_all_formats_hold_one_system():
 )
 def test_restarts_are_bit_for_bit_alike(name, ensemble):
     given = ALL[name]
-    command = ["run", *given.arguments, *SMALL, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
+    small = SHORT if given in (STATE, PDB) else SMALL
+    command = ["run", *given.arguments, *small, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
     run(*command, "--steps", "20", "--out", "whole.dcd")
     run(*command, "--steps", "10", "--out", "cut.dcd")
     # The checkpoint knows the topology and everything else.
@@ -391,7 +392,7 @@ def test_a_system_with_impossible_numbers_is_refused(capsys, change, message):
 
 def test_without_a_box_there_is_no_cut_off(capsys):
     arguments = ["vacuum.inpcrd", "--topology", "vacuum.prmtop"]
-    run("run", *arguments, *SMALL, "--steps", "1")
+    run("run", *arguments, *SHORT, "--steps", "1")
     assert "27 residues without a periodic box, no cut-off" in capsys.readouterr().out
     assert "a cut-off or switch needs a periodic box" in complaint(capsys, "run", *arguments, "--cutoff", "0.4")
 

@@ -15,7 +15,7 @@ from openmm_sier.inputs import equilibration
 from openmm_sier.observe import conservation
 from openmm_sier.stability.runaway import HOTTEST, RunawayError
 from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
-from tests.support.commands import SMALL, complaint, frames, log, run
+from tests.support.commands import SHORT, SMALL, complaint, frames, log, run
 
 
 def plan(ensemble="nve", **options):
@@ -157,7 +157,7 @@ def test_table_of_a_bath():
 
 def test_table_warns_of_a_step_that_is_too_long(box, capsys, monkeypatch):
     """By a log that was made up, as above."""
-    options = ["run", box, *SMALL[-4:], "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--overwrite"]
+    options = ["run", box, *SHORT[-4:], "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--overwrite"]
     for dt, rms, warns in (("2", 0.013 * 60, False), ("8", 0.04 * 60, True)):
         monkeypatch.setattr("openmm_sier.cli.run.read_log", lambda _, rms=rms: with_all_columns(fluctuating(rms)))
         run(*options, "--scheme", "sier2", "--dt", dt)

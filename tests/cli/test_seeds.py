@@ -230,8 +230,9 @@ def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs, seeds=(1, 2))
 
 
-def test_a_stop_before_the_first_step_begins_nothing_again(box):
+def test_a_stop_before_the_first_step_begins_nothing_again(box, monkeypatch):
     """One member equilibrates for ever, which a signal ends at once, and the other waits."""
+    monkeypatch.setattr(many_runs, "REFRESH", 0.02)
     options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": FOR_EVER, "time": 0.4}
     begun = Path(".a-seed1.csv.lock").exists
     members = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)

@@ -7,6 +7,7 @@ import numba
 import pytest
 
 from openmm_sier.dynamics.kernels import compilation
+from tests.support.faults import lines_run
 from tests.support.subprocesses import run_python
 
 #: Rotates a body and moves constrained points by Numba, and prints their positions.
@@ -35,12 +36,30 @@ def doubling():
     return compilation.kernel(doubled)
 
 
+def kept_in(folder):
+    """When each file of compiled code was written."""
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+
+
 def test_code_is_kept_on_disk(folder):
     assert doubling()(2) == 4
-    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+    kept = kept_in(folder)
     assert [path.suffix for path in sorted(kept)] == [".nbc", ".nbi"]
     assert doubling()(2) == 4
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
+    assert kept_in(folder) == kept
+
+
+def test_errors_throw_no_code_away(folder):
+    """Neither what a kernel does not take nor a fault at any line of a call."""
+    function = doubling()
+    assert function(2) == 4
+    kept = kept_in(folder)
+    with pytest.raises(numba.TypingError):
+        function(None)
+    for line in range(1, lines_run(lambda: function(2)) + 1):
+        lines_run(lambda: function(2), line)
+    assert function(2) == 4
+    assert kept_in(folder) == kept
 
 
 @pytest.mark.parametrize("rest", [0, 100], ids=["empty", "cut"])

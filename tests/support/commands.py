@@ -18,8 +18,11 @@ from studies.boxes import write_lattice as write_lattice
 SYSTEMS = Path(__file__).parents[2] / "systems"
 
 #: Options of a short run with the cheapest scheme.
-SMALL = ["--scheme", "sier2", "--dt", "4", "--platform", "Reference", "--equilibrate", "0.1"]
-SMALL += ["--every", "0.02", "--checkpoint-every", "0.1"]
+SHORT = ["--scheme", "sier2", "--dt", "4", "--platform", "Reference", "--equilibrate", "0.1"]
+SHORT += ["--every", "0.02", "--checkpoint-every", "0.1"]
+
+#: The same with a mesh on which the Reference platform computes forces four times as fast as on the usual one.
+SMALL = [*SHORT, "--tolerance", "1e-3"]
 
 
 def load_program(path):

@@ -11,13 +11,14 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from threading import Timer
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 
 #: Numba's settings, by the names of its environment variables.
 config: Any = numba.config
@@ -38,38 +39,53 @@ called = numba.njit(**OPTIONS)
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function compiled by Numba at its first call, and kept on disk where a directory can be written.
 
-    Numba raises what goes wrong with its files: one that was cut off when the machine stopped, a full disk. A damaged
-    cache is begun anew, once. Where there can be no cache, every process compiles.
+    Where there can be no cache, every process compiles.
     """
     if config.DISABLE_JIT:
         return function
+    compiled: Any = numba.njit(function, **OPTIONS)
     try:
         with _cache_directory():
-            compiled = numba.njit(function, cache=True, **OPTIONS)
+            # What `cache=True` sets.
+            compiled._cache = _Cache(function)
     except RuntimeError as error:
         _warn_of_no_cache(error)
-        compiled = numba.njit(function, **OPTIONS)
     is_new = True
 
     def call(*arguments: Any) -> Any:
-        nonlocal compiled, is_new
-        try:
-            if not is_new:
-                return compiled(*arguments)
-            with _announced():
-                result = compiled(*arguments)
-            is_new = False
-            return result
-        except Exception:
-            try:
-                compiled.recompile()
-                return compiled(*arguments)
-            except OSError as error:
-                _warn_of_no_cache(error)
-            compiled = numba.njit(function, **OPTIONS)
+        nonlocal is_new
+        if not is_new:
             return compiled(*arguments)
+        with _announced():
+            result = compiled(*arguments)
+        is_new = False
+        return result
 
     return call
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, whose files may be damaged, and whose disk may be full.
+
+    Numba raises what goes wrong with them, from the call of a kernel. To catch it there would take every error in a
+    kernel, or a fault of the machine, for one of its files, and compile all again.
+    """
+
+    def load_overload(self, *arguments: Any) -> Any:
+        """Return what is kept, or None; a damaged cache, such as one of a machine that stopped, is begun anew."""
+        try:
+            return super().load_overload(*arguments)
+        except Exception:
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, *arguments: Any) -> None:
+        """Keep what is compiled, if that is possible."""
+        try:
+            super().save_overload(*arguments)
+        except Exception as error:
+            _warn_of_no_cache(error)
 
 
 @contextmanager
