@@ -1,1 +1,1 @@
-"""The native engine beside the exact one: energies, baths, cost."""
+"""The native engine beside the exact one: accuracy and cost."""
