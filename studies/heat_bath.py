@@ -154,15 +154,12 @@ class BathSettings(RunsSettings):
 class Observer:
     """Sample what is averaged, from the States of a Context."""
 
-    def __init__(self, box: Any, system: openmm.System, at_ends: bool = False):
+    def __init__(self, box: Any, system: openmm.System):
         """
         Args:
             box: has topology.
             system: openmm.System.
-            at_ends: whether temperatures are those of velocities at the end of steps with all integrators; without it
-                they are those that the integrators show.
         """
-        self._at_ends = at_ends
         self._masses = tables.masses(system)
         self._total = self._masses.sum() / (unit.AVOGADRO_CONSTANT_NA._value * 1e-21)
         solute = np.array([atom.residue.name not in boxes.WATERS for atom in box.topology.atoms()])
@@ -195,7 +192,7 @@ class Observer:
         return found
 
     def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
-        if isinstance(integrator, SIERIntegrator) and not self._at_ends:
+        if isinstance(integrator, SIERIntegrator):
             known = integrator.computeTemperatures().in_kelvin()
             return known._asdict() | {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
         twice = self._masses * (speeds**2).sum(axis=1)
@@ -233,10 +230,10 @@ def run(task: Task) -> dict[str, Any]:
     return task.point | measure(task.settings, METHODS[task.method], task.point["seed"])
 
 
-def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool = False) -> dict[str, Any]:
+def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, Any]:
     """Return averages and costs of a run with their errors, and its speed in fs per second of processor time.
 
-    The speed is NaN on other platforms than CPU. `at_ends` is as of `Observer`.
+    The speed is NaN on other platforms than CPU.
     """
     box = read_box(settings)
     bath = Bath(settings.temperature, settings.friction, settings.pressure)
@@ -258,7 +255,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int, at_ends: bool
         else:
             integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         before = _evaluations(integrator)
-        samples, processor = _sampled(context, Observer(box, box.system, at_ends), method, settings.time)
+        samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
     series = pd.DataFrame(samples).dropna(axis="columns")

@@ -1,1 +1,1 @@
-"""The native engine compared with the exact one: energies, baths, cost."""
+"""The native engine compared with the exact one: accuracy and cost."""

@@ -164,7 +164,7 @@ def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
 @pytest.mark.thorough
 def test_two_commands_started_one_after_the_other(tmp_path):
     """What `python -m tests.loops.two_commands` does a hundred times for each pair."""
-    program = [sys.executable, "-m", "tests.loops.two_commands", "--times", "2", "--out", str(tmp_path)]
+    program = [sys.executable, "-m", "tests.loops.two_commands", "--times", "1", "--out", str(tmp_path)]
     # A process that it may fork.
     done = subprocess.run(
         [*program, "--pairs", "run,restart"],

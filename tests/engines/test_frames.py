@@ -135,10 +135,9 @@ def oscillators():
     "make",
     [
         lambda: openmm.LangevinMiddleIntegrator(T, 5.0, 0.004),
-        lambda: SIERLangevinIntegrator(T, 5.0, 0.004, SIER2, engine="exact"),
         lambda: SIERLangevinIntegrator(T, 5.0, 0.004, SIER2, engine="native"),
     ],
-    ids=["LangevinMiddle", "SIERLangevin exact", "SIERLangevin native"],
+    ids=["LangevinMiddle", "SIERLangevin native"],
 )
 def test_energies_and_temperatures_in_a_bath(make):
     system, positions, bodies = oscillators()

@@ -317,7 +317,7 @@ class Calls(RuleBasedStateMachine):
         assert np.abs(found[1] - expected[1]).max() < 1e-9
 
 
-@pytest.mark.parametrize("number", representatives(range(4), 0))
+@pytest.mark.parametrize("number", representatives(range(2), 0))
 def test_any_sequence_of_calls_is_its_replay(number):
     # Hypothesis varies what it found; several seeds see more than as many examples from one.
     machine = seed(number)(type("Calls", (Calls,), {}))

@@ -58,7 +58,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
     assert deferring()
 
 
-@pytest.mark.parametrize("run", representatives(loop.RUNS, "langevin"))
+@pytest.mark.parametrize("run", representatives(["langevin", "pressure", "barostat", "hmc"], "langevin"))
 def test_interrupts_at_random_moments_leave_no_trace(run, tmp_path):
     """Each leaves a completed step of the run that nothing disturbed. `python -m tests.loops.interrupts` makes 2000."""
     rows = loop.study(loop.InterruptSettings(interrupts=20, runs=(run,), out=tmp_path))

@@ -1,6 +1,7 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
 import copy
+from itertools import product
 
 import numpy as np
 import openmm
@@ -18,6 +19,9 @@ from tests.support.waters import cluster_system, context_at, energies, periodic_
 
 MODELS = ["tip3p", "tip4pew"]
 
+#: Schemes with virtual sites, which are placed anew before forces and force gradients.
+VIRTUAL = [("tip4pew", "sier2"), ("tip4pew", "sier4g")]
+
 
 @pytest.fixture(scope="module", params=MODELS)
 def cluster(request):
@@ -30,7 +34,11 @@ def trajectory(system, point, steps=6, h=0.004, **settings):
     return phase_point(context)[0]
 
 
-@pytest.mark.parametrize("name", representatives(CATALOGUE, "sier2", "sier4g"))
+@pytest.mark.parametrize(
+    ("cluster", "name"),
+    representatives([*product(["tip3p"], CATALOGUE), *VIRTUAL], *product(["tip3p"], ["sier2", "sier4g"]), *VIRTUAL),
+    indirect=["cluster"],
+)
 def test_approaches_the_exact_engine_as_substeps_grow(name, cluster):
     scheme = CATALOGUE[name]
     system, point = cluster
@@ -140,6 +148,7 @@ def test_cold_bath_slows_bodies_exactly():
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("cluster", ["tip4pew"], indirect=True)
 @pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
 def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     system, point = cluster

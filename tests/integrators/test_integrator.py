@@ -64,7 +64,7 @@ def test_andersen_thermostat_acts(box):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("model", ["tip3p", "tip4pew", "tip5p", "ions"])
+@pytest.mark.parametrize("model", ["tip4pew", "ions"])
 def test_stock_simulation_with_stock_reporters(tmp_path, model):
     mdtraj = pytest.importorskip("mdtraj")
     ions = model == "ions"

@@ -7,30 +7,23 @@ import pytest
 from tests.loops import hostile_files, two_commands
 from tests.loops.kill_loop import LoopSettings, kill_loop
 from tests.loops.two_commands import TwoSettings
-from tests.support.matrices import representatives
-
-
-@pytest.mark.thorough
-def test_killed_at_random_moments_again_and_again(tmp_path):
-    """What the command does fifty times: not a bit may differ from a run that nothing disturbed."""
-    met = kill_loop(LoopSettings(out=tmp_path, kills=2, signals=("KILL", "TERM")))
-    assert (met["kills by SIGKILL"], met["kills by SIGTERM"]) == (1, 1)
-    assert met["steps"] >= 20
 
 
 @pytest.mark.thorough
 def test_one_command_line_goes_on_after_every_kill(tmp_path):
-    """The fourth kill comes early, before there is a checkpoint or while the command reads it."""
+    """What the loop does fifty times: not a bit may differ from a run that nothing disturbed.
+
+    The fourth kill comes early, before there is a checkpoint or while the command reads it.
+    """
     met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
     # One more checkpoint after each of three kills.
     assert met["steps"] >= 30
 
 
-@pytest.mark.parametrize("files", representatives([50, 200], 50))
-def test_damaged_and_crafted_files(tmp_path, files):
+def test_damaged_and_crafted_files(tmp_path):
     """The same files in every run; `python -m tests.loops.hostile_files` tries others."""
-    counts = hostile_files.search(tmp_path, files)
-    assert sum(counts.values()) >= files
+    counts = hostile_files.search(tmp_path, 50)
+    assert sum(counts.values()) >= 50
     kinds = {"run.chk", "run.csv", "run.dcd", "run.toml", "box.pdb", "system.xml", "state.xml"}
     assert {name.split(",")[0] for name in counts} == kinds
 

@@ -1,10 +1,14 @@
 """Properties against the step: runs, what belongs together, and what a run does not tell."""
 
+import subprocess
+from types import SimpleNamespace
+
 import mdtraj
 import numpy as np
 import pytest
 
-from studies import records, step_study
+from openmm_sier.cli import main
+from studies import command_runs, records, step_study
 from studies.command_runs import RunFailed
 from studies.step_study import StepSettings
 from tests.support.commands import log, write_lattice
@@ -25,12 +29,25 @@ def box(tmp_path, monkeypatch):
     return "lattice"
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Commands of `command_runs` run without processes of their own."""
+
+    def execute(line, cwd, **options):
+        with monkeypatch.context() as there:
+            there.chdir(cwd)
+            return subprocess.CompletedProcess(line, main.main(line[3:]), stderr="")
+
+    monkeypatch.setattr(command_runs, "subprocess", SimpleNamespace(run=execute))
+
+
 def settings(box, tmp_path, *methods, **more):
     points = {"per_force": (6.0,), "times": (0.12,), "skip": 0.0} | more
     return StepSettings(out=tmp_path, boxes=(box,), methods=methods, **points)
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("in_this_process")
 def test_runs_become_a_table_and_a_figure(box, tmp_path):
     """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
     step_study.study(settings(box, tmp_path, "sier2", starts=2))
@@ -58,6 +75,7 @@ def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("in_this_process")
 def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
     wanted = settings(box, tmp_path, "hmc", per_force=(2.0,), times=(0.24,))
     found = step_study.run(next(step_study.tasks(wanted)))

@@ -39,12 +39,11 @@ def assert_restart_is_the_same(system, context, other, steps):
     assert_same(everything(context), everything(again))
 
 
-#: Files that a restart begins from, and which of OpenMM's reporters or methods writes them.
-WAYS = ("Checkpoint", "State", "CheckpointReporter", "StateReporter")
-
-
 def after_ten_steps(simulation, way, path):
-    """Make ten steps and write a file in one of the `WAYS`; the name of the method that reads it."""
+    """Make ten steps and write a file that a restart begins from; the name of the method that reads it.
+
+    The way is Checkpoint or State, which are saved at the end, or the reporter that writes them in mid-call.
+    """
     kind = way.removesuffix("Reporter")
     if way != kind:
         simulation.reporters.append(app.CheckpointReporter(str(path), 5, writeState=kind == "State"))
