@@ -9,12 +9,9 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, working_terms
+from openmm_sier.system.bonded_terms import harmonic_frequencies, working_terms
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.mobilities import COARSE, mobilities
-
-#: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
-ARM = 0.2
 
 #: Share of the period of the stiffest bond that is a usual step: at constant energy with SIER4G, and with SIER2 in a
 #: heat bath. Of a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the
@@ -48,7 +45,7 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
         bodies: its rigid bodies, whose atoms move less easily than alone; None where they are not known yet.
         owner: for each particle the number of its body, (N,).
     """
-    masses = tables.masses(system)
+    masses, constraints = tables.masses(system), tables.constraints(system)
     # No atom of a body moves more easily than it would alone.
     alone = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
     mobility = alone if bodies is None else mobilities(bodies)
@@ -59,9 +56,7 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
         # The stiffness of expressions is not known here. Torsions are softer than angles.
         if not kind_of(force).is_divisible:
             return None
-        atoms, squares = _squares(system, force, mobility)
-        found = owner[atoms]
-        squares[(found == found[:, :1]).all(axis=1) & (found[:, 0] >= 0)] = 0
+        atoms, squares = harmonic_frequencies(force, mobility, owner, constraints)
         if len(squares) and squares.max() > 0:
             period = 2 * math.pi / math.sqrt(squares.max())
             fastest = min(fastest, Stiffest(period, tuple(atoms[squares.argmax()].tolist())))
@@ -85,16 +80,3 @@ def describe_coarse(motion: Stiffest) -> str:
         f"{', '.join(map(str, motion.atoms))}, has a period of {1000 * motion.period:.3g} fs: usual steps are {energy} "
         f"at constant energy and {bath} in a heat bath."
     )
-
-
-def _squares(system: openmm.System, force: openmm.Force, mobility: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the atoms of a Force's terms, (t, k), and squares of their angular frequencies, (t,), 1/ps^2."""
-    if isinstance(force, openmm.HarmonicBondForce):
-        ends, _, strengths = harmonic_bonds(force)
-        free = ~tables.constraints(system).hold(ends)
-        return ends, free * strengths * mobility[ends].sum(axis=1)
-    if isinstance(force, openmm.HarmonicAngleForce):
-        atoms, strengths = harmonic_angles(force)
-        # The middle atom moves against both others, by twice their way.
-        return atoms, strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
-    return np.empty((0, 1), dtype=np.int64), np.empty(0)

@@ -10,7 +10,7 @@ from openmm import unit
 from openmm_sier import RigidBodies, SIERIntegrator, balance_pme, prepare_system
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.prepare.pme import meshed_forces
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.inner_forces import parts, pme_parameters
 from tests.support.containers import CONTAINERS, at_rest, contained, scaled
 from tests.support.peptides import capped_alanine
@@ -32,7 +32,7 @@ def energy_and_forces(system, positions):
 
 
 def longest(system):
-    return Vibrations(system, RigidBodies.from_system(system)).longest_step(SIER4G, 1, 0)
+    return StepCheck(system, RigidBodies.from_system(system)).longest_step(SIER4G, 1, 0)
 
 
 # --- PME ---

@@ -12,7 +12,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.stability.vibrations import HOPELESS, Vibrations
+from openmm_sier.stability.step_check import HOPELESS, StepCheck
 from tests.support.silence import silence
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, judged
@@ -26,7 +26,7 @@ def silently(system, integrator):
 
 
 def longest(system, scheme=SIER4G):
-    return Vibrations(system, RigidBodies.from_system(system)).longest_step(scheme, 1, 0)
+    return StepCheck(system, RigidBodies.from_system(system)).longest_step(scheme, 1, 0)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
