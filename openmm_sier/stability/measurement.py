@@ -1,7 +1,7 @@
 """Measure the fastest motion that a Force causes where the atoms are, whatever its energy is a function of.
 
 The largest second derivatives of the energy over masses are found by Lanczos' method, J. Res. Natl. Bur. Stand. 45, 255
-(1950): each of its vectors costs two evaluations of this Force alone, of which there are 9 to 43. They are made in a
+(1950): each of its vectors costs two evaluations of this Force alone, of which there are 5 to 43. They are made in a
 second Context, on the Reference platform, in double precision. So the Context of a run, its neighbour lists and its
 random numbers stay as they are, also if the measurement is interrupted.
 """
