@@ -16,10 +16,9 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability.advice import Remedies
-from openmm_sier.stability.measurement import fastest_motion
+from openmm_sier.stability.measurement import HiddenError, fastest_motion
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_frequencies
 from openmm_sier.system.find_bodies import Links
@@ -106,7 +105,7 @@ class Motions:
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
         spin: of the slimmest rigid body; None where no body turns.
-        unknown: force group and name of each Force of which no stiffness is known.
+        unknown: force group and name of each Force of which no stiffness is known, also where overlaps hide it.
         remedies: for these motions.
     """
 
@@ -117,20 +116,21 @@ class Motions:
             bodies: all that move in it.
             rigid: the kinds of rigid body.
         """
-        self._bodies, self._mobility = bodies, mobilities(bodies)
-        self._links = Links(system)
-        self.remedies = Remedies(system, bodies, self._links)
+        self._mobility = mobilities(bodies)
+        links = Links(system)
+        self.remedies = Remedies(system, bodies, links)
         all_parts = list(parts(system))
         with_charges = [part for part in all_parts if kind_of(part.force).charges and part.weight is not None]
         stiffnesses = [abs(part.weight or 0.0) * _stiffness_around(part.force) for part in with_charges]
         #: Of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
-        is_alone = not self._has_surroundings(system)
+        self._linked = links.link(bodies)
+        # A molecule swings among others, or among frozen atoms.
+        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
-        self.harmonic = list(self._fastest_bonds(all_parts))
+        self.harmonic = list(self._fastest_bonds(all_parts, links.constraints))
         self.measured: list[Motion] = []
-        unknown = [part for part in all_parts if _is_unknown(part)]
-        self.unknown = [(part.group, f"{part.name} ({type(part.force).__name__})") for part in unknown]
+        self.unknown = _described([part for part in all_parts if _is_unknown(part)])
         self.spin = _slimmest(system, bodies, rigid, is_alone)
         self._to_measure = [part for part in all_parts if _is_measured(part)]
 
@@ -147,13 +147,18 @@ class Motions:
         """
         if not self._to_measure:
             return False
-        bodies, measured = self._links.link(self._bodies), []
+        measured, hidden = [], []
         for part in self._to_measure:
-            vibration = fastest_motion(part.force, context, bodies, part.weight or 0.0)
+            try:
+                vibration = fastest_motion(part.force, context, self._linked, part.weight or 0.0)
+            except HiddenError:
+                hidden.append(part)
+                continue
             if vibration is not None:
                 is_bond = kind_of(part.force).acts_on == "terms" and len(vibration.atoms) == 2
                 motion = self._motion(part, vibration.atoms, vibration.square)
                 measured.append(motion._replace(force=part.name, is_bond=is_bond))
+        self.unknown += _described(hidden)
         self.measured, self._to_measure = measured, []
         return True
 
@@ -170,12 +175,11 @@ class Motions:
         can_be_fast = period < COARSE and not part.within and self.remedies.can_be_fast(part.force, atoms)
         return Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
 
-    def _fastest_bonds(self, all_parts: Sequence[Part]) -> Iterator[Motion]:
+    def _fastest_bonds(self, all_parts: Sequence[Part], constraints: tables.Constraints) -> Iterator[Motion]:
         """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
-        owners, constraints = self._bodies.owners, self._links.constraints
         for part in all_parts:
             if isinstance(part.force, openmm.HarmonicBondForce):
-                atoms, squares = harmonic_frequencies(part.force, self._mobility, owners, constraints)
+                atoms, squares = harmonic_frequencies(part.force, self._mobility, self._linked.owners, constraints)
                 squares = (part.weight or 0.0) * squares
                 if squares.max(initial=0) > 0:
                     fastest = int(squares.argmax())
@@ -189,17 +193,15 @@ class Motions:
                 atom = int(squares.argmax())
                 yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)
 
-    def _has_surroundings(self, system: openmm.System) -> bool:
-        """Tell whether there are several molecules, or frozen atoms, so that a molecule can swing among others."""
-        links = self._links
-        pairs = np.concatenate([links.constraints.pairs, links.bonds, links.terms, links.custom])
-        molecules = joined(self._bodies.n_particles, pairs)[self._bodies.owners >= 0]
-        return len(np.unique(molecules)) > 1 or bool(tables.frozen_atoms(system).size)
-
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     """Return the motion of shortest period in force groups, a bit mask; None if there is none."""
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
+
+
+def _described(all_parts: Sequence[Part]) -> list[tuple[int, str]]:
+    """Return force group and name of each Force."""
+    return [(part.group, f"{part.name} ({type(part.force).__name__})") for part in all_parts]
 
 
 def _is_measured(part: Part) -> bool:

@@ -148,7 +148,9 @@ def test_a_factor_of_energies_counts():
         system = copy.deepcopy(bare)
         system.addForce(scaled(copy.deepcopy(inner), factor))
         steps.append(longest(system))
-    assert steps == pytest.approx([longest(plain), 2 * longest(plain), np.inf], rel=1e-12)
+    assert steps[:2] == pytest.approx([longest(plain), 2 * longest(plain)], rel=1e-12)
+    # Spins of water are left, which are slower than its librations.
+    assert steps[2] > 2 * steps[1]
     # Of an expression that is not linear nothing is known, and it is said.
     bare.addForce(scaled(inner, energy="factor*U^2"))
     with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce \(CustomCVForce\)"):
