@@ -53,21 +53,3 @@ def limits(stages: Sequence[Stage]) -> tuple[float, float]:
     unequal |= (z < np.pi) & (np.abs(np.arccos(np.clip((a + d) / 2, -1, 1)) - z) > INEQUALITY * z)
     stable, accurate = (float(z[beyond.argmax() - 1]) if beyond.any() else np.inf for beyond in (unstable, unequal))
     return stable, min(stable, accurate)
-
-
-def nested_is_stable(stages: Sequence[Stage], angle: float, share: float) -> bool:
-    """Tell whether a harmonic mode stays bounded that moves exactly within drifts, and that weak forces kick.
-
-    Args:
-        stages: of the scheme.
-        angle: omega h of the mode by its fast forces alone, above 0.
-        share: stiffness of the forces in the kicks over that of the fast ones; negative if they weaken the mode.
-    """
-    x, matrix = share * angle**2, np.eye(2)
-    for stage in stages:
-        if stage.flow == DRIFT:
-            cosine, sine = np.cos(angle * stage.fraction), np.sin(angle * stage.fraction)
-            matrix = np.array([[cosine, sine / angle], [-angle * sine, cosine]]) @ matrix
-        elif stage.flow == KICK:
-            matrix = np.array([[1, 0], [-stage.fraction * x * (1 - stage.shift * x), 1]]) @ matrix
-    return bool(abs(np.trace(matrix)) <= 2 + ROUNDING)

@@ -17,8 +17,7 @@ from openmm_sier.inputs.report import SILENT, Advance, Report
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.stability.spins import Spins
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.second_context import platform_of
 from openmm_sier.system.temperature import DegreesOfFreedom, degrees_of_freedom, thermal_energies
@@ -254,12 +253,9 @@ def _copy_atoms_and_box(context: openmm.Context, other: openmm.Context) -> None:
 def _step_of(context: openmm.Context, temperature: float) -> float:
     """Return the step of an equilibration, ps: the usual one, or one short enough for bonds and spins."""
     integrator = context.getIntegrator()
-    system, bodies = context.getSystem(), integrator.bodies
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
-    vibrations, spins = Vibrations(system, bodies), Spins(system, bodies.species, bodies.describe_atoms)
-    vibrations.measure(context)
-    longest = vibrations.longest_step(SCHEME, groups & ~fast, groups & fast)
-    return min(STEP, SHARE_OF_LONGEST * min(longest, spins.longest_step(SCHEME, groups & ~fast, temperature)))
+    check = StepCheck(context.getSystem(), integrator.bodies)
+    return min(STEP, SHARE_OF_LONGEST * check.longest_step(SCHEME, groups & ~fast, groups & fast, temperature, context))
 
 
 def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:

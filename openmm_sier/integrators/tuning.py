@@ -16,7 +16,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE, SIER2P3, SIER2V2, SIER4G, Sc
 from openmm_sier.engines.choice import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, StepFound, Tuning
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.arguments import checked_scheme, group_mask, whole_number
 from openmm_sier.system.second_context import follow_parameters, platform_of
 
@@ -246,9 +246,8 @@ def _cheapest(found: Sequence[SchemeFound]) -> SchemeFound:
 def _longest_step(context: openmm.Context) -> float:
     """Return the longest step whose kicks do not resonate with fast forces, ps; infinite without them."""
     integrator = context.getIntegrator()
-    vibrations = Vibrations(context.getSystem(), integrator.bodies)
-    vibrations.measure(context)
-    return vibrations.longest_step(integrator.scheme, 0, group_mask("fastForceGroups", integrator.fastForceGroups))
+    fast = group_mask("fastForceGroups", integrator.fastForceGroups)
+    return StepCheck(context.getSystem(), integrator.bodies).longest_step(integrator.scheme, 0, fast, context=context)
 
 
 def _find_step(

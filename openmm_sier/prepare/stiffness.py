@@ -9,7 +9,7 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import harmonic_angles, harmonic_bonds, working_terms
+from openmm_sier.system.bonded_terms import harmonic_frequencies, working_terms
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.mobilities import COARSE, mobilities
 
@@ -48,8 +48,8 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
         bodies: its rigid bodies, whose atoms move less easily than free ones; None if they are not known yet.
         owner: body index of each particle, (N,).
     """
-    masses = tables.masses(system)
-    # No atom of a body moves more easily than a free atom.
+    masses, constraints = tables.masses(system), tables.constraints(system)
+    # No atom of a body moves more easily than it would alone.
     alone = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
     mobility = alone if bodies is None else mobilities(bodies)
     fastest = Stiffest(math.inf, ())
@@ -59,9 +59,7 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
         # The stiffness of expressions is not known here. Torsions are softer than angles.
         if not kind_of(force).is_divisible:
             return None
-        atoms, squares = _squares(system, force, mobility)
-        owners = owner[atoms]
-        squares[(owners == owners[:, :1]).all(axis=1) & (owners[:, 0] >= 0)] = 0
+        atoms, squares = harmonic_frequencies(force, mobility, owner, constraints)
         if len(squares) and squares.max() > 0:
             period = 2 * math.pi / math.sqrt(squares.max())
             fastest = min(fastest, Stiffest(period, tuple(atoms[squares.argmax()].tolist())))
@@ -85,16 +83,3 @@ def describe_coarse(motion: Stiffest) -> str:
         f"{', '.join(map(str, motion.atoms))}, has a period of {1000 * motion.period:.3g} fs: usual steps are {energy} "
         f"at constant energy and {bath} in a heat bath."
     )
-
-
-def _squares(system: openmm.System, force: openmm.Force, mobility: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the atoms of a Force's terms, (t, k), and squares of their angular frequencies, (t,), 1/ps^2."""
-    if isinstance(force, openmm.HarmonicBondForce):
-        ends, _, strengths = harmonic_bonds(force)
-        free = ~tables.constraints(system).hold(ends)
-        return ends, free * strengths * mobility[ends].sum(axis=1)
-    if isinstance(force, openmm.HarmonicAngleForce):
-        atoms, strengths = harmonic_angles(force)
-        # The middle atom moves twice as far, against both others.
-        return atoms, strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
-    return np.empty((0, 1), dtype=np.int64), np.empty(0)

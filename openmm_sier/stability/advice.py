@@ -1,4 +1,4 @@
-"""Find what to do about a step that is too long for a motion: the remedies that help that motion."""
+"""Word what is wrong with a step, and what helps."""
 
 import math
 from functools import cached_property
@@ -13,9 +13,12 @@ from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 
+#: Dalton. Hydrogens up to this have not been made heavy.
+LIGHT = 2.0
+
 _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 
-#: What helps, for scripts and for the command, which prepares every System.
+#: Remedies, for scripts and for the command, which prepares every System.
 SHORTER_STEP = "take a shorter step (--dt)"
 PREPARE = (
     "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step "
@@ -23,26 +26,49 @@ PREPARE = (
 )
 MORE_SUBSTEPS = "take more substeps or a shorter step (--dt)"
 HEAVIER = f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY} (--hydrogen-mass 4)"
-CONSTRAIN = (
+CONSTRAIN_HYDROGEN = (
     "constrain the bond: give createSystem rigidWater=True and constraints=HBonds (--constraints hbonds); or put "
     "hydrogens into rigid bodies with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, "
     f'rigid="{HYDROGEN_GROUPS}", positions=positions)'
 )
-_KEEP = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
-CONSTRAIN_AND_KEEP = f"{CONSTRAIN}; {_KEEP}"
-CONSTRAIN_HEAVY = (
+CONSTRAIN = (
     "constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or make its molecule a rigid "
     "body, by bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions) (--rigid "
     "NAME)"
 )
-CONSTRAIN_HEAVY_AND_KEEP = f"{CONSTRAIN_HEAVY}; {_KEEP}"
+LESS_MASS = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
 ONE_BODY = "put the atoms of both ends of the bond into one rigid body of `bodies` (--rigid)"
 STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
 CHECK_FORCES = "if the energy drifts as much with half the step, call print(check_forces(context))"
 
 
+class StepError(openmm.OpenMMException):
+    """A step is too long."""
+
+
+class StepWarning(UserWarning):
+    """A step is long for the motions of a System."""
+
+
+def message(finding: str, *remedies: str, remark: str = "") -> str:
+    """Return a message.
+
+    Args:
+        finding: what is wrong.
+        remedies: any one of them helps.
+        remark: another fact; may be empty.
+    """
+    advice = ", or ".join(remedies)
+    return ". ".join(filter(None, [finding, advice[:1].upper() + advice[1:], remark]))
+
+
+def femtoseconds(time: float) -> str:
+    """Return a time, ps, in words."""
+    return f"{1000 * time:.3g} fs" if time < 1 else f"{time:.4g} ps"
+
+
 def up_to(step: float) -> str:
-    """Return the remedy of a step up to this one, in ps. It is told in three digits, rounded down so that it helps."""
+    """Return the remedy of a step up to this one, ps, which is rounded down to three digits."""
     value, unit = (1000 * step, "fs") if step < 1 else (step, "ps")
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
     # A step of 4 fs is 4.000000000000001 fs or a little less in binary numbers.
@@ -59,43 +85,19 @@ def in_femtoseconds(step: float) -> str:
     return f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps"
 
 
-def advised(finding: str, *remedies: str, remark: str = "") -> str:
-    """Return a message.
-
-    Args:
-        finding: what is wrong.
-        remedies: what helps, any one of them.
-        remark: what else is to be known; may be empty.
-    """
-    advice = ", or ".join(remedies)
-    return ". ".join(filter(None, [finding, advice[:1].upper() + advice[1:], remark]))
-
-
-class StepError(openmm.OpenMMException):
-    """A step is too long."""
-
-
-class StepWarning(UserWarning):
-    """A step is long for what moves in a System."""
-
-
-#: Dalton. Hydrogens up to this have not been made heavy.
-LIGHT = 2.0
-
-
 class Remedies:
-    """Find remedies for a System's fast motions, by their atoms."""
+    """Find the remedies that help a System's fast motions, by their atoms."""
 
     def __init__(self, system: openmm.System, bodies: BodySet, links: Links):
-        """Take a System, its bodies, and what joins its atoms."""
-        self._owner = bodies.owners.copy()
+        """Take a System, its bodies, and its constraints and bonds."""
+        self._owners = bodies.owners.copy()
         self._moving = bodies.owners >= 0
         self._points = bodies.point_particles
         # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
         # Terms between frozen atoms do no work, like those inside one body.
-        self._owner[tables.frozen_atoms(system)] = bodies.n
+        self._owners[tables.frozen_atoms(system)] = bodies.n
         self._masses = tables.masses(system)
         self._links = links
 
@@ -110,24 +112,23 @@ class Remedies:
 
         It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
         """
-        terms = working_terms(force, self._owner)
         if kind_of(force).is_divisible:
             return bool(self._moving[list(atoms)].all())
+        terms = working_terms(force, self._owners)
         return bool(len(terms) and self._moving[terms].all())
 
     def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:
         """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
-    def hold(self, atoms: tuple[int, ...]) -> str:
-        """Return how to constrain a bond."""
+    def hold(self, atoms: tuple[int, ...]) -> list[str]:
+        """Return ways to hold a bond."""
         if self.has_hydrogen(atoms):
-            return CONSTRAIN if self.has_hydrogen(atoms, LIGHT) else CONSTRAIN_AND_KEEP
-        if self._beside_bodies[list(atoms)].any():
-            return ONE_BODY
-        took_mass = any(self._points[i] and self._masses[i] > tables.HEAVIEST_IN_CHAINS for i in self._hydrogens)
-        return CONSTRAIN_HEAVY_AND_KEEP if took_mass else CONSTRAIN_HEAVY
-
-    def heavier(self, atoms: np.ndarray) -> bool:
-        """Tell whether heavier hydrogens would make the motion of some atoms slower."""
-        return self.has_hydrogen(tuple(atoms.tolist()), LIGHT)
+            remedies = [CONSTRAIN_HYDROGEN]
+        elif self._beside_bodies[list(atoms)].any():
+            return [ONE_BODY]
+        else:
+            remedies = [CONSTRAIN]
+        if any(self._points[i] and self._masses[i] > tables.HEAVIEST_IN_CHAINS for i in self._hydrogens):
+            remedies.append(LESS_MASS)
+        return remedies

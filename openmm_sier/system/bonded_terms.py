@@ -6,6 +6,10 @@ import numpy as np
 import openmm
 
 from openmm_sier.system.forces import Terms, kind_of
+from openmm_sier.system.tables import Constraints
+
+#: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
+ARM = 0.2
 
 
 def bonded_terms(force: openmm.Force) -> np.ndarray:
@@ -53,6 +57,31 @@ def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.nd
     """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
     elements = _elements(force)
     return _atoms(force, elements), np.array([float(term.attrib["k"]) for term in elements], dtype=float)
+
+
+def harmonic_frequencies(
+    force: openmm.Force, mobility: np.ndarray, owner: np.ndarray, constraints: Constraints
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return particles of harmonic bonds or angles, (t, k), and squares of their angular frequencies, (t,), 1/ps^2.
+
+    A square is 0 where a body or a constraint holds the term. Forces of other classes have none.
+
+    Args:
+        force: openmm.Force.
+        mobility: inverse effective masses of the particles, (N,), 1/dalton.
+        owner: that of `working_terms`.
+        constraints: of the System.
+    """
+    if isinstance(force, openmm.HarmonicBondForce):
+        atoms, _, strengths = harmonic_bonds(force)
+        squares = ~constraints.hold(atoms) * strengths * mobility[atoms].sum(axis=1)
+    elif isinstance(force, openmm.HarmonicAngleForce):
+        atoms, strengths = harmonic_angles(force)
+        # The middle atom moves against both others, by twice their way.
+        squares = strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
+    else:
+        return np.empty((0, 1), dtype=np.int64), np.empty(0)
+    return atoms, np.where(do_work(atoms, owner), squares, 0.0)
 
 
 def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:

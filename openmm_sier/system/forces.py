@@ -42,7 +42,7 @@ class ForceKind(NamedTuple):
     """
 
     acts_on: Literal["terms", "pairs", "particles", "whole", "nothing"] = "whole"
-    stiffness: Literal["soft", "expression", "collective", "unknown"] = "unknown"
+    stiffness: Literal["soft", "measured", "unknown"] = "unknown"
     terms: Terms | None = None
     joins: bool = False
     charges: Literal["points", "multipoles"] | None = None
@@ -78,11 +78,11 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.PeriodicTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR, (6,)), joins=True),
     openmm.RBTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR, (4, 5, 6, 7, 8, 9)), joins=True),
     openmm.CMAPTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _EIGHT)),
-    openmm.CustomBondForce: _known("terms", "expression", terms=Terms("Bond", _TWO)),
+    openmm.CustomBondForce: _known("terms", "measured", terms=Terms("Bond", _TWO)),
     openmm.CustomAngleForce: _known("terms", "soft", terms=Terms("Angle", _THREE)),
     openmm.CustomTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR)),
     openmm.AmoebaTorsionTorsionForce: _known("terms", "soft"),
-    openmm.CustomCompoundBondForce: _known("terms", "expression"),
+    openmm.CustomCompoundBondForce: _known("terms", "measured"),
     openmm.CustomHbondForce: _known("terms", "soft"),
     # Nonbonded Forces.
     openmm.NonbondedForce: _known(
@@ -104,12 +104,12 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.GayBerneForce: _known("whole", "soft"),
     openmm.CustomManyParticleForce: _known("whole", "soft"),
     # Fields and collective variables.
-    openmm.CustomExternalForce: _known("particles", "expression"),
+    openmm.CustomExternalForce: _known("particles", "measured"),
     openmm.CustomVolumeForce: _known("whole", "soft"),
-    openmm.CustomCentroidBondForce: _known("whole", "collective"),
-    openmm.RMSDForce: _known("whole", "collective"),
-    openmm.RGForce: _known("whole", "unknown"),
-    openmm.OrientationRestraintForce: _known("whole", "unknown"),
+    openmm.CustomCentroidBondForce: _known("whole", "measured"),
+    openmm.RMSDForce: _known("whole", "measured"),
+    openmm.RGForce: _known("whole", "measured"),
+    openmm.OrientationRestraintForce: _known("whole", "measured"),
     openmm.DrudeForce: _known("whole", "unknown"),
     # It may read the time.
     openmm.PythonForce: _known("whole", "unknown", is_passive=False, is_data=False),

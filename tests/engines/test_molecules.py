@@ -180,7 +180,7 @@ def test_a_drift_that_cannot_be_made_leaves_the_last_completed_step(monkeypatch)
     integrator = SIERIntegrator(0.002)
     context = started(system, integrator, positions, steps=3)
     good = everything(context)
-    monkeypatch.setattr("openmm_sier.stability.vibrations.Vibrations.check", lambda *_: None)
+    monkeypatch.setattr("openmm_sier.stability.step_check.StepCheck.__call__", lambda *_: None)
     integrator.setStepSize(2.0)
     with pytest.raises(openmm.OpenMMException, match=r"Step 4 failed: the constraints of .*last completed step"):
         integrator.step(1)

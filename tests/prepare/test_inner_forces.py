@@ -10,7 +10,7 @@ from openmm import unit
 from openmm_sier import RigidBodies, SIERIntegrator, balance_pme, prepare_system
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.prepare.pme import meshed_forces
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.inner_forces import all_forces, pme_parameters
 from tests.support.containers import CONTAINERS, at_rest, contained, scaled
 from tests.support.peptides import capped_alanine
@@ -32,7 +32,7 @@ def energy_and_forces(system, positions):
 
 
 def longest(system):
-    return Vibrations(system, RigidBodies.from_system(system)).longest_step(SIER4G, 1, 0)
+    return StepCheck(system, RigidBodies.from_system(system)).longest_step(SIER4G, 1, 0)
 
 
 # --- PME ---
@@ -148,7 +148,9 @@ def test_a_factor_of_energies_counts():
         system = copy.deepcopy(bare)
         system.addForce(scaled(copy.deepcopy(inner), factor))
         steps.append(longest(system))
-    assert steps == pytest.approx([longest(plain), 2 * longest(plain), np.inf], rel=1e-12)
+    assert steps[:2] == pytest.approx([longest(plain), 2 * longest(plain)], rel=1e-12)
+    # Spins of water are left, which are slower than its librations.
+    assert steps[2] > 2 * steps[1]
     # Of an expression that is not linear nothing is known, and it is said.
     bare.addForce(scaled(inner, energy="factor*U^2"))
     with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce \(CustomCVForce\)"):

@@ -344,7 +344,7 @@ def test_a_system_whose_context_was_refused_can_be_prepared():
 
 
 @pytest.mark.parametrize("kind", ["constant energy", "hybrid Monte Carlo"])
-def test_integrators_of_fourth_order_tell_of_pme(kind):
+def test_integrators_of_fourth_order_warn_about_pme(kind):
     _, positions, system = periodic_system("tip3p", 64)
     options = {"scheme": "SIER4G"} if kind == "hybrid Monte Carlo" else {}
     with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*SIER4G.* 1.2 to 1\.6 %") as told:

@@ -6,10 +6,10 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.equilibration import equilibrate
-from openmm_sier.stability.spins import FAST, Spins
+from openmm_sier.stability.step_check import FAST_SPIN, StepCheck
 from tests.support.braced import gas, triangle
 from tests.support.reports import Told
 from tests.support.silence import silence
@@ -46,7 +46,7 @@ def made(system, integrator, silently=True):
 def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
     system, _ = trimers(177)
     scheme = make(0.001).scheme
-    limit = scheme.accuracy_limit / (FAST * np.sqrt(GAS_CONSTANT * 300 / moment(177)))
+    limit = scheme.accuracy_limit / (FAST_SPIN * np.sqrt(GAS_CONSTANT * 300 / moment(177)))
     made(system, make(0.99 * limit, engine=engine))
     told = r"fs is long: the body of atoms 0, 1, 2 and similar bodies have a moment of inertia of only 8e-05"
     with pytest.warns(UserWarning, match=told):
@@ -73,20 +73,19 @@ def test_where_nothing_turns_them():
     without, _ = trimers(178)
     without.removeForce(0)
     made(without, SIERIntegrator(0.006, "SIER2"))
-    empty = openmm.NonbondedForce()
-    for _ in range(without.getNumParticles()):
-        empty.addParticle(0, 0.3, 0)
-    made(with_forces(without, empty), SIERIntegrator(0.006, "SIER2"))
     with pytest.warns(UserWarning, match="is long: the body of atoms 0, 1, 2"):
         made(with_forces(alone, field("100*y^2", range(3))), SIERIntegrator(0.006, "SIER2"), silently=False)
 
 
 @pytest.mark.parametrize("model", ["tip3p", "tip4pew"])
-def test_molecules_that_are_no_lines_may_take_the_longest_steps(model):
+def test_spins_do_not_limit_molecules_that_are_no_lines(model):
+    """Librations do: without a Force with charges any step below that of spins is silent."""
     _, _, system = cluster_system(3, model)
-    bodies = RigidBodies.from_system(system)
-    with silence():
-        Spins(system, bodies.species, bodies.describe_atoms).check(SIERIntegrator(0.001, "SIER2").scheme, 0.0098, 1)
+    system.removeForce([type(force) for force in system.getForces()].index(openmm.NonbondedForce))
+    system.addForce(field("100*y^2", [0]))
+    check = StepCheck(system, RigidBodies.from_system(system))
+    # SIER2's stability limit for librations of water is 10 fs.
+    assert check.longest_step(SIER2, 1, 0) > 0.01
 
 
 def named(degrees):

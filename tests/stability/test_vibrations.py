@@ -19,10 +19,13 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     prepare_system,
 )
-from openmm_sier.dynamics.step_limits import nested_is_stable
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier.stability.motions import Motions
+from openmm_sier.stability.step_check import RESONANCE, StepCheck
 from openmm_sier.system.find_bodies import Links
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
@@ -88,18 +91,21 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
 def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
     _, _, system = flexible
-    vibrations = Vibrations(system, RigidBodies.from_system(system))
-    assert vibrations.longest_step(scheme, 0, 0) == math.inf
-    slow, fast = vibrations.longest_step(scheme, 1, 0), vibrations.longest_step(scheme, 0, 1)
-    assert vibrations.longest_step(scheme, 1, 1) == min(slow, fast)
+    check = StepCheck(system, RigidBodies.from_system(system))
+    assert check.longest_step(scheme, 0, 0) == math.inf
+    slow, fast = check.longest_step(scheme, 1, 0), check.longest_step(scheme, 0, 1)
+    assert check.longest_step(scheme, 1, 1) == min(slow, fast)
+
+    def within(step):
+        return Flow(scheme, step, substeps=100, fast_groups=1)
+
     with silence():
-        vibrations.check(scheme, 0.999 * slow, 1)
-        vibrations.check_nested(scheme, SIER4G, 1e-4, 0.999 * fast, 1)
+        check(Flow(scheme, 0.999 * slow), 1)
+        check(within(0.999 * fast), 1)
     with pytest.warns(UserWarning, match="is long"):
-        vibrations.check(scheme, 1.001 * slow, 1)
-    # SIER2 is unstable there.
-    with silence(), pytest.raises((UserWarning, openmm.OpenMMException), match="long for the bond"):
-        vibrations.check_nested(scheme, SIER4G, 1e-4, 1.001 * fast, 1)
+        check(Flow(scheme, 1.001 * slow), 1)
+    with pytest.warns(UserWarning, match="is long for the bond"):
+        check(within(1.001 * fast), 1)
 
 
 def test_bonds_inside_bodies_do_not_count(flexible):
@@ -133,8 +139,8 @@ def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
     bonds.addBond(0, 1, 0.12, 4e5)
     system = assembled([16.0, 13.0 - of_hydrogen, of_hydrogen], bonds)
     system.addConstraint(1, 2, 0.11)
-    remedy = Remedies(system, RigidBodies.from_system(system), Links(system)).hold((0, 1))
-    assert ("if createSystem made hydrogens heavy, call prepare_system" in remedy) == is_told
+    remedies = Remedies(system, RigidBodies.from_system(system), Links(system)).hold((0, 1))
+    assert any("if createSystem made hydrogens heavy, call prepare_system" in each for each in remedies) == is_told
 
 
 def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
@@ -166,7 +172,8 @@ def test_the_period_is_that_of_the_reduced_mass(masses):
     ("masses", "named", "left_out"),
     [
         ((1.0, 16.0), ("make all hydrogens heavy", "constraints=HBonds"), "AllBonds"),
-        ((3.0, 10.0), ("constraints=HBonds", "if createSystem made hydrogens heavy"), "averages but no dynamics"),
+        ((3.0, 10.0), ("constraints=HBonds",), "averages but no dynamics"),
+        ((4.0, 10.0), ("constraints=HBonds", "if createSystem made hydrogens heavy"), "averages but no dynamics"),
         ((14.0, 14.0), ("constraints=AllBonds",), "hydrogens"),
     ],
 )
@@ -285,7 +292,7 @@ def test_a_bond_at_a_body_moves_the_body(rng):
     matrix = np.einsum("k,kxi,kxj->ij", masses, motions, motions)
     inverse = np.linalg.eigvalsh(motions[2] @ np.linalg.inv(matrix) @ motions[2].T)[-1]
     assert inverse < 1 / masses[2]
-    (bond,) = Vibrations(system, bodies)._bonds
+    (bond,) = Motions(system, bodies, bodies.species).harmonic
     assert bond.period == pytest.approx(2 * math.pi / math.sqrt(1e5 * inverse), rel=1e-10)
     assert bond.atoms == (2, 4)
 
@@ -342,24 +349,61 @@ def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, in
     shorter.step(1)
 
 
-@pytest.mark.parametrize("scheme", [SIER2, SIER4G], ids=lambda scheme: scheme.name)
-@pytest.mark.parametrize("share", [0.1, -0.1])
-def test_kicks_once_a_period_are_unstable_and_others_not(scheme, share):
-    """A tenth of the stiffness in the kicks changes the frequency by 5 %, on the side of its sign."""
-    shift = math.sqrt(1 + share)
-    assert nested_is_stable(scheme.stages, 0.8 * math.pi, share)
-    assert not nested_is_stable(scheme.stages, 2 * math.pi * (1 - (shift - 1)), share)
-    assert nested_is_stable(scheme.stages, 1.5 * math.pi, share)
+def is_bounded(scheme, angle, share):
+    """Whether a harmonic mode stays bounded that moves by an angle a step within drifts, and that weak forces kick.
+
+    The share is the stiffness of the forces in the kicks over that of the fast ones, negative if they weaken the mode.
+    """
+    x, matrix = share * angle**2, np.eye(2)
+    for stage in scheme.stages:
+        cosine, sine = np.cos(angle * stage.fraction), np.sin(angle * stage.fraction)
+        if stage.flow == DRIFT:
+            matrix = np.array([[cosine, sine / angle], [-angle * sine, cosine]]) @ matrix
+        elif stage.flow == KICK:
+            matrix = np.array([[1, 0], [-stage.fraction * x * (1 - stage.shift * x), 1]]) @ matrix
+    # Determinants are 1, so that both eigenvalues are on the unit circle up to here.
+    return abs(np.trace(matrix)) <= 2 + 1e-12
 
 
-def test_every_kind_of_warning_is_given(flexible):
+@pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
+@pytest.mark.parametrize("share", [0.02, 0.08, -0.08])
+def test_kicks_twice_a_period_are_unstable_in_a_window_above_the_refusal(scheme, share):
+    """All steps below the window of SIER2, which is the widest, are stable, and some in it are not."""
+    first = (1 - abs(share)) * math.pi
+    assert all(is_bounded(scheme, angle, share) for angle in np.linspace(0.5 * math.pi, first, 100))
+    assert not all(is_bounded(scheme, angle, share) for angle in np.linspace(first, 1.1 * math.pi, 2000))
+
+
+@pytest.mark.parametrize("charge", [0.0, 0.5])
+def test_a_step_is_refused_from_the_window_on(charge):
+    """It begins at half a period, less the share of the surroundings in the stiffness of the bond."""
+    system = diatomic(strength=4e5, masses=(12.0, 12.0))
+    charges = openmm.NonbondedForce()
+    for sign in (1, -1):
+        charges.addParticle(sign * charge, 0.3, 0.0)
+    charges.setForceGroup(1)
+    system.addForce(charges)
+    period = 2 * math.pi / math.sqrt(4e5 / 6)
+    # Both ends of 4e4 kJ/mol/nm^2 in a row, where the bond has 4e5.
+    window = (1 - (0.05 if charge else 0.0)) * period / 2
+    check = StepCheck(system, RigidBodies.from_system(system))
+    flow = partial(Flow, SIER4G, substeps=100, fast_groups=1)
+    with silence():
+        check(flow(0.999 * RESONANCE * period), 3)
+    with pytest.warns(UserWarning, match=r"is long for the bond .* more than twice in each period"):
+        check(flow(0.999 * window), 3)
+    with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
+        check(flow(1.001 * window), 3)
+
+
+def test_every_kind_of_warning_is_given_once(flexible):
     _, _, system = flexible
-    vibrations = Vibrations(system, RigidBodies.from_system(system))
+    check = StepCheck(system, RigidBodies.from_system(system))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        vibrations.check(SIER4G, 0.0035, 1)
-        vibrations.check(SIER4G, 0.0036, 1)
-        vibrations.check_nested(SIER4G, SIER4G, 1e-4, 0.58 * PERIOD, 1)
+        check(Flow(SIER4G, 0.0035), 1)
+        check(Flow(SIER4G, 0.0036), 1)
+        check(Flow(SIER4G, 0.455 * PERIOD, substeps=100, fast_groups=1), 1)
     assert ["more than twice" in str(each.message) for each in told] == [False, True]
 
 

@@ -6,6 +6,7 @@ import pytest
 from openmm_sier.dynamics import rotation
 from tests.support import oracles
 from tests.support.families import FAMILIES, STATES, sample, unit
+from tests.support.matrices import representatives
 from tests.support.oracles import ORTHOGONAL, apply, orthogonality_error, random_attitudes, worst
 
 # In double precision A L carries some 2e-16 |L|. That grows by at most exp(5) = 150 next to the separatrix (`growth` in

@@ -1,4 +1,4 @@
-"""Bonded forces that are expressions limit the step as harmonic bonds do: their curvature is measured."""
+"""Forces that are expressions or collective variables limit the step as harmonic bonds do: they are measured."""
 
 import math
 
@@ -7,11 +7,12 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, prepare_system
-from openmm_sier.stability.vibrations import Vibrations
+from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator, prepare_system
+from openmm_sier.stability import measurement
+from openmm_sier.stability.motions import Motions
 from tests.support.silence import silence
-from tests.support.systems import assembled, field
-from tests.support.waters import cluster_system, context_at, platform
+from tests.support.systems import assembled, field, with_forces
+from tests.support.waters import cluster_system, context_at, phase_point, platform
 
 #: kJ/mol/nm^2.
 K = 1e5
@@ -33,15 +34,16 @@ def compound(energy, atoms):
 
 
 def measured(system, positions, bodies=None, **parameters):
-    """The motions that are found at positions (N, 3) in nm, with values of global parameters."""
-    vibrations = Vibrations(system, bodies or RigidBodies.from_system(system))
+    """The motions that are measured at positions (N, 3) in nm, with values of global parameters."""
+    bodies = bodies or RigidBodies.from_system(system)
+    motions = Motions(system, bodies, bodies.species)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
     context.setPositions(np.array(positions, dtype=float))
     for name, value in parameters.items():
         context.setParameter(name, value)
-    assert vibrations.measure(context)
-    assert not vibrations.measure(context)
-    return vibrations._bonds
+    assert motions.measure(context)
+    assert not motions.measure(context)
+    return motions.measured
 
 
 def squares(motions):
@@ -118,10 +120,13 @@ def test_what_is_far_from_its_minimum_is_no_vibration():
     """Two atoms that overlap in a start, and a restraint that does not hold yet."""
     # 4 epsilon (s/r)^12 with the curvature 4e6 kJ/mol/nm^2 at 0.2 nm.
     overlap = bond("0.4*4*((0.34/r)^12-(0.34/r)^6)")
-    system = assembled(3 * [12.0], overlap, bond("50000*(r-0.1)^2", (0, 2)))
+    restraint = bond("50000*(r-0.1)^2", (0, 2))
     x = [[0, 0, 0], [0.2, 0, 0], [0, 0.4, 0]]
-    assert measured(system, x) == []
+    assert measured(assembled(3 * [12.0], overlap), x) == []
+    # Its atoms swing about each other by its tension, with K (r - 0.1)/r.
+    assert squares(measured(assembled(3 * [12.0], restraint), x)) == pytest.approx([0.75 * K / 6], rel=1e-5)
     x[2] = [0, 0.11, 0]
+    system = assembled(3 * [12.0], bond("0.4*4*((0.34/r)^12-(0.34/r)^6)"), bond("50000*(r-0.1)^2", (0, 2)))
     assert squares(measured(system, x)) == pytest.approx([K / 6], rel=1e-5)
 
 
@@ -150,6 +155,113 @@ def test_a_stiff_restraint_is_refused_by_what_causes_it():
     with pytest.raises(openmm.OpenMMException, match="the motion of atom 0 by CustomExternalForce is"):
         integrator.step(1)
     assert context.getStepCount() == 0
+
+
+def overlapping(pairs, stiffness):
+    """One Force of pairs of atoms that overlap, each in its own way, and of a bond; its period, ps."""
+    force = openmm.CustomBondForce("depth*((0.34/r)^12-(0.34/r)^6) + k*(r-0.1)^2/2")
+    force.addPerBondParameter("depth")
+    force.addPerBondParameter("k")
+    x = []
+    for i in range(pairs):
+        force.addBond(2 * i, 2 * i + 1, [1.6 * 1.3**i, 0])
+        x += [[i, 0, 0], [i + 0.2, 0, 0]]
+    force.addBond(2 * pairs, 2 * pairs + 1, [0, stiffness])
+    x += [[0, 1, 0], [0, 1.1, 0]]
+    masses = [*(2 * pairs * [12.0]), 1.0, 16.0]
+    return assembled(masses, force), x, 2 * math.pi / math.sqrt(stiffness * (1 + 1 / 16))
+
+
+@pytest.mark.parametrize("pairs", [1, 4])
+def test_overlaps_do_not_hide_a_bond(pairs):
+    """Each is stiffer than the bond, from 4e6 kJ/mol/nm^2 on."""
+    system, x, period = overlapping(pairs, 4e5)
+    (motion,) = measured(system, x)
+    # The search ends at a residual of 1e-3 of the square.
+    assert motion.period == pytest.approx(period, rel=1e-3)
+    assert motion.atoms == (2 * pairs, 2 * pairs + 1)
+
+
+def test_a_force_whose_bonds_many_overlaps_hide_is_named():
+    system, x, _ = overlapping(30, 4e5)
+    integrator = SIERIntegrator(0.001, "SIER2")
+    x = np.array(x)
+    context = context_at(system, integrator, (x, 0 * x))
+    with pytest.warns(UserWarning, match="A step of 1 fs cannot be judged, since the stiffness of CustomBondForce"):
+        integrator.binding.engine.check_step(integrator.binding.flow(), 1, context)
+
+
+def test_many_equal_bonds_have_the_period_of_one():
+    """The mode is spread over all of them, and one is named."""
+    force = openmm.CustomBondForce("231375*(r-0.1)^2")
+    for i in range(0, 100, 2):
+        force.addBond(i, i + 1)
+    system = assembled(50 * [1.0, 16.0], force)
+    x = np.zeros((100, 3))
+    x[:, 0] = np.arange(100) // 2
+    x[1::2, 1] = 0.1
+    (motion,) = measured(system, x)
+    assert squares([motion])[0] == pytest.approx(462750 * (1 + 1 / 16), rel=1e-5)
+    assert motion.atoms[0] % 2 == 0
+    assert motion.atoms[1] == motion.atoms[0] + 1
+
+
+def in_fields():
+    """Three waters whose oxygens a field holds, positions and velocities."""
+    _, x, system = cluster_system(3)
+    held = field("100*(x^2+y^2+z^2)", [0, 3, 6])
+    return with_forces(system, held), (x, 0 * x)
+
+
+def test_a_measurement_changes_no_trajectory(monkeypatch):
+    ends = []
+    for is_measured in (True, False):
+        if not is_measured:
+            monkeypatch.setattr(Motions, "measure", lambda *_: False)
+        system, point = in_fields()
+        integrator = SIERLangevinIntegrator(300, 1, 0.002)
+        integrator.setRandomNumberSeed(1)
+        ends.append(phase_point(context_at(system, integrator, point, "CPU", steps=3)))
+    assert np.array_equal(*ends)
+
+
+def test_a_measurement_that_is_interrupted_is_made_again(monkeypatch):
+    """The Context is as before, and so is what is known: a step that is too long is still refused."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    system = assembled([1.0, 16.0], bond("231375*(r-0.1)^2"))
+    x = np.array([[0, 0, 0], [0.1, 0, 0]])
+    integrator = SIERIntegrator(0.006, SIER4G)
+    context = context_at(system, integrator, (x, 0 * x))
+    before = phase_point(context)
+    with monkeypatch.context() as patch:
+        patch.setattr(measurement, "_largest", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            integrator.step(1)
+    assert np.array_equal(phase_point(context), before)
+    with pytest.raises(openmm.OpenMMException, match="is too long: the bond between atoms 0 and 1"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_evaluations_are_few(monkeypatch):
+    """Two for the atoms that move, one for the slope and two for each vector, at most 20 of them."""
+    counts = []
+    counted = measurement._forces_alone
+
+    def counting(*arguments):
+        forces = counted(*arguments)
+        return lambda x: counts.append(1) or forces(x)
+
+    monkeypatch.setattr(measurement, "_forces_alone", counting)
+    system, point = in_fields()
+    measured(system, point[0])
+    assert len(counts) <= 9
+    counts.clear()
+    assert measured(*overlapping(30, 4e5)[:2]) == []
+    assert len(counts) <= 43
 
 
 # --- collective variables ---

@@ -1,0 +1,227 @@
+"""Measure the fastest motion that a Force causes where the atoms are, whatever its energy is a function of.
+
+The largest second derivatives of the energy over masses are found by Lanczos' method, J. Res. Natl. Bur. Stand. 45, 255
+(1950): each of its vectors costs two evaluations of this Force alone, of which there are 5 to 43. They are made in a
+second Context, on the Reference platform, in double precision. So the Context of a run, its neighbour lists and its
+random numbers stay as they are, also if the measurement is interrupted.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.dynamics.vectors import body_frame, combine
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import bonded_terms, do_work
+from openmm_sier.system.forces import kind_of
+from openmm_sier.system.second_context import follow_parameters, reference_context
+
+#: Largest displacement of an atom, nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
+DISPLACEMENT = 1e-5
+
+#: kJ/mol. A motion that is further from its minimum than this is no vibration, and its curvature gives no period: the
+#: repulsion of two atoms that overlap in a start, or a restraint that is far from where it holds.
+FAR = 25.0
+
+#: Vectors after which the search ends. Bonds of three masses have a few different frequencies, and take some six.
+MOST_VECTORS = 20
+
+#: Residual of a direction over its eigenvalue, with which it is taken. At 0.01 the two stretches of water, with squares
+#: that differ by 3 %, are not told apart.
+ACCURACY = 0.001
+
+#: A residual that is shorter than this share of the largest eigenvalue is rounding.
+ROUNDING = 1e-6
+
+#: 1/ps^2. Motions with periods above 6 ps limit no step.
+LEAST_SQUARE = 1.0
+
+#: Atoms with at least this share of the largest velocity are named, of these the first few.
+NAMED, MOST_NAMED = 0.5, 4
+
+_FORCE = unit.kilojoule_per_mole / unit.nanometer
+
+
+class Vibration(NamedTuple):
+    """The fastest motion that a Force causes.
+
+    Attributes:
+        square: of its angular frequency, 1/ps^2.
+        atoms: particle indices of the term that changes most; without terms, those of the atoms that move most.
+    """
+
+    square: float
+    atoms: tuple[int, ...]
+
+
+class HiddenError(Exception):
+    """Overlaps of atoms hide the fastest motion that a Force causes."""
+
+
+def fastest_motion(
+    force: openmm.Force, context: openmm.Context, bodies: BodySet, weight: float = 1.0
+) -> Vibration | None:
+    """Return the fastest motion that a Force causes where the atoms are; None if there is none.
+
+    Motions are those that bodies and constraints leave. What is far from its minimum, by `FAR`, is no vibration.
+
+    Args:
+        force: of the Context's System, or within a Force of it.
+        context: with positions, box and parameters.
+        bodies: of that System, with the constraints between them.
+        weight: the factor of the Force's energy in that of the System.
+
+    Raises:
+        HiddenError: there are too many overlaps of atoms.
+    """
+    forces = _forces_alone(force, context, weight)
+    x = openmm.Context.getState(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    noise = DISPLACEMENT * np.random.default_rng(1).normal(size=x.shape)
+    response = forces(x - noise) - forces(x + noise)
+    owners = bodies.owners[np.any(response != 0, axis=1)]
+    moved = bodies.molecules[np.unique(owners[owners >= 0])]
+    if not len(moved):
+        return None
+    motions = _Motions(bodies.restricted(np.flatnonzero(np.isin(bodies.molecules, moved))), x)
+
+    def curvature(direction: np.ndarray) -> np.ndarray:
+        velocities = motions.velocities(direction)
+        step = DISPLACEMENT / max(np.abs(velocities).max(), np.finfo(float).tiny)
+        return motions.projected(forces(x - step * velocities) - forces(x + step * velocities)) / (2 * step)
+
+    fastest = _largest(curvature, -motions.projected(forces(x)), motions.projected(response))
+    if fastest is None:
+        return None
+    square, direction = fastest
+    return Vibration(square, _moved_most(force, bodies.owners, motions.velocities(direction)))
+
+
+class _Motions:
+    """The motions of bodies as directions (6, n): momenta over roots of masses, and likewise about principal axes.
+
+    In these coordinates second derivatives over masses are a symmetric matrix.
+    """
+
+    def __init__(self, bodies: BodySet, positions: np.ndarray):
+        self._bodies = bodies
+        self._shape = positions.shape
+        self._q, self._A = bodies.fit(positions)
+        self._roots = np.sqrt(np.concatenate([np.broadcast_to(bodies.masses, (3, bodies.n)), bodies.moments]))
+        self._inverse = np.divide(1.0, self._roots, out=np.zeros_like(self._roots), where=self._roots > 0)
+
+    def velocities(self, direction: np.ndarray) -> np.ndarray:
+        """Return velocities of all atoms, (N, 3)."""
+        momenta = direction * self._roots
+        L = combine(momenta[3:], *self._A)
+        return self._bodies.move(BodyState(self._q, momenta[:3], self._A, L), np.zeros(self._shape))
+
+    def projected(self, forces: np.ndarray) -> np.ndarray:
+        """Return the part of forces on atoms, (N, 3), that constraints leave, as a direction."""
+        F, tau = self._bodies.forces_and_torques(forces, self._A)
+        return np.concatenate([self._bodies.constraints.project(self._q, F), body_frame(self._A, tau)]) * self._inverse
+
+
+def _largest(
+    curvature: Callable[[np.ndarray], np.ndarray], gradient: np.ndarray, start: np.ndarray
+) -> tuple[float, np.ndarray] | None:
+    """Return the largest eigenvalue of a matrix, 1/ps^2, and its direction (6, n); None where nothing is fast.
+
+    Directions in which the energy is far from its minimum are left out.
+
+    Args:
+        curvature: multiplies the matrix with a direction.
+        gradient: of the energy.
+        start: the first direction.
+
+    Raises:
+        HiddenError: there are more such directions than vectors.
+    """
+    size = np.linalg.norm(start)
+    if size == 0:
+        return None
+    following = start / size
+    basis = np.empty((0, *start.shape))
+    matrix = np.zeros((MOST_VECTORS, MOST_VECTORS))
+    for last in range(MOST_VECTORS):
+        basis = np.concatenate([basis, following[None]])
+        following = curvature(basis[-1])
+        # Against all earlier ones, twice, since rounding would bring them back.
+        for _ in range(2):
+            shares = np.tensordot(basis, following, 2)
+            matrix[: last + 1, last] += shares
+            following = following - np.tensordot(shares, basis, 1)
+        squares, modes = np.linalg.eigh(matrix[: last + 1, : last + 1], UPLO="U")
+        residual = np.linalg.norm(following)
+        # No other direction moves with these.
+        is_complete = residual <= ROUNDING * np.abs(squares).max()
+        is_last = is_complete or last + 1 == MOST_VECTORS
+        for square, mode in zip(squares[::-1].tolist(), modes.T[::-1], strict=True):
+            if not is_last and residual * abs(mode[-1]) > ACCURACY * square:
+                break
+            if square < LEAST_SQUARE:
+                return None
+            direction = np.tensordot(mode, basis, 1)
+            if np.vdot(gradient, direction) ** 2 <= 2 * FAR * square:
+                return square, direction
+        if is_complete:
+            return None
+        following = following / residual
+    raise HiddenError
+
+
+def _forces_alone(force: openmm.Force, context: openmm.Context, weight: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that gives the forces (N, 3) by one Force, times its weight, at positions (N, 3)."""
+    system = _particles_alone(context.getSystem())
+    system.addForce(openmm.XmlSerializer.clone(force))
+    system.setDefaultPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
+    alone = reference_context(system)
+    follow_parameters(context, alone)
+
+    def forces(positions: np.ndarray) -> np.ndarray:
+        alone.setPositions(positions)
+        alone.computeVirtualSites()
+        return weight * alone.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+
+    return forces
+
+
+def _particles_alone(system: openmm.System) -> openmm.System:
+    """Return a System of the particles of another, without its Forces."""
+    masses = tables.masses(system)
+    if any(system.isVirtualSite(i) for i in np.flatnonzero(masses == 0).tolist()):
+        # OpenMM copies virtual sites only with their System.
+        alone = openmm.XmlSerializer.clone(system)
+        while alone.getNumForces():
+            alone.removeForce(0)
+        return alone
+    alone = openmm.System()
+    for mass in masses.tolist():
+        alone.addParticle(mass)
+    return alone
+
+
+def _moved_most(force: openmm.Force, owners: np.ndarray, velocities: np.ndarray) -> tuple[int, ...]:
+    """Return particles of the term of a Force that changes most; without terms, those that move most."""
+    terms = _terms(force)
+    if terms.shape[1] > 1:
+        terms = terms[do_work(terms, owners)]
+        relative = velocities[terms] - velocities[terms].mean(axis=1, keepdims=True)
+        return tuple(terms[np.argmax((relative**2).sum(axis=(1, 2)))].tolist())
+    speeds = np.linalg.norm(velocities, axis=1)
+    if kind_of(force).acts_on == "particles":
+        return (int(speeds.argmax()),)
+    moved = np.flatnonzero(speeds >= NAMED * speeds.max())
+    return tuple(moved[:MOST_NAMED].tolist())
+
+
+def _terms(force: openmm.Force) -> np.ndarray:
+    """Return particles of each term of a Force, (t, k); none of a Force without terms."""
+    if kind_of(force).terms is not None:
+        return bonded_terms(force)
+    if isinstance(force, openmm.CustomCompoundBondForce):
+        return np.array([force.getBondParameters(i)[0] for i in range(force.getNumBonds())], dtype=np.int64)
+    return np.empty((0, 0), dtype=np.int64)

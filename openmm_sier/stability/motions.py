@@ -1,0 +1,265 @@
+"""The fastest motions of a System: bonds that nothing holds, molecules that swing among others, bodies that spin.
+
+How fast the forces between molecules turn and shake them is estimated before any position is known. An atom that can
+move with an inverse mass u, its body's rotation included, and that its surroundings hold with a stiffness k swings with
+the angular frequency sqrt(k u). For the hydrogens of rigid water u is 1/m, since out of the plane of the molecule they
+move as if they were free. Heavier hydrogens, and those of larger bodies, are slower.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.species import Species
+from openmm_sier.stability.advice import Remedies
+from openmm_sier.stability.measurement import HiddenError, fastest_motion
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import harmonic_frequencies
+from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.forces import kind_of
+from openmm_sier.system.inner_forces import SystemForce, all_forces, is_linear
+from openmm_sier.system.mobilities import COARSE, mobilities
+
+#: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
+#: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
+#: 17.4, SIER4 15.1, SIER4V and SIER4P 15.8. In 64 molecules of liquid the energy grew within 1.2 ps by this share of
+#: the kinetic energy:
+#:     TIP3P     SIER2   9 fs 0.03, 10 fs 0.14, 11 fs 0.8     SIER4G  13 fs 0.04, 16 fs 0.11, 18 fs 0.6, 20 fs 1.7
+#:     SPC/E     SIER2   8 fs 0.03, 10 fs 0.28, 11 fs 3.6     SIER4G  14 fs 0.06, 16 fs 0.37, 18 fs 1.0, 20 fs 2.9
+#:     TIP4P-Ew  SIER2   8 fs 0.06, 10 fs 0.97, 11 fs 1e20    SIER4G  13 fs 0.02, 16 fs 0.54, 18 fs 1.1, 20 fs 3.3
+#:     TIP3P     SIER4  13 fs 0.06, 16 fs 0.31, 18 fs 3.0     SIER4P  18 fs 0.04, 20 fs 0.07     SIER4V  20 fs 0.05
+#:     TIP3P     SIER2V2  10 fs 0, 12 fs 0.04, 14 fs 0.35       SIER2P3  20 fs 0, 23 fs 0.10, 26 fs 0.77
+#: At the accuracy limits of the schemes of fourth order, 11 to 15 fs, rms(H) is 0.02 to 0.06 rms(V), and at SIER2's,
+#: 3.0 fs, it is 0.02.
+HYDROGEN_BOND = 4.0e4
+
+#: Charge in e, of either sign, of an atom with hydrogen bonds. Hydrogens of water have 0.19 in HIPPO, 0.24 in TIP5P and
+#: 0.26 to 0.30 in AMOEBA, those of amides 0.27, and those on carbon up to 0.15.
+CHARGED = 0.18
+
+#: Stiffness of a Lennard-Jones atom's surroundings in units of epsilon/sigma^2: the second derivative at the minimum,
+#: 72/2^(1/3), for twelve neighbours, a third of which counts in each direction. For liquid argon it gives 6.7/ps; its
+#: Einstein frequency is 7.5/ps.
+LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
+
+
+class Motion(NamedTuple):
+    """A bond or a libration as a harmonic oscillator.
+
+    Attributes:
+        period: ps.
+        atoms: particle indices of the ends of the bond, or of the one atom that swings.
+        group: the force group that moves them.
+        share: stiffness of the surroundings over that of the bond.
+        force: name of the Force, where the motion was measured.
+        is_bond: whether it stretches a bond.
+        can_be_fast: whether inner steps could follow it, once the System is prepared.
+    """
+
+    period: float
+    atoms: tuple[int, ...]
+    group: int
+    share: float = 0.0
+    force: str = ""
+    is_bond: bool = True
+    can_be_fast: bool = False
+
+
+class Spin(NamedTuple):
+    """The rotation of a rigid body about its smallest moment of inertia.
+
+    Attributes:
+        moment: dalton nm^2.
+        name: of the body, in words.
+        groups: bit mask of the force groups that may turn it.
+    """
+
+    moment: float
+    name: str
+    groups: int
+
+    def rate(self, temperature: float) -> float:
+        """Return its thermal angular velocity sqrt(kT/I), 1/ps, at a temperature in K."""
+        return math.sqrt(GAS_CONSTANT * temperature / self.moment)
+
+
+class Motions:
+    """Find the fastest motions of a System.
+
+    Motions inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
+    from the System, as it is when the Context is created. Each of these bonds is treated on its own, which gives its
+    period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster.
+    Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only
+    those with charges are looked at, and the Lennard-Jones terms of NonbondedForces. Forces that are expressions or
+    collective variables are measured by `measure`, once there are positions. Forces within Forces count by their weight
+    (`inner_forces`).
+
+    Attributes:
+        harmonic: the fastest bond of each HarmonicBondForce.
+        measured: the fastest motion by each Force that was measured.
+        librations: the fastest swing by each Force with charges.
+        spin: of the slimmest rigid body; None where no body turns.
+        unknown: force group and name of each Force of which no stiffness is known, also where overlaps hide it.
+        remedies: for these motions.
+    """
+
+    def __init__(self, system: openmm.System, bodies: BodySet, rigid: Sequence[Species]):
+        """
+        Args:
+            system: openmm.System.
+            bodies: all that move in it.
+            rigid: the kinds of rigid body.
+        """
+        self._mobility = mobilities(bodies)
+        links = Links(system)
+        self.remedies = Remedies(system, bodies, links)
+        all_parts = list(all_forces(system))
+        with_charges = [part for part in all_parts if kind_of(part.force).charges and part.weight is not None]
+        stiffnesses = [abs(part.weight or 0.0) * _stiffness_around(part.force) for part in with_charges]
+        #: Of the surroundings of each atom, (N,), kJ/mol/nm^2.
+        self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
+        self._linked = links.link(bodies)
+        # A molecule swings among others, or among frozen atoms.
+        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
+        self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
+        self.harmonic = list(self._fastest_bonds(all_parts, links.constraints))
+        self.measured: list[Motion] = []
+        self.unknown = _described([part for part in all_parts if _is_unknown(part)])
+        self.spin = _slimmest(system, bodies, rigid, is_alone)
+        self._to_measure = [part for part in all_parts if _is_measured(part)]
+
+    @property
+    def bonds(self) -> list[Motion]:
+        """Return all motions that bonded Forces, fields and collective variables cause."""
+        return self.harmonic + self.measured
+
+    def measure(self, context: openmm.Context) -> bool:
+        """Measure, once, where the atoms are, what is not read from parameters; return whether anything was measured.
+
+        Args:
+            context: of the System, with positions.
+        """
+        if not self._to_measure:
+            return False
+        measured, hidden = [], []
+        for part in self._to_measure:
+            try:
+                vibration = fastest_motion(part.force, context, self._linked, part.weight or 0.0)
+            except HiddenError:
+                hidden.append(part)
+                continue
+            if vibration is not None:
+                is_bond = kind_of(part.force).acts_on == "terms" and len(vibration.atoms) == 2
+                motion = self._motion(part, vibration.atoms, vibration.square)
+                measured.append(motion._replace(force=part.name, is_bond=is_bond))
+        self.unknown += _described(hidden)
+        self.measured, self._to_measure = measured, []
+        return True
+
+    def moves_like_hydrogen(self, motion: Motion) -> bool:
+        """Tell whether one of the atoms moves like a hydrogen, which may have been made heavy."""
+        return bool(self._mobility[list(motion.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
+
+    def _motion(self, part: SystemForce, atoms: tuple[int, ...], square: float) -> Motion:
+        """Return the motion of some atoms by a Force, by the square of its angular frequency in 1/ps^2."""
+        period = 2 * math.pi / math.sqrt(square)
+        # The stiffness with which surroundings may hold the bond, by its ends, over that of the bond itself.
+        mobility = self._mobility[list(atoms)]
+        share = float(self._held[list(atoms)] @ mobility**2 / (square * mobility.sum()))
+        can_be_fast = period < COARSE and not part.containers and self.remedies.can_be_fast(part.force, atoms)
+        return Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
+
+    def _fastest_bonds(self, all_parts: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
+        """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
+        for part in all_parts:
+            if isinstance(part.force, openmm.HarmonicBondForce):
+                atoms, squares = harmonic_frequencies(part.force, self._mobility, self._linked.owners, constraints)
+                squares = (part.weight or 0.0) * squares
+                if squares.max(initial=0) > 0:
+                    fastest = int(squares.argmax())
+                    yield self._motion(part, tuple(atoms[fastest].tolist()), float(squares[fastest]))
+
+    def _swings(self, with_charges: Sequence[SystemForce], stiffnesses: Sequence[np.ndarray]) -> Iterator[Motion]:
+        """Give for each Force with charges the fastest swing that it causes, by how stiffly it holds each atom."""
+        for part, stiffness in zip(with_charges, stiffnesses, strict=True):
+            squares = stiffness * self._mobility
+            if squares.max(initial=0) > 0:
+                atom = int(squares.argmax())
+                yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)
+
+
+def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
+    """Return the motion of shortest period in force groups, a bit mask; None if there is none."""
+    return min((motion for motion in motions if groups >> motion.group & 1), default=None)
+
+
+def _described(all_parts: Sequence[SystemForce]) -> list[tuple[int, str]]:
+    """Return force group and name of each Force."""
+    return [(part.group, f"{part.name} ({type(part.force).__name__})") for part in all_parts]
+
+
+def _is_measured(part: SystemForce) -> bool:
+    """Tell whether the fastest motion by a Force is measured: it acts on few atoms, or is cheap for all of them."""
+    # The close pairs of `prepare_system` are nonbonded interactions.
+    is_own = part.force.getName().startswith("openmm_sier: ")
+    return part.weight is not None and not is_own and not _is_sum(part.force) and _is_cheap(part.force)
+
+
+def _is_cheap(force: openmm.Force) -> bool:
+    if isinstance(force, openmm.CustomCVForce):
+        variables = [force.getCollectiveVariable(i) for i in range(force.getNumCollectiveVariables())]
+        return all(kind_of(each).terms or _is_cheap(each) for each in variables)
+    return kind_of(force).stiffness == "measured"
+
+
+def _is_sum(force: openmm.Force) -> bool:
+    """Tell whether a Force is known by those that it contains."""
+    return isinstance(force, openmm.ATMForce) or (isinstance(force, openmm.CustomCVForce) and is_linear(force))
+
+
+def _is_unknown(part: SystemForce) -> bool:
+    """Tell whether no stiffness of a Force is known, as of a collective variable of all pairs."""
+    is_known = kind_of(part.force).stiffness != "unknown" or _is_sum(part.force) or _is_cheap(part.force)
+    return part.weight is not None and not is_known
+
+
+def _stiffness_around(force: openmm.Force) -> np.ndarray:
+    """Return the stiffness with which a Force with charges is taken to hold each atom, (N,), kJ/mol/nm^2."""
+    if not isinstance(force, openmm.NonbondedForce):
+        return np.where(np.abs(_charges(force)) >= CHARGED, HYDROGEN_BOND, 0.0)
+    charges, sigma, epsilon = tables.atom_parameters(force).T
+    bonding = np.where(np.abs(charges) >= CHARGED, HYDROGEN_BOND, 0.0)
+    dispersion = np.divide(LENNARD_JONES * epsilon, sigma**2, out=np.zeros_like(sigma), where=sigma > 0)
+    return np.maximum(bonding, dispersion)
+
+
+def _charges(force: openmm.Force) -> np.ndarray:
+    """Return the charges of the particles of a Force without Lennard-Jones terms, (N,), e."""
+    if isinstance(force, openmm.AmoebaMultipoleForce):
+        charges = [force.getMultipoleParameters(i)[0] for i in range(force.getNumMultipoles())]
+    elif isinstance(force, openmm.HippoNonbondedForce):
+        charges = [force.getParticleParameters(i)[0] for i in range(force.getNumParticles())]
+    else:
+        charges = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
+    in_e = [each.value_in_unit(unit.elementary_charge) if unit.is_quantity(each) else each for each in charges]
+    return np.array(in_e, dtype=float)
+
+
+def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
+    """Return the spin about the smallest moment of inertia; a molecule alone is turned by fields only."""
+    moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
+    smallest = min(moments, default=math.inf)
+    if smallest == math.inf:
+        return None
+    groups = 0
+    for force in system.getForces():
+        kind = kind_of(force)
+        if kind.exerts_forces and (not is_alone or kind.acts_on == "particles"):
+            groups |= 1 << force.getForceGroup()
+    return Spin(smallest, bodies.describe_atoms(rigid[moments.index(smallest)].atoms[0]), groups)
