@@ -14,10 +14,11 @@ from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCl
 from cyclopts.validators import Number
 from pydantic import ValidationError
 
+from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.fields import Options, is_utf8, options, refusal
-from openmm_sier.cli.seeds import read_seeds
-from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings, flag
+from openmm_sier.cli.many.seeds import read_seeds
+from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
 

@@ -199,9 +199,14 @@ def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Return the name of the first field with a wrong value, and what was expected and what came."""
-    # What follows from a wrong value is an error of its own.
+    """Return the name of the first field with a wrong value, and what was expected and what came.
+
+    Where fields contradict each other the name is empty.
+    """
+    # An error of a default that follows from a wrong value is an error of its own.
     first = next(each for each in error.errors() if each["type"] != "default_factory_not_called")
+    if not first["loc"]:
+        return "", str(first["ctx"]["error"]) if "ctx" in first else first["msg"]
     name, *items = map(str, first["loc"])
     if first["type"] == "extra_forbidden":
         return name, "there is no such option"

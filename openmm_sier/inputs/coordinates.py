@@ -1,7 +1,7 @@
 """Coordinates of all kinds, as OpenMM's readers read them."""
 
+import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,8 @@ from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
-from openmm_sier.system.untrusted_files import open_regular, read_state
+from openmm_sier.inputs.source_files import FilePath, SourceFile
+from openmm_sier.system.untrusted_files import read_state
 
 #: Elements by whose letter atoms are told apart, where a name begins with one of them.
 _LETTERS = "HCNOPS"
@@ -32,7 +33,7 @@ class Coordinates(NamedTuple):
     topology: app.Topology | None = None
 
 
-def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> Coordinates:
+def read_coordinates(path: FilePath, edges: Sequence[float] | None = None) -> Coordinates:
     """Read a file of coordinates.
 
     Args:
@@ -44,62 +45,62 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
         ForceFieldError: it is none of these, or OpenMM cannot read it.
         OSError: the file cannot be read.
     """
-    kind = kind_of(path)
+    source = SourceFile.of(path)
+    kind = kind_of(source)
     if kind in STRUCTURES:
-        pdb = read_pdb(path, edges)
+        pdb = read_pdb(source, edges)
         names = [atom.name for atom in pdb.topology.atoms()]
         return Coordinates(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors(), names, pdb.topology)
     if kind not in _READERS:
         raise ForceFieldError(f"{path} is {kind}, but coordinates are expected")
     with refusing(f"cannot read {path} as {kind}"):
-        found = _READERS[kind](str(path))
-    return found._replace(box=box_of(path, found.box, edges))
+        coordinates = _READERS[kind](source)
+    return coordinates._replace(box=box_of(path, coordinates.box, edges))
 
 
-def _amber(path: str) -> Coordinates:
-    file = app.AmberInpcrdFile(path)
+def _amber(source: SourceFile) -> Coordinates:
+    file = app.AmberInpcrdFile(str(source))
     # OpenMM has False in place of a box in some files of one or two atoms.
     return Coordinates(file.getPositions(asNumpy=True), file.boxVectors or None)
 
 
-def _gro(path: str) -> Coordinates:
-    file = app.GromacsGroFile(path)
+def _gro(source: SourceFile) -> Coordinates:
+    file = app.GromacsGroFile(str(source))
     box = file.getPeriodicBoxVectors()
     is_none = not np.any(box.value_in_unit(unit.nanometer))
     return Coordinates(file.getPositions(asNumpy=True), None if is_none else box, file.atomNames)
 
 
-def _crd(path: str) -> Coordinates:
-    file = app.CharmmCrdFile(path)
+def _crd(source: SourceFile) -> Coordinates:
+    file = app.CharmmCrdFile(str(source))
     positions = np.array(file.positions.value_in_unit(unit.nanometer))
     return Coordinates(positions * unit.nanometer, None, file.attype)
 
 
-def _state(path: str) -> Coordinates:
-    with open_regular(path) as file:
-        state = read_state(file)
+def _state(source: SourceFile) -> Coordinates:
+    state = read_state(io.BytesIO(source.content))
     return Coordinates(state.getPositions(asNumpy=True), state.getPeriodicBoxVectors())
 
 
 _READERS = {AMBER_COORDINATES: _amber, GRO: _gro, CRD: _crd, STATE: _state}
 
 
-def refuse_other_atoms(path: str | Path, found: Coordinates, topology: app.Topology, source: str | Path) -> None:
+def refuse_other_atoms(path: FilePath, coordinates: Coordinates, topology: app.Topology, source: FilePath) -> None:
     """Refuse coordinates that are not those of the atoms of a topology.
 
     Their numbers must agree, and in residues of several atoms the elements, as far as names tell them.
 
     Args:
-        path, found: of the coordinates.
+        path, coordinates: of the coordinates.
         topology, source: of the topology, and the file that it is from.
 
     Raises:
         ForceFieldError: naming the first atom that differs.
     """
-    number, expected = len(found.positions), topology.getNumAtoms()
+    number, expected = len(coordinates.positions), topology.getNumAtoms()
     if number != expected:
         raise ForceFieldError(f"{path} has {number} atoms, but {source} has {expected}")
-    for atom, name in zip(topology.atoms(), found.names, strict=False):
+    for atom, name in zip(topology.atoms(), coordinates.names, strict=False):
         one, two = (_letter(each) for each in (atom.name, name))
         if one and two and one != two and len(atom.residue) > 1:
             raise ForceFieldError(

@@ -1,9 +1,8 @@
 """Tell what a file holds, by its contents: AMBER and GROMACS both have files .top, AMBER and CHARMM .crd."""
 
 import re
-from pathlib import Path
 
-from openmm_sier.system.untrusted_files import open_regular
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 
 #: Kinds of files, in words for messages.
 PDB = "a PDB file"
@@ -39,14 +38,13 @@ _LINES = {
 }
 
 
-def kind_of(path: str | Path) -> str:
+def kind_of(path: FilePath) -> str:
     """Return the kind of a file, one of those above.
 
     Raises:
         OSError: it cannot be read.
     """
-    with open_regular(path) as file:
-        text = file.read(HEAD).decode(errors="replace")
+    text = SourceFile.of(path).content[:HEAD].decode(errors="replace")
     # Titles may begin with anything.
     if kind := _counted(text.splitlines()[:3]):
         return kind

@@ -1,10 +1,9 @@
 """Force fields: those that a PDB file names, and the System that is built with them."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import PDB, kind_of
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
@@ -76,22 +76,21 @@ class Interactions(NamedTuple):
 USUAL = Interactions()
 
 
-def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
+def pick(path: FilePath) -> tuple[tuple[str, ...], str]:
     """Return the force-field files in records "REMARK  99 FORCEFIELD file.xml" of a PDB file, and why in words.
 
     Raises:
         ForceFieldError: there is no such record.
         OSError: it cannot be read.
     """
-    with open_regular(path) as file:
-        lines = file.read().decode(errors="replace").splitlines()
+    lines = SourceFile.of(path).lines
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         such = f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
         raise ForceFieldError(f"no force field is named: give its `files` (--forcefield), such as {such}")
     return named, "named in the PDB file"
 
 
-def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
+def load(files: Sequence[str], beside: FilePath = ".") -> app.ForceField:
     """Load a ForceField from files, sought as given, in the directory `beside`, in this project and in OpenMM.
 
     Raises:
@@ -252,7 +251,6 @@ class Box(NamedTuple):
         files: of the force field.
         reason: why these, in words.
         listed: indices of the particles that the file of the coordinates lists, virtual sites only if it has them.
-        sources: the files that were read but for OpenMM's own, by what they are for.
     """
 
     topology: app.Topology
@@ -261,12 +259,11 @@ class Box(NamedTuple):
     files: tuple[str, ...]
     reason: str
     listed: np.ndarray
-    sources: Mapping[str, Path] = MappingProxyType({})
 
 
 def read_box(
-    path: str | Path,
-    files: Sequence[str | Path] | None = None,
+    path: FilePath,
+    files: Sequence[FilePath] | None = None,
     constraints: str | None = None,
     interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
@@ -284,18 +281,17 @@ def read_box(
             molecule is broken, see `openmm_sier.make_whole`.
         OSError: the file cannot be read.
     """
-    pdb = read_pdb(path, edges)
+    source = SourceFile.of(path)
+    pdb = read_pdb(source, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     # What a force field is recognized by, and where it puts virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:
-        chosen, reason = (tuple(map(str, files)), "as given") if files else pick(path)
+        chosen, reason = (tuple(map(str, files)), "as given") if files else pick(source)
         forcefield = load(chosen, Path(path).parent)
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
         whole = make_whole(system, positions, topology)
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{path}: {error}") from None
     except ValueError as error:
         raise ForceFieldError(f"{path}: {error}") from None
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
@@ -320,7 +316,7 @@ def density_of(box: Box) -> float | None:
     return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
 
 
-def tell_of_thin_box(path: str | Path, box: Box) -> None:
+def warn_of_thin_box(path: FilePath, box: Box) -> None:
     """Warn of a box that is too thin for a liquid, as one is whose file was cut off, or with the box of another system.
 
     Without a mesh for charges, as of many coarse-grained models, nothing is expected of a density.
@@ -329,12 +325,12 @@ def tell_of_thin_box(path: str | Path, box: Box) -> None:
         path: of the coordinates.
         box: that was read from them.
     """
-    found = density_of(box)
-    if found is None or found >= THINNEST or not meshed_forces(box.system):
+    value = density_of(box)
+    if value is None or value >= THINNEST or not meshed_forces(box.system):
         return
     end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
     notify(
-        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {found:.2g} g/ml, less "
+        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {value:.2g} g/ml, less "
         f"than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is wrong"
     )
 

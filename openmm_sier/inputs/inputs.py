@@ -1,8 +1,9 @@
 """Read what is simulated from the files that people have: coordinates, with a force field or a topology."""
 
-import hashlib
+import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -17,11 +18,12 @@ from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse
 from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
 from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.notices import notify
-from openmm_sier.system.untrusted_files import open_regular, read_system
+from openmm_sier.system.untrusted_files import read_system
 
 #: By the kind of a topology, what else makes a System and would do nothing there.
 IGNORED = {
@@ -38,9 +40,9 @@ _INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
 
 
 def read_input(
-    path: str | Path,
-    topology: str | Path | None = None,
-    files: Sequence[str | Path] | None = None,
+    path: FilePath,
+    topology: FilePath | None = None,
+    files: Sequence[FilePath] | None = None,
     constraints: str | None = None,
     interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
@@ -60,21 +62,22 @@ def read_input(
         ForceFieldError: files are not of these kinds, do not fit each other, or OpenMM makes no System of them.
         OSError: a file cannot be read.
     """
+    coordinates = SourceFile.of(path)
     if topology is None:
-        _refuse_half(path)
-        box = forcefields.read_box(path, files, constraints, interactions, edges)
+        _refuse_half(coordinates)
+        box = forcefields.read_box(coordinates, files, constraints, interactions, edges)
     else:
         kind = topology_kind(topology)
-        source = _Source(Path(path), read_coordinates(path, edges), Path(topology), kind)
+        source = _Source(coordinates, read_coordinates(coordinates, edges), SourceFile.of(topology), kind)
         if kind == SYSTEM:
             box = _box_of_system(source, interactions)
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
-    forcefields.tell_of_thin_box(path, box)
-    return box._replace(sources=sources_of(path, topology, files))
+    forcefields.warn_of_thin_box(coordinates, box)
+    return box
 
 
-def topology_kind(path: str | Path) -> str:
+def topology_kind(path: FilePath) -> str:
     """Return the kind of a topology, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
@@ -89,21 +92,16 @@ def topology_kind(path: str | Path) -> str:
     return kind
 
 
-def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
-    """Return the SHA-256 of files, by purpose."""
-    return {use: hashlib.sha256(path.read_bytes()).hexdigest() for use, path in sources.items()}
-
-
 class _Source(NamedTuple):
     """The two files of an input: the coordinates, which have been read, and the topology with its kind."""
 
-    path: Path
+    path: SourceFile
     coordinates: Coordinates
-    topology: Path
+    topology: SourceFile
     kind: str
 
 
-def _refuse_half(path: str | Path) -> None:
+def _refuse_half(path: FilePath) -> None:
     """Refuse files that need another one."""
     kind = kind_of(path)
     if kind in TOPOLOGIES:
@@ -115,7 +113,7 @@ def _refuse_half(path: str | Path) -> None:
         raise ForceFieldError(f"{path} is {kind}, without a force field: give its `topology` (--topology) too: {kinds}")
 
 
-def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
+def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[FilePath] = ()) -> Box:
     """Make a Box whose particles are all in the file of the coordinates; `files` are those of its force field."""
     positions = source.coordinates.positions
     check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
@@ -134,9 +132,9 @@ _READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile
 
 
 def _box_of_topology(
-    source: _Source, files: Sequence[str | Path], constraints: str | None, interactions: Interactions
+    source: _Source, files: Sequence[FilePath], constraints: str | None, interactions: Interactions
 ) -> Box:
-    path, found, topology, kind = source
+    path, coordinates, topology, kind = source
     if kind_of(path) == STATE:
         raise ForceFieldError(
             f"{path} is {STATE} and needs a System of OpenMM as its topology, but {topology} is {kind}: give the "
@@ -148,29 +146,29 @@ def _box_of_topology(
             f"{topology} is {kind}, which needs its parameters: give all its parameter files as `files` "
             f"(--forcefield), such as {such}"
         )
-    parameters = [forcefields.locate(str(file), path.parent) for file in files]
+    parameters = [forcefields.locate(str(file), Path(path).parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
-        file = _READERS[kind](str(topology), periodicBoxVectors=found.box)
+        file = _READERS[kind](str(topology), periodicBoxVectors=coordinates.box)
         create = file.createSystem
         if kind == PSF:
             # OpenMM's other readers add no bonds that constraints hold by themselves.
             create = partial(create, app.CharmmParameterSet(*parameters), flexibleConstraints=False)
-    if found.box is None and file.topology.getPeriodicBoxVectors() is not None:
+    if coordinates.box is None and file.topology.getPeriodicBoxVectors() is not None:
         raise ForceFieldError(
             f"{path} has no periodic box, but {topology} was made for one: give coordinates with their box, or its "
             "`edges` (--edges)"
         )
-    refuse_other_atoms(path, found, file.topology, topology)
+    refuse_other_atoms(path, coordinates, file.topology, topology)
     if kind == TOP:
-        _tell_of_rigid_water(topology, file)
+        _warn_of_rigid_water(topology, file)
     try:
-        system = forcefields.build_system(create, found.box, constraints, interactions)
+        system = forcefields.build_system(create, coordinates.box, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{topology}: {error}") from error
     return _box(source, system, file.topology, files)
 
 
-def _tell_of_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
+def _warn_of_rigid_water(path: SourceFile, file: app.GromacsTopFile) -> None:
     """Warn of a top file that asks for flexible water, which is rigid here in all files."""
     # OpenMM defines it as True by itself, to read the bonds of water, and then makes them constraints.
     asks = file._defines.get("FLEXIBLE", True) is not True
@@ -185,31 +183,30 @@ def _tell_of_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
 
 
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
-    path, found, topology, kind = source
+    path, coordinates, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
-        with open_regular(topology) as file:
-            system = read_system(file)
+        system = read_system(io.BytesIO(topology.content))
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if forces.kind_of(force).sets:
             raise ForceFieldError(
                 f"{topology} has a {force.getName()}, but the run sets the ensemble: remove this Force from the System"
             )
-    named = found.topology or _topology_of(system)
-    refuse_other_atoms(path, found._replace(names=()), named, topology)
+    named = coordinates.topology or _topology_of(system)
+    refuse_other_atoms(path, coordinates._replace(names=()), named, topology)
     _refuse_other_masses(path, system, named, topology)
     if not system.usesPeriodicBoundaryConditions():
         named.setPeriodicBoxVectors(None)
     else:
-        if found.box is not None:
-            system.setDefaultPeriodicBoxVectors(*found.box)
+        if coordinates.box is not None:
+            system.setDefaultPeriodicBoxVectors(*coordinates.box)
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         named.setPeriodicBoxVectors(vectors * unit.nanometer)
     forcefields.finish_system(system, interactions)
     return _box(source, system, named)
 
 
-def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
+def _refuse_other_masses(path: SourceFile, system: openmm.System, named: app.Topology, topology: SourceFile) -> None:
     """Refuse names that are not those of a System's particles, as far as hydrogens tell.
 
     All other atoms are heavier than light hydrogen even if their own hydrogens have taken most of their mass.
@@ -234,10 +231,10 @@ def _topology_of(system: openmm.System) -> app.Topology:
     """
     topology, kinds = app.Topology(), {"OHH": "HOH"}
     chain, masses = topology.addChain(), tables.masses(system)
-    for centre, found in hydrogens(system).items():
-        # What heavy hydrogens have is from these.
-        masses[centre] += (masses[found] - HYDROGEN).sum()
-        masses[found] = HYDROGEN
+    for centre, bonded in hydrogens(system).items():
+        # The mass that heavy hydrogens have more is from these atoms.
+        masses[centre] += (masses[bonded] - HYDROGEN).sum()
+        masses[bonded] = HYDROGEN
     for molecule in _molecules(system):
         elements = [app.Element.getByMass(masses[i]) if masses[i] > 0 else None for i in molecule]
         symbols = [element.symbol if element else "X" for element in elements]
@@ -255,32 +252,33 @@ def _molecules(system: openmm.System) -> list[list[int]]:
     return [list(part) for _, part in groupby(range(system.getNumParticles()), molecule_of.__getitem__)]
 
 
-# --- what was read ---
+# --- the files ---
 
 
 def sources_of(
-    path: str | Path, topology: str | Path | None = None, files: Sequence[str | Path] | None = None
-) -> dict[str, Path]:
+    path: FilePath,
+    topology: FilePath | None = None,
+    files: Sequence[FilePath] | None = None,
+) -> dict[str, SourceFile]:
     """Return the files that `read_input` reads, by purpose, without OpenMM's own and GROMACS's.
 
     Args:
         path, topology, files: see `read_input`.
 
     Raises:
-        ForceFieldError: a PDB file names no force field, and none is given.
         OSError: a file that names others cannot be read.
     """
-    sources, named = {"box": Path(path)}, files or ()
+    box, named = SourceFile(path), files or ()
+    sources = {"box": box}
     if topology is not None:
-        sources["topology"] = Path(topology)
-        sources |= {str(name): Path(topology).parent / name for name in _included(Path(topology))}
+        sources["topology"] = SourceFile(topology)
+        sources |= {str(name): SourceFile(Path(topology).parent / name) for name in _included(Path(topology))}
     elif not named:
-        try:
-            named, _ = forcefields.pick(path)
-        except ForceFieldError as error:
-            raise ForceFieldError(f"{path}: {error}") from None
+        # A file that names no force field is refused when it is read.
+        with suppress(ForceFieldError):
+            named, _ = forcefields.pick(box)
     located = {str(name): Path(forcefields.locate(str(name), Path(path).parent)) for name in named}
-    return sources | {name: place for name, place in located.items() if place.is_file()}
+    return sources | {name: SourceFile(place) for name, place in located.items() if place.is_file()}
 
 
 def _included(topology: Path) -> Iterator[Path]:
@@ -291,8 +289,9 @@ def _included(topology: Path) -> Iterator[Path]:
     while pending:
         including = pending.pop()
         for name in _INCLUDED.findall((topology.parent / including).read_text(errors="replace")):
-            found = next((p for p in (Path(name), including.parent / name) if (topology.parent / p).is_file()), None)
-            if found is not None and found not in seen:
-                seen.add(found)
-                pending.append(found)
-                yield found
+            places = Path(name), including.parent / name
+            included = next((place for place in places if (topology.parent / place).is_file()), None)
+            if included is not None and included not in seen:
+                seen.add(included)
+                pending.append(included)
+                yield included

@@ -85,14 +85,19 @@ class Equilibration(NamedTuple):
     described: str
 
 
+def platform_for(name: str | None) -> openmm.Platform:
+    """Return the platform of this name; None takes the one that OpenMM takes by itself, the fastest that works here."""
+    return usual_platform() if name is None else openmm.Platform.getPlatformByName(name)
+
+
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
     """Make a Context, in mixed precision if possible, with no more threads than this process may use cores.
 
     Args:
         system, integrator: of the Context.
-        platform: its name; None takes the platform that OpenMM takes by itself, the fastest that works here.
+        platform: its name or None, see `platform_for`.
     """
-    chosen = usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
+    chosen = platform_for(platform)
     properties, names = {}, chosen.getPropertyNames()
     if "Precision" in names:
         properties["Precision"] = "mixed"
