@@ -14,7 +14,7 @@ PLATFORM = ["--platform", "Reference", "--equilibrate", "0.006"]
 
 
 def noted(checkpoint):
-    return checkpoints.read_notes(Path(checkpoint))["plan"]
+    return checkpoints.read_notes(Path(checkpoint)).plan
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
     program, *arguments = shlex.split(said.splitlines()[-1])
     assert program == "openmm-sier"
     run(*arguments, "--steps", "3", "--report-every", "0.001")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
     assert plan["ensemble"] == "hmc"
     assert plan["scheme"] == scheme.lower()
     assert plan["pressure"] == 1
