@@ -46,15 +46,15 @@ def read_config(path: Path) -> dict[str, Any]:
     model = options(RunSettings, SETTINGS)
     try:
         # As JSON, files are texts, and a text is no number.
-        return model.model_validate_json(json.dumps(named, default=str), strict=True).given()
+        return model.model_validate_json(json.dumps(named, default=str), strict=True).chosen()
     except ValidationError as error:
         raise Misused(f"{path}: {': '.join(refusal(error, model))}") from None
 
 
 def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a TOML file; those of the command line override them."""
-    is_length_given = any(name in of_line for name in LENGTHS)
-    kept = {name: value for name, value in of_file.items() if not (is_length_given and name in LENGTHS)}
+    has_length = any(name in of_line for name in LENGTHS)
+    kept = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
     return kept | dict(of_line)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING
 
 from openmm_sier.cli.arguments import flag
@@ -17,13 +17,19 @@ if TYPE_CHECKING:
 #: Two settings of which a user may choose one.
 LENGTHS = "steps", "time"
 
-#: What settings need that do nothing without it.
-NEEDED = {
-    "thermostat": "--ensemble nvt or npt, and a scheme of this package",
-    "friction": "--ensemble nvt, npt or hmc",
-    "pressure": "--ensemble npt or hmc",
-    "steps_per_trial": "--ensemble hmc",
-    "pressure_tensor_every": "--pressure-tensor FILE.csv",
+#: Settings that do nothing beside some others: what they need in words, and whether that is there.
+DEPENDENT: dict[str, tuple[str, Callable[[RunSettings], bool]]] = {
+    "thermostat": (
+        "--ensemble nvt or npt, and a scheme of this package",
+        lambda settings: settings.ensemble in ("nvt", "npt") and settings.method.scheme is not None,
+    ),
+    "friction": ("--ensemble nvt, npt or hmc", lambda settings: settings.ensemble != "nve"),
+    "pressure": ("--ensemble npt or hmc", lambda settings: settings.ensemble in ("npt", "hmc")),
+    "steps_per_trial": ("--ensemble hmc", lambda settings: settings.ensemble == "hmc"),
+    "pressure_tensor_every": (
+        "--pressure-tensor FILE.csv",
+        lambda settings: settings.pressure_tensor is not None,
+    ),
 }
 
 
@@ -44,7 +50,7 @@ def _contradictions(settings: RunSettings, chosen: Collection[str]) -> Iterator[
         yield f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them"
     for name in useless(settings):
         if name in chosen:
-            yield f"{flag(name)} needs {NEEDED[name]}"
+            yield f"{flag(name)} needs {DEPENDENT[name][0]}"
 
 
 def _of_motion(settings: RunSettings) -> Iterator[str]:
@@ -87,11 +93,4 @@ def _of_files(settings: RunSettings) -> Iterator[str]:
 
 def useless(settings: RunSettings) -> list[str]:
     """Return the names of settings that do nothing beside the others."""
-    does_something = {
-        "thermostat": settings.ensemble in ("nvt", "npt") and settings.method.scheme is not None,
-        "friction": settings.ensemble != "nve",
-        "pressure": settings.ensemble in ("npt", "hmc"),
-        "steps_per_trial": settings.ensemble == "hmc",
-        "pressure_tensor_every": settings.pressure_tensor is not None,
-    }
-    return [name for name, does in does_something.items() if not does]
+    return [name for name, (_, does_something) in DEPENDENT.items() if not does_something(settings)]

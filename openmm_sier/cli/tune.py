@@ -15,7 +15,7 @@ from openmm_sier.integrators.tuning_results import Tuning
 
 
 def execute(options: Mapping[str, Any], acceptance: float | None, trials: int, samples: int) -> None:
-    """Run `openmm-sier tune`. Only the scheme that was given, if any, is tried.
+    """Run `openmm-sier tune`. Only the scheme that the user chose, if any, is tried.
 
     Args:
         options: of the user by name, see `RunSettings`.
@@ -40,7 +40,7 @@ def execute(options: Mapping[str, Any], acceptance: float | None, trials: int, s
     tuning = tune(context, acceptance, trials, samples, schemes=schemes)
     # The run below has the scheme, whatever this Context has.
     note(str(tuning._replace(isSet=True)))
-    note(f"Do not take averages over these trials. To run with what was found:\n{run_line(options, tuning)}")
+    note(f"Do not take averages over these trials. To run with the result:\n{run_line(options, tuning)}")
 
 
 def run_line(options: Mapping[str, Any], tuning: Tuning) -> str:

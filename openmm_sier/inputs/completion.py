@@ -197,9 +197,9 @@ def _left_out(fixer: PDBFixer, path: str | Path, names: Sequence[str]) -> list[t
     for name in names:
         if name not in there:
             raise ForceFieldError(f"{path} has no residue {name} to leave out; it has {' '.join(sorted(there))}")
-    found = [residue for residue in fixer.topology.residues() if residue.name in names]
+    residues = [residue for residue in fixer.topology.residues() if residue.name in names]
     modeller = app.Modeller(fixer.topology, fixer.positions)
-    modeller.delete(found)
+    modeller.delete(residues)
     fixer.topology, fixer.positions = modeller.topology, modeller.positions
     return [("residues left out", ", ".join(f"{there[name]} {name}" for name in dict.fromkeys(names)))]
 

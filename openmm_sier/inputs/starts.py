@@ -145,13 +145,13 @@ def prepare(
             f"minimized to {energy:.5g} kJ/mol: the largest force on a molecule was {strongest:.3g} kJ/mol/nm, and is "
             f"{_strongest_force(context):.3g}"
         )
-    found = equilibrate(context, temperature, seed, time, report)
+    equilibration = equilibrate(context, temperature, seed, time, report)
     stop_centre_of_mass(context)
-    if found.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
-        _set_energy(context, temperature, found.means.potential)
+    if equilibration.settled and not isinstance(context.getIntegrator(), SIERThermostatIntegrator):
+        _set_energy(context, temperature, equilibration.means.potential)
     context.setTime(0)
     context.setStepCount(0)
-    return found
+    return equilibration
 
 
 def _strongest_force(context: openmm.Context) -> float:
@@ -226,10 +226,10 @@ def equilibrate(
     doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
     described = _describe(last, done * step, temperature, dof) if done else ""
     _copy_atoms_and_box(context, bath)
-    found = Equilibration(done * step, last, settled, doubtful, described)
+    equilibration = Equilibration(done * step, last, settled, doubtful, described)
     if done:
-        _tell(found, report)
-    return found
+        _report(equilibration, report)
+    return equilibration
 
 
 def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
@@ -307,16 +307,16 @@ def _describe(means: Means, time: float, temperature: float, dof: DegreesOfFreed
     return f"{time:.3g} ps at {temperature:g} K: {', '.join(shown)} over the last {min(2 * WINDOW, time):.2g} ps"
 
 
-def _tell(found: Equilibration, report: Report) -> None:
-    """Tell of an equilibration, with a warning of a doubtful one."""
-    if found.doubtful:
+def _report(equilibration: Equilibration, report: Report) -> None:
+    """Report an equilibration, with a warning of a doubtful one."""
+    if equilibration.doubtful:
         warnings.warn(
-            f"not equilibrated after {found.described}: a temperature is out of bounds, or the potential energy still "
-            "changes. Equilibrate for longer, and minimize the energy first if you have not",
+            f"not equilibrated after {equilibration.described}: a temperature is out of bounds, or the potential "
+            "energy still changes. Equilibrate for longer, and minimize the energy first if you have not",
             EquilibrationWarning,
             stacklevel=4,
         )
-    report.note(f"equilibrated for {found.described}" + ("" if found.settled else "; not settled"))
+    report.note(f"equilibrated for {equilibration.described}" + ("" if equilibration.settled else "; not settled"))
 
 
 def stop_centre_of_mass(context: openmm.Context) -> None:

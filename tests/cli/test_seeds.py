@@ -145,7 +145,7 @@ def test_seeds_are_shown_as_they_are_read():
 def test_names_with_a_dash_are_no_options_of_a_member():
     options = {"forcefield": [Path("-f.xml"), Path("g.xml")], "pressure": -5.0, "topology": Path("-t.top")}
     line = command_of(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
-    given = parse(line).carry_out.args[0].given()
+    given = parse(line).carry_out.args[0].chosen()
     assert given.pop("resume")
     assert given == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
     # Where a member looks for it.
