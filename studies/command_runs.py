@@ -12,7 +12,7 @@ import mdtraj
 import numpy as np
 
 from openmm_sier import analysis
-from openmm_sier.analysis.many_runs import arguments
+from openmm_sier.cli.arguments import arguments
 from openmm_sier.cli.errors import NothingLeft
 
 #: Names of the files of a run.

@@ -14,10 +14,11 @@ from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCl
 from cyclopts.validators import Number
 from pydantic import ValidationError
 
+from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.fields import Options, is_utf8, options, refusal
-from openmm_sier.cli.seeds import read_seeds
-from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings, flag
+from openmm_sier.cli.many.seeds import read_seeds
+from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, PADDING, PH, SALT
 
@@ -35,7 +36,7 @@ EXIT_CODES = """Exit codes:
 #: Options by names of other programs, for which the parser would suggest a wrong one.
 OF_OTHER_PROGRAMS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
 
-#: Settings of a run as options, of which none has to be given.
+#: Settings of a run as options, none of which is necessary.
 if TYPE_CHECKING:
     OfRun = Options
     OfTuning = Options
@@ -117,7 +118,7 @@ def run(
     constant energy, temperature or pressure. Writes a trajectory of the atoms that the coordinates list, a log (CSV)
     and a checkpoint. From it --restart continues without a gap, and --start begins a new run, in another ensemble say.
     """
-    _execute("run", options.given(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
+    _execute("run", options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 
 
 @app.command
@@ -186,7 +187,7 @@ def tune(
     potential energy in the least. With --scheme only that one is tried. Writes no files: it prints the command line of
     a run, and the line of a script.
     """
-    _execute("tune", options.given(), acceptance=acceptance, trials=trials, samples=samples)
+    _execute("tune", options.chosen(), acceptance=acceptance, trials=trials, samples=samples)
 
 
 @app.command
@@ -205,7 +206,7 @@ def plot(
     """Draw the log of a run, or of several.
 
     Draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over equal times,
-    with what had not settled, and for several runs the error of their mean. Titles say what is found.
+    with what had not settled, and for several runs the error of their mean.
     """
     _execute("plot", logs, out, skip)
 
@@ -222,7 +223,8 @@ def summary(
     """Print means over several runs.
 
     Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five or
-    more, else from the errors of each. --json and --plot replace only files that they wrote earlier.
+    more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ. --json
+    and --plot replace only files that they wrote earlier.
     """
     _execute("summary", logs, json, plot, skip)
 
@@ -233,12 +235,12 @@ def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) ->
 
     Show the kinds of rigid body that coordinates have, with a force field or a topology.
     """
-    _execute("info", options.given())
+    _execute("info", options.chosen())
 
 
-def _execute(command: str, *given: Any, **more: Any) -> None:
+def _execute(command: str, *arguments: Any, **named: Any) -> None:
     """Call `execute` of the module of a command, which is imported when it is needed."""
-    import_module(f"openmm_sier.cli.{command}").execute(*given, **more)
+    import_module(f"openmm_sier.cli.{command}").execute(*arguments, **named)
 
 
 class Call(NamedTuple):

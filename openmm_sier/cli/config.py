@@ -8,11 +8,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from openmm_sier.cli.contradictions import LENGTHS, useless
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import options, refusal
 from openmm_sier.cli.files import records
-from openmm_sier.cli.planning import useless_settings
-from openmm_sier.cli.settings import LENGTHS, NOTED, SETTINGS, RunSettings
+from openmm_sier.cli.settings import NOTED, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.system.untrusted_files import open_regular
 from openmm_sier.version import __version__
@@ -22,7 +22,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Settings of one call of the command that a file has where they were given: they change how a new run begins.
+#: Settings of one call of the command that a file has where the user gave them: they change how a new run begins.
 OF_A_BEGINNING = "start", "equilibrate", "minimize", "platform", "plot"
 
 #: What a file of `--save-config` begins with.
@@ -46,15 +46,15 @@ def read_config(path: Path) -> dict[str, Any]:
     model = options(RunSettings, SETTINGS)
     try:
         # As JSON, files are texts, and a text is no number.
-        return model.model_validate_json(json.dumps(named, default=str), strict=True).given()
+        return model.model_validate_json(json.dumps(named, default=str), strict=True).chosen()
     except ValidationError as error:
         raise Misused(f"{path}: {': '.join(refusal(error, model))}") from None
 
 
 def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a TOML file; those of the command line override them."""
-    is_length_given = any(name in of_line for name in LENGTHS)
-    kept = {name: value for name, value in of_file.items() if not (is_length_given and name in LENGTHS)}
+    has_length = any(name in of_line for name in LENGTHS)
+    kept = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
     return kept | dict(of_line)
 
 
@@ -65,8 +65,8 @@ def write_config(path: Path, settings: RunSettings) -> None:
         OSError: it cannot be written.
     """
     values = settings.model_dump(mode="json", include={*NOTED, *OF_A_BEGINNING}, exclude_none=True)
-    useless = useless_settings(settings)
-    # What JSON writes of texts, numbers and lists of them is TOML.
-    lines = [f"{name} = {json.dumps(value)}" for name, value in values.items() if name not in useless]
+    idle = useless(settings)
+    # JSON of texts, of numbers and of lists of them is TOML.
+    lines = [f"{name} = {json.dumps(value)}" for name, value in values.items() if name not in idle]
     text = "\n".join([f"{__version__}: {PROGRAM} run --config {path.name}", *lines, ""])
     records.replace(path, memoryview(MARK + text.encode()))

@@ -23,6 +23,25 @@ clock = time.perf_counter
 LINE_AFTER = 30.0
 
 
+class Pace:
+    """When lines about progress are due: the first after `LINE_AFTER` s, later ones less often.
+
+    There is one every ten minutes at least.
+    """
+
+    def __init__(self) -> None:
+        self._started = self._last = clock()
+
+    def is_due(self) -> bool:
+        """Return whether a line is due now, which counts as printed then."""
+        now = clock()
+        interval = min(20 * LINE_AFTER, max(LINE_AFTER, (now - self._started) / 20))
+        is_due = now - self._last >= interval
+        if is_due:
+            self._last = now
+        return is_due
+
+
 def note(message: str) -> None:
     """Print a line of progress information."""
     print(printable(message), flush=True)
@@ -37,22 +56,21 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
         rows: cells, in each row one for each column.
         left: number of leading columns that are aligned to the left, the others being numbers.
     """
-    made = RichTable(title=printable(title), title_justify="left", show_header=any(columns))
+    rich_table = RichTable(title=printable(title), title_justify="left", show_header=any(columns))
     for i, heading in enumerate(columns):
-        made.add_column(heading, justify="left" if i < left else "right", overflow="fold")
+        rich_table.add_column(heading, justify="left" if i < left else "right", overflow="fold")
     for row in rows:
-        made.add_row(*map(printable, row))
+        rich_table.add_row(*map(printable, row))
     # In a file, lines are as long as they need to be.
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(made)
+    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(rich_table)
 
 
 @contextmanager
 def progress_bar(description: str, total: float, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
     """Show a progress bar on standard error, or occasional lines where that is not a terminal.
 
-    The value is a function that takes how much has been done in all and, optionally, a new description. The first line
-    comes after `LINE_AFTER` s, later ones less often, but at least every ten minutes. A closed terminal does not stop
-    the program.
+    The value is a function that takes how much has been done in all and, optionally, a new description. A closed
+    terminal does not stop the program.
 
     Args:
         description: in front of the bar.
@@ -64,22 +82,21 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
     task = bar.add_task(description, total=total, completed=begun, state="")
-    shown, started = description, clock()
-    last = started
+    shown = description
+    started = clock()
+    pace = Pace()
 
     def advance(done: float, description: str | None = None) -> None:
-        nonlocal shown, last
+        nonlocal shown
         shown = description or shown
-        now = clock()
-        elapsed = now - started
+        elapsed = clock() - started
         if done <= begun or not elapsed:
             return
         state = _state(done, total, (done - begun) / elapsed, ps)
         with suppress(OSError):
             if not bar.disable:
                 bar.update(task, completed=done, description=shown, state=state)
-            elif now - last >= min(20 * LINE_AFTER, max(LINE_AFTER, elapsed / 20)):
-                last = now
+            elif pace.is_due():
                 print(f"{shown}: {state}", file=sys.stderr, flush=True)
 
     with suppress(OSError):

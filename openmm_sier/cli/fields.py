@@ -77,7 +77,7 @@ def setting(
     follows: Follows | None = None,
     otherwise: str = "",
     restart: Restart = "keeps",
-    told: bool = False,
+    shows_values: bool = False,
     positional: bool = False,
     known: dict[str, Any] | None = None,
     **limits: Any,
@@ -87,11 +87,11 @@ def setting(
     Args:
         help: what it is, in words.
         expected: which values it takes, in words.
-        default: without one, the setting must be given.
+        default: without one, the setting is necessary.
         follows: gives the default in place of that.
         otherwise: the default in words, where there is no single value.
         restart: see `Restart`.
-        told: whether the help has `expected`.
+        shows_values: whether the help has `expected`.
         positional: whether a command line may have its value without a flag.
         known: what else messages and commands need: "each", which values the items of a list are; "remark", a function
             of a wrong value; "writes", that it names an output.
@@ -99,7 +99,7 @@ def setting(
     """
     if not otherwise and default not in (..., None, False):
         otherwise = f"{default:g}" if isinstance(default, float) else str(default)
-    description = (f"{help}: {expected}" if told else help) + (f" (default: {otherwise})" if otherwise else "")
+    description = (f"{help}: {expected}" if shows_values else help) + (f" (default: {otherwise})" if otherwise else "")
     of_default: dict[str, Any] = {"default_factory": follows} if follows else {"default": default}
     extra = {"expected": expected, "restart": restart, **(known or {})}
     return Field(description=description, json_schema_extra=extra, kw_only=not positional, **of_default, **limits)
@@ -115,7 +115,7 @@ def number(
 ) -> Any:
     """Return a field for a number from `least`, or with `beyond` above it, to `most`; see `setting`."""
     limits: dict[str, Any] = {"gt" if beyond else "ge": least, "le": most}
-    return setting(help, in_range(least, most, unit, beyond), default, told=True, **limits, **more)
+    return setting(help, in_range(least, most, unit, beyond), default, shows_values=True, **limits, **more)
 
 
 def time(help: str, default: float | None = None, **more: Any) -> Any:
@@ -139,12 +139,14 @@ def step(help: str, least: float, most: float, **more: Any) -> Any:
 
 def whole(help: str, default: Any = None, *, least: int = 1, most: int = 2**31 - 1, **more: Any) -> Any:
     """Return a field for a whole number; see `setting`."""
-    return setting(help, f"a whole number from {least} to {most}", default, told=True, ge=least, le=most, **more)
+    return setting(
+        help, f"a whole number from {least} to {most}", default, shows_values=True, ge=least, le=most, **more
+    )
 
 
 def choice(help: str, names: Collection[str], default: Any = None, **more: Any) -> Any:
     """Return a field for one of a few names, whose type has `one_of`; see `setting`."""
-    return setting(help, f"one of {', '.join(names)}", default, told=True, **more)
+    return setting(help, f"one of {', '.join(names)}", default, shows_values=True, **more)
 
 
 def file(help: str, default: Any = None, *, writes: bool = False, **more: Any) -> Any:
@@ -170,16 +172,16 @@ def known_of(field: FieldInfo) -> dict[str, Any]:
     return dict(extra) if isinstance(extra, dict) else {}
 
 
-# --- what is given ---
+# --- options ---
 
 
 class Options(BaseModel):
-    """Some of the fields of a model, of which none has to be given."""
+    """Some of the fields of a model, none of which is necessary."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    def given(self) -> dict[str, Any]:
-        """Return what was given, by name."""
+    def chosen(self) -> dict[str, Any]:
+        """Return the values that a user chose, by name."""
         return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
@@ -199,9 +201,14 @@ def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Return the name of the first field with a wrong value, and what was expected and what came."""
-    # What follows from a wrong value is an error of its own.
+    """Return the name of the first field with a wrong value, and what was expected and what came.
+
+    Where fields contradict each other the name is empty.
+    """
+    # An error of a default that follows from a wrong value is an error of its own.
     first = next(each for each in error.errors() if each["type"] != "default_factory_not_called")
+    if not first["loc"]:
+        return "", str(first["ctx"]["error"]) if "ctx" in first else first["msg"]
     name, *items = map(str, first["loc"])
     if first["type"] == "extra_forbidden":
         return name, "there is no such option"

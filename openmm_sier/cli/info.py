@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.simulated_system import with_rigid_bodies
 from openmm_sier.dynamics.index_ranges import MAX_LISTED
 from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
-from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
-from openmm_sier.system.molecules import make_whole
 
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
@@ -26,53 +25,28 @@ EQUAL = 1e-6
 #: Tops by whether their two lower moments are equal, and their two upper ones.
 TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
 
-#: So many bodies that words describe are shown.
-MOST_SHOWN = 6
-
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
 
 
-def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:
-    """Find the rigid bodies of a box, print those that words describe, and return the box with these whole.
-
-    Args:
-        box: as `inputs.read_input` gives it.
-        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
-
-    Raises:
-        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
-        ValueError: nothing is described by one of the words.
-    """
-    if not rigid:
-        return box, RigidBodies.from_system(box.system, box.topology, None, box.positions)
-    named = select_bodies(box.topology, rigid)
-    shown = str(named).splitlines()
-    more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
-    note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
-    whole = make_whole(box.system, box.positions, box.topology, named)
-    bodies = RigidBodies.from_system(box.system, box.topology, named, whole)
-    return box._replace(positions=whole * unit.nanometer), bodies
-
-
-def execute(given: Mapping[str, Any]) -> None:
+def execute(options: Mapping[str, Any]) -> None:
     """Print the kinds of rigid body and of point of an input, masses in dalton and moments in dalton nm^2.
 
     Args:
-        given: settings of a run by name, see `RunSettings`.
+        options: of the user by name, see `RunSettings`.
 
     Raises:
         RunError: a setting would do nothing with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
-    if "box" not in given:
+    if "box" not in options:
         raise Misused("info needs BOX, a file of coordinates (see openmm-sier info --help)")
-    asked = new_settings(given)
-    read = read_input(asked.box, asked.topology, asked.forcefield, asked.constraints, edges=asked.edges)
-    read, bodies = with_rigid_bodies(read, asked.rigid)
-    atoms = list(read.topology.atoms())
-    riders = _riders(read.system, bodies)
-    rows = [_row(species, atoms, riders) for species in bodies.species]
-    table(f"{asked.box}, {' '.join(read.files)} ({read.reason})", COLUMNS, rows)
+    settings = new_settings(options)
+    box = read_input(settings.box, settings.topology, settings.forcefield, settings.constraints, edges=settings.edges)
+    box, bodies = with_rigid_bodies(box, settings.rigid)
+    atoms = list(box.topology.atoms())
+    sites = _virtual_sites(box.system, bodies)
+    rows = [_row(species, atoms, sites) for species in bodies.species]
+    table(f"{settings.box}, {' '.join(box.files)} ({box.reason})", COLUMNS, rows)
     points = int(np.count_nonzero(bodies.point_particles))
     counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
     if points:
@@ -80,17 +54,17 @@ def execute(given: Mapping[str, Any]) -> None:
     counts += f", {bodies.n_particles} particles, {bodies.dof} degrees of freedom"
     if count := len(bodies.constraints.pairs):
         counts += f", {count} constraints between points"
-    note(counts + _extent(read))
+    note(counts + _extent(box))
 
 
-def _row(species: Species, atoms: Sequence[app.topology.Atom], riders: dict[int, list[int]]) -> list[str]:
+def _row(species: Species, atoms: Sequence[app.topology.Atom], sites: dict[int, list[int]]) -> list[str]:
     first = species.atoms[0]
     names = Counter(atoms[i].residue.name for i in species.atoms[:, 0])
     return [
         " ".join(names),
         str(len(species.atoms)),
         " ".join(atoms[i].name for i in first) if len(first) <= MAX_LISTED else f"{len(first)} atoms",
-        " ".join(atoms[i].name for i in riders.get(int(first[0]), [])) or "-",
+        " ".join(atoms[i].name for i in sites.get(int(first[0]), [])) or "-",
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
         kind(species.moments),
@@ -109,17 +83,17 @@ def kind(moments: np.ndarray) -> str:
     return f"{TOPS[equal]} top"
 
 
-def _riders(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
+def _virtual_sites(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
     """Virtual sites that depend on the atoms of a body, by the first atom of that body."""
     body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
-    riders: dict[int, list[int]] = {}
+    sites: dict[int, list[int]] = {}
     for i in range(system.getNumParticles()):
         if system.isVirtualSite(i):
-            riders.setdefault(body_of[system.getVirtualSite(i).getParticle(0)], []).append(i)
-    return riders
+            sites.setdefault(body_of[system.getVirtualSite(i).getParticle(0)], []).append(i)
+    return sites
 
 
 def _extent(box: Box) -> str:
     if (vectors := box_vectors(box.topology)) is None:
         return ", no periodic box"
-    return f", box {extent(vectors)}, {density_of(box):.3f} g/cm3"
+    return f", box {extent(vectors)}, {density_of(box):.3f} g/ml"

@@ -1,4 +1,4 @@
-"""Logs of a run, or of several that differ in their seeds: read, compared, and cut where they settled."""
+"""Logs of a run, or of several that differ in their seeds: read and compared."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from openmm_sier.analysis import read_log
-from openmm_sier.analysis.observables import blocks
-from openmm_sier.analysis.statistics import FEWEST, over_runs, rms, settling
+from openmm_sier.analysis.statistics import over_runs
 from openmm_sier.cli import results
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.files import checkpoints
-from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.files.places import same_file
 from openmm_sier.cli.planning import noted_settings
-from openmm_sier.cli.results import DENSITY, Quantity
+from openmm_sier.cli.results import ACCEPTANCE, DENSITY, FEWEST_ROWS, Quantity
 from openmm_sier.cli.settings import CONTINUED, RunSettings, checkpoint_of
 from openmm_sier.dynamics.correlation import is_constant
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
@@ -27,37 +28,24 @@ from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 #: Columns without which there is nothing to tell.
 NEEDED = ("Step", "Time (ps)", POTENTIAL, "Total Energy (kJ/mole)", CONSERVED, *TEMPERATURES)
 
-#: Fewest rows of a log from which anything is told.
-FEWEST_ROWS = 3
-
 #: Options in which runs of one kind may differ.
 MAY_DIFFER = {
     *("seed", "out", "unwrapped", "report", "pressure_tensor"),
     *("every", "report_every", "checkpoint_every", "pressure_tensor_every"),
 }
 
-#: Heat that a bath gave, in means over 1 ps, over the fluctuation of the potential energy, above which there is a bath.
-#: At constant energy what is left are errors of the integrator, some hundredths.
-HEAT = 0.1
-
-#: Relative error of energies.
-ROUNDING = 1e-9
-
-#: Bins of time in which it is looked for where runs settled.
-BINS = 400
-
-#: Of a run that has not settled, the part that means leave out.
-LEFT_OUT = 0.5
-
-#: What settles, in words, by its column.
-SETTLES = {
-    POTENTIAL: "potential energy",
-    **dict(zip(TEMPERATURES, ("translation", "rotation", "temperature of flexible molecules"), strict=True)),
-    DENSITY: "density",
+#: Ensembles in words.
+ENSEMBLES_IN_WORDS = {
+    "nve": "a run at constant energy",
+    "nvt": "a run in a heat bath",
+    "npt": "a run in a heat bath",
+    "hmc": "a run of hybrid Monte Carlo",
+    None: "a run without its checkpoint",
 }
 
 
-class Run(NamedTuple):
+@dataclass(frozen=True)
+class Run:
     """The log of a run.
 
     Attributes:
@@ -75,29 +63,27 @@ class Run(NamedTuple):
     inputs: dict[str, str] | None = None
 
     @property
-    def ensemble(self) -> str:
-        """Return the ensemble as far as the log tells it: "hmc", "nve" or, with any bath, "nvt"."""
-        if "Acceptance" in self.log:
-            return "hmc"
-        time, total, conserved = (self.log[name] for name in ("Time (ps)", "Total Energy (kJ/mole)", CONSERVED))
-        if np.isnan(conserved).any():
-            return "nvt"
-        parts = blocks(time, total - conserved)
-        parts = parts if len(parts) >= FEWEST_ROWS else np.array_split(total - conserved, FEWEST_ROWS)
-        heat = rms(np.array([part.mean() for part in parts]))
-        # The potential energy of a molecule alone is constant.
-        return "nvt" if heat > HEAT * rms(self.log[POTENTIAL]) + ROUNDING * np.abs(total).max() else "nve"
+    def has_trials(self) -> bool:
+        """Return whether the run is of hybrid Monte Carlo."""
+        return ACCEPTANCE in self.log
 
     @property
+    def ensemble(self) -> str | None:
+        """Return the ensemble, which the checkpoint has. A log alone knows only that of hybrid Monte Carlo."""
+        if self.plan is not None:
+            return self.plan.ensemble
+        return "hmc" if self.has_trials else None
+
+    @cached_property
     def moves_volume(self) -> bool:
-        """Return whether the density changes."""
+        """Whether the density changes."""
         values = self.log.get(DENSITY, np.array([math.nan]))
         return not np.isnan(values).any() and not is_constant(values)
 
-    @property
+    @cached_property
     def clock(self) -> np.ndarray:
-        """Return the time of each row since the first row, (n,), ps; with hybrid Monte Carlo the number of trials."""
-        column = self.log["Step" if self.ensemble == "hmc" else "Time (ps)"]
+        """Time of each row since the first row, (n,), ps; with hybrid Monte Carlo the number of trials."""
+        column = self.log["Step" if self.has_trials else "Time (ps)"]
         return column - column[0]
 
     def after(self, begin: float) -> dict[str, np.ndarray]:
@@ -105,14 +91,14 @@ class Run(NamedTuple):
         kept = self.clock >= begin
         return {name: column[kept] for name, column in self.log.items()}
 
-    def quantities(self, begin: float) -> list[Quantity]:
-        """Return all that the log tells from a time of its clock on."""
+    def quantities(self, begin: float, ensemble: str | None) -> list[Quantity]:
+        """Return all quantities of the log from a time of its clock on, in an ensemble if that is known."""
         log = self.after(begin)
-        found = results.energies(log, self.ensemble)
-        if self.ensemble == "nve":
-            found.insert(0, results.potential_energy(log))
-        found += results.temperatures(log)
-        return found + ([results.density(log)] if self.moves_volume else []) + results.trials(log)
+        quantities = results.energies(log, ensemble)
+        if ensemble == "nve":
+            quantities.insert(0, results.potential_energy(log))
+        quantities += results.temperatures(log)
+        return quantities + ([results.density(log)] if self.moves_volume else []) + results.trials(log)
 
 
 class Runs(NamedTuple):
@@ -142,9 +128,14 @@ class Runs(NamedTuple):
         return self.runs[0]
 
     @property
+    def ensemble(self) -> str | None:
+        """Return the ensemble of the runs; None where no checkpoint has it."""
+        return next((run.ensemble for run in self.runs if run.ensemble), None)
+
+    @property
     def unit(self) -> str:
-        """Return what the clocks of the runs count."""
-        return "trials" if self.first.ensemble == "hmc" else "ps"
+        """Return the unit of the clocks of the runs."""
+        return "trials" if self.first.has_trials else "ps"
 
     @property
     def length(self) -> float:
@@ -160,51 +151,8 @@ class Runs(NamedTuple):
 
     def means(self) -> list[tuple[Quantity, list[Quantity]]]:
         """Each quantity over all runs, and in each of them."""
-        each = zip(*(run.quantities(self.begin) for run in self.runs), strict=True)
-        return [(mine[0]._replace(value=over_runs([one.value for one in mine])), list(mine)) for mine in each]
-
-
-def finding(runs: Runs) -> str:
-    """Say whether the runs had settled, and from which part of them all means are taken."""
-    length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length - runs.skipped, runs.begin))
-    left_out = f"Means leave out the first {begin}"
-    if runs.drifting:
-        verdict = f"Not settled in {length}: {listed(runs.drifting)}"
-    elif runs.unclear:
-        verdict = f"{length}: too short to tell a trend of {listed(runs.unclear)}"
-    elif runs.moving:
-        verdict = f"Settled after {begin}: {listed(runs.moving)}"
-        left_out = "Means are of the rest"
-    else:
-        steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
-        verdict = f"{length} without a trend of {steady}"
-    sentences = [verdict, left_out] if runs.begin else [verdict]
-    if doubtful := sum(run.unsettled is not None for run in runs.runs):
-        of_all = f": {doubtful} of {len(runs.runs)} runs" if len(runs.runs) > 1 else ""
-        sentences.append(f"Not equilibrated at the start{of_all}")
-    return ". ".join(sentences)
-
-
-def remarks(runs: Runs) -> list[str]:
-    """Return warnings about runs that count once, have the same noise, or were not equilibrated."""
-    warned = [
-        f"warning: {listed(list(map(str, paths)))} are logs of one run, which counts once. Give each run a --seed of "
-        "its own"
-        for paths in runs.copies
-    ]
-    warned += [
-        f"warning: {listed(list(map(str, paths)))} have the same seed, settings and inputs, and so the same noise: "
-        "give each run a --seed of its own"
-        for paths in _groups(runs.runs, _has_the_noise_of)
-    ]
-    doubtful = [run for run in runs.runs if run.unsettled]
-    return warned + [f"warning: {run.path}: not equilibrated, after {run.unsettled}" for run in doubtful]
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names in a sentence."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
+        each = zip(*(run.quantities(self.begin, self.ensemble) for run in self.runs), strict=True)
+        return [(same[0]._replace(value=over_runs([one.value for one in same])), list(same)) for same in each]
 
 
 # --- to read them ---
@@ -230,56 +178,55 @@ def read_run(path: Path) -> Run:
     if (rows := len(log["Step"])) < FEWEST_ROWS:
         raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")
     checkpoint = checkpoint_of(path)
-    # The checkpoint tells no more than names, which are not needed.
+    # Without its checkpoint a log is read too.
     with suppress(ValueError, LookupError, TypeError, OSError):
         notes = checkpoints.read_notes(checkpoint)
-        plan = noted_settings(checkpoint, notes["plan"])
+        plan = noted_settings(checkpoint, notes.plan)
         if same_file(plan.report, path):
-            return Run(path, log, plan, notes["unsettled"], notes["inputs"])
+            return Run(path, log, plan, notes.unsettled, notes.inputs)
     return Run(path, log)
 
 
-def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
-    """Runs of one kind, from their logs, and where they settled.
+def read_logs(paths: Sequence[Path]) -> Runs:
+    """Runs of one kind, from their logs.
 
     Logs of one run count once. Warns of runs that are shorter than others, or whose options differ in more than the
     seed.
 
     Args:
         paths: of the logs.
-        skip: what to leave out of each in any case, ps or trials; None for what had not settled.
 
     Raises:
         Misused: a log is given twice.
-        RunError: the logs are not of one kind, or nothing is left.
+        RunError: the logs are not of one kind.
         RecordError, OSError: as for `read_run`.
     """
-    found = [read_run(path) for path in paths]
+    runs = [read_run(path) for path in paths]
     for i, path in enumerate(paths):
         if any(same_file(path, other) for other in paths[:i]):
             raise Misused(f"{path} is given twice: each run counts once")
-    first, *others = found
-    for run in others:
-        if (run.ensemble, run.moves_volume, run.log.keys()) != (first.ensemble, first.moves_volume, first.log.keys()):
-            raise RunError(
-                f"{run.path} is {_described(run)}, but {first.path} is {_described(first)}: give runs of one kind"
-            )
-    # Of logs of one length, one with its checkpoint tells more.
-    longest_first = sorted(found, key=lambda run: (-len(run.log["Step"]), run.plan is None))
-    copies = _groups(longest_first, _is_log_of)
+    for run in runs[1:]:
+        if not _are_of_one_kind(run, runs[0]):
+            kinds = f"{run.path} is {_described(run)}, but {runs[0].path} is {_described(runs[0])}"
+            raise RunError(f"{kinds}: give runs of one kind")
+    # Of logs of one length, one with its checkpoint is known better.
+    longest_first = sorted(runs, key=lambda run: (-len(run.log["Step"]), run.plan is None))
+    copies = groups(longest_first, _is_log_of)
     left_out = {path for _, *others in copies for path in others}
-    runs = Runs([run for run in found if run.path not in left_out], copies=copies)
-    _warn_of_differences(runs.runs)
-    if skip is not None and skip >= runs.length:
-        raise RunError(f"--skip {skip:g} leaves nothing: the shortest run has {runs.length:g} {runs.unit}")
-    return _with_settling(runs, skip)
+    single = [run for run in runs if run.path not in left_out]
+    _warn_of_differences(single)
+    return Runs(single, copies=copies)
+
+
+def _are_of_one_kind(one: Run, other: Run) -> bool:
+    """Return whether two runs have the same columns and, as far as that is known, the same ensemble."""
+    known = {ENSEMBLES_IN_WORDS[run.ensemble] for run in (one, other) if run.ensemble}
+    return len(known) < 2 and one.moves_volume == other.moves_volume and one.log.keys() == other.log.keys()
 
 
 def _described(run: Run) -> str:
-    kind = {"nve": "a run at constant energy", "nvt": "a run in a heat bath", "hmc": "a run of hybrid Monte Carlo"}[
-        run.ensemble
-    ]
-    return f"{kind}, {'at constant pressure' if run.moves_volume else 'at constant volume'}"
+    volume = "at constant pressure" if run.moves_volume else "at constant volume"
+    return f"{ENSEMBLES_IN_WORDS[run.ensemble]}, {volume}"
 
 
 def _warn_of_differences(runs: Sequence[Run]) -> None:
@@ -308,7 +255,7 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
 # --- which of them are one ---
 
 
-def _groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[list[Path], ...]:
+def groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[list[Path], ...]:
     """Return the paths of runs that are alike, for each group of several."""
     groups: list[list[Run]] = []
     for run in runs:
@@ -333,7 +280,7 @@ def _is_log_of(one: Run, other: Run) -> bool:
     return bool(is_equal[0]) and _are_alike(one, other)
 
 
-def _has_the_noise_of(one: Run, other: Run) -> bool:
+def have_same_noise(one: Run, other: Run) -> bool:
     return one.ensemble != "nve" and _are_alike(one, other)
 
 
@@ -347,70 +294,3 @@ def _are_alike(one: Run, other: Run) -> bool:
 def _differing(one: RunSettings, other: RunSettings) -> list[str]:
     """Return the names of settings that differ, without those in which runs of one kind may."""
     return [name for name in CONTINUED if name not in MAY_DIFFER and getattr(one, name) != getattr(other, name)]
-
-
-# --- where they settled ---
-
-
-def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> np.ndarray:
-    """Means (count,) of values in bins of a clock; NaN where a bin has none. What comes after the last bin is left out.
-
-    Args:
-        clock, values: (n,).
-        width: of a bin, which includes its end; the first includes 0 too.
-        count: number of bins.
-    """
-    # Times are sums of steps, whose rounding must not move a row into the next bin.
-    places = np.maximum(np.ceil(np.round(clock / width, 6)).astype(int) - 1, 0)
-    kept = (places < count) & np.isfinite(values)
-    numbers = np.bincount(places[kept], minlength=count)
-    sums = np.bincount(places[kept], values[kept], minlength=count)
-    return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
-
-
-def _with_settling(runs: Runs, skip: float | None) -> Runs:
-    """Return runs with the time from which the means over all of them have settled, and the quantities that have not.
-
-    Args:
-        runs: none of whose quantities was looked at.
-        skip: time of their clocks that is left out in any case; None leaves out what had not settled.
-    """
-    begin = skip or 0.0
-    logs = [run.after(begin) for run in runs.runs]
-    clocks = [run.clock[run.clock >= begin] - begin for run in runs.runs]
-    count = max(1, min(*map(len, clocks), BINS + 1) - 1)
-    width = (runs.length - begin) / count
-    begins = [0.0]
-    moving: list[str] = []
-    drifting: list[str] = []
-    unclear: list[str] = []
-    for column, name in SETTLES.items():
-        if column == DENSITY and not runs.first.moves_volume:
-            continue
-        series = np.mean([binned(c, log[column], width, count) for c, log in zip(clocks, logs, strict=True)], axis=0)
-        (kept,) = np.nonzero(np.isfinite(series))
-        if not len(kept):
-            continue
-        found = settling(series[kept])
-        if found.begin == len(kept):
-            drifting.append(name)
-            continue
-        begins.append(float(kept[found.begin]) * width if found.begin else 0.0)
-        if found.samples < FEWEST:
-            unclear.append(name)
-        elif found.begin:
-            moving.append(name)
-    if skip is not None:
-        # Quantities that settle later have a trend in the means.
-        drifting += moving
-        moving = []
-        begins = [skip]
-    elif drifting:
-        begins.append(LEFT_OUT * runs.length)
-    return runs._replace(
-        begin=max(begins),
-        skipped=begin,
-        moving=tuple(moving),
-        drifting=tuple(drifting),
-        unclear=tuple(unclear),
-    )

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import openmm
 
-from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.settings import RunSettings
 
@@ -57,14 +56,15 @@ def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, s
     return settings.model_copy(update={"platform": noted[NAME]})
 
 
-def tell_of_another_platform(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> None:
-    """Say in one line that a run continues with another platform, precision or number of threads than before."""
+def differences(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> list[str]:
+    """Return in words that a run continues with another platform, precision or number of threads, if it does."""
     now = platform_of(context)
-    if noted != now:
-        note(
-            f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: the "
-            "two round forces differently"
-        )
+    if noted == now:
+        return []
+    return [
+        f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: the two round "
+        "forces differently"
+    ]
 
 
 def _described(platform: Mapping[str, str]) -> str:

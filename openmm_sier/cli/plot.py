@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.logged_runs import finding, read_runs, remarks
+from openmm_sier.cli.findings import warnings_of
 from openmm_sier.cli.pictures import canvas, drawing
+from openmm_sier.cli.settling import read_runs
 
 
 def execute(logs: list[Path], out: Path | None, skip: float | None) -> None:
@@ -22,6 +23,6 @@ def execute(logs: list[Path], out: Path | None, skip: float | None) -> None:
     canvas.check(path, logs, may_replace=True)
     runs = read_runs(logs, skip)
     drawing.draw(runs, path)
-    for text in (finding(runs), *(panel.finding for panel in drawing.panels(runs)), *remarks(runs)):
+    for text in warnings_of(runs):
         note(text)
     note(f"wrote {path}")

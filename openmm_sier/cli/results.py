@@ -1,4 +1,4 @@
-"""Tell what a log has: conservation, temperatures, density, acceptance. The table at the end of a run."""
+"""Quantities of a log: conservation, temperatures, density, acceptance. The table at the end of a run."""
 
 import math
 from typing import NamedTuple
@@ -15,9 +15,15 @@ NAMES_OF_TEMPERATURES = ("T_trans", "T_rot", "T of flexible molecules")
 
 DENSITY = "Density (g/mL)"
 
+#: Columns of hybrid Monte Carlo.
+ACCEPTANCE, ENERGY_ERROR = "Acceptance", "Energy Error (kT)"
+
+#: Fewest rows of a log of which there are means.
+FEWEST_ROWS = 3
+
 
 class Quantity(NamedTuple):
-    """A number that a log tells.
+    """A quantity of a log.
 
     Attributes:
         name: for tables.
@@ -72,34 +78,49 @@ def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[
         ensemble: of the run.
         moves_volume: whether the pressure was constant.
     """
-    found = [(each.name, str(each)) for each in (*energies(log, ensemble), *temperatures(log))]
+    named = [(each.name, str(each)) for each in (*energies(log, ensemble), *temperatures(log))]
     # Trials draw momenta anew, that of the whole box included: it says nothing there.
-    if "Acceptance" not in log:
+    if ACCEPTANCE not in log:
         momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
-        found.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
+        named.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
     further = [density(log)] if moves_volume else []
-    return found + [(each.name, str(each)) for each in (*further, *trials(log))]
+    return named + [(each.name, str(each)) for each in (*further, *trials(log))]
 
 
-def energies(log: dict[str, np.ndarray], ensemble: str) -> list[Quantity]:
-    """Return what a log tells of energies.
+def energies(log: dict[str, np.ndarray], ensemble: str | None) -> list[Quantity]:
+    """Return energies of a log.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
     rms and that of V are about their means over the whole log. In a bath its drift is the heat of the steps, and rms(H)
-    tells nothing.
+    says nothing.
+
+    Args:
+        log: its columns.
+        ensemble: of the run; None where nobody knows it.
     """
-    time, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
     if ensemble == "nve":
-        return [
-            Quantity("drift of the conserved energy H", slope_and_error(time, H), "kJ/mol/ps"),
-            Quantity("fluctuation rms(H)", rms(H) if len(H) > 2 else math.nan, "kJ/mol"),
-            Quantity("rms(H)/rms(V)", 100 * energy_error(H, V), "%"),
-        ]
-    found = [potential_energy(log)]
+        return _conservation(log)
+    potential = potential_energy(log)
     # Energy errors of trials have rows of their own. OpenMM does not count the heat of its baths.
-    if ensemble != "hmc" and not np.isnan(H).any():
-        found.append(Quantity("heat of the steps, which the bath takes up", slope_and_error(time, H), "kJ/mol/ps"))
-    return found
+    if ensemble == "hmc" or np.isnan(log[CONSERVED]).any():
+        return [potential]
+    if ensemble is None:
+        return [potential, *_conservation(log)]
+    return [potential, Quantity("heat of the steps, which the bath takes up", drift(log), "kJ/mol/ps")]
+
+
+def _conservation(log: dict[str, np.ndarray]) -> list[Quantity]:
+    H, V = log[CONSERVED], log[POTENTIAL]
+    return [
+        Quantity("drift of the conserved energy H", drift(log), "kJ/mol/ps"),
+        Quantity("fluctuation rms(H)", rms(H) if len(H) > 2 else math.nan, "kJ/mol"),
+        Quantity("rms(H)/rms(V)", 100 * energy_error(H, V), "%"),
+    ]
+
+
+def drift(log: dict[str, np.ndarray]) -> Estimate:
+    """Return the drift of the conserved energy, kJ/mol/ps."""
+    return slope_and_error(log["Time (ps)"], log[CONSERVED])
 
 
 def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
@@ -109,10 +130,10 @@ def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
 
 def temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
     """Means of the temperatures, those of flexible molecules only where there are any."""
-    found = [(name, log[column]) for name, column in zip(NAMES_OF_TEMPERATURES, TEMPERATURES, strict=True)]
+    named = [(name, log[column]) for name, column in zip(NAMES_OF_TEMPERATURES, TEMPERATURES, strict=True)]
     return [
         Quantity(name, mean_and_error(values), "K")
-        for name, values in found
+        for name, values in named
         if name != NAMES_OF_TEMPERATURES[-1] or not np.isnan(values).all()
     ]
 
@@ -123,12 +144,12 @@ def density(log: dict[str, np.ndarray]) -> Quantity:
 
 
 def trials(log: dict[str, np.ndarray]) -> list[Quantity]:
-    """Return what a log tells of the trials of hybrid Monte Carlo; nothing if there were none."""
-    if "Acceptance" not in log:
+    """Return quantities of the trials of hybrid Monte Carlo; none if there were none."""
+    if ACCEPTANCE not in log:
         return []
-    errors = log["Energy Error (kT)"]
+    errors = log[ENERGY_ERROR]
     spread = float(np.std(errors[np.isfinite(errors)])) if np.isfinite(errors).any() else math.nan
     return [
-        Quantity("trials accepted", 100 * float(log["Acceptance"][-1]), "%", ".1f"),
+        Quantity("trials accepted", 100 * float(log[ACCEPTANCE][-1]), "%", ".1f"),
         Quantity("their energy errors", spread, "kT (sd)", ".2g"),
     ]

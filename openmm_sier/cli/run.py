@@ -1,25 +1,43 @@
 """The command `openmm-sier run`: coordinates in, a trajectory out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from signal import Signals
 from typing import Any
 
+import openmm
+
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import many, results, run_checks
+from openmm_sier.cli import results, run_checks
+from openmm_sier.cli.beginning import Beginning
 from openmm_sier.cli.config import joined, read_config, write_config
-from openmm_sier.cli.console import note, table
-from openmm_sier.cli.errors import Misused
+from openmm_sier.cli.console import clock, note, progress_bar, table
+from openmm_sier.cli.errors import Misused, NothingLeft, RunError
 from openmm_sier.cli.files.locks import FileLocks
-from openmm_sier.cli.logged_runs import read_runs
+from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.many import command as many
+from openmm_sier.cli.methods import is_heavy
+from openmm_sier.cli.new_run import NewRun
 from openmm_sier.cli.pictures import drawing
-from openmm_sier.cli.resuming import Complete, checkpoint_to_resume, resume
+from openmm_sier.cli.restart import Restart, checkpoint_to_continue
 from openmm_sier.cli.settings import RunSettings
-from openmm_sier.cli.starting import start
-from openmm_sier.cli.stopping import StopRequests
+from openmm_sier.cli.settling import read_runs
+from openmm_sier.cli.simulated_system import SimulatedSystem
+from openmm_sier.cli.stopping import Stopped, StopRequests
+from openmm_sier.inputs.pdb_files import first_line
+from openmm_sier.observe import conservation, openmm_integrators
+from openmm_sier.system.temperature import degrees_of_freedom
+
+#: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
+LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
+
+#: K, below which liquids are not simulated and somebody may have meant degrees Celsius.
+COLD = 100.0
 
 
 def execute(
-    given: Mapping[str, Any],
+    options: Mapping[str, Any],
     config: Path | None = None,
     seeds: Sequence[int] | None = None,
     workers: int | None = None,
@@ -28,45 +46,79 @@ def execute(
     """Run `openmm-sier run`.
 
     Args:
-        given: settings by name, see `RunSettings`.
+        options: of the user by name, see `RunSettings`.
         config: a TOML file with more of them.
-        seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.execute`; None for one run.
+        seeds, workers, scheduler: of many runs, see `openmm_sier.cli.many.command.execute`; None for one run.
 
     Raises:
         Misused: there are no coordinates, or settings contradict each other.
         RunError: settings contradict the checkpoint, or a file is in the way or cannot be written.
+        NothingLeft: the run that `restart` names is complete.
         Runaway: the energy or the temperature ran away.
         Stopped: a signal ended the run; the message says how to go on.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     if config:
-        given = joined(read_config(config), given)
-    if "box" not in given and "restart" not in given:
+        options = joined(read_config(config), options)
+    if "box" not in options and "restart" not in options:
         raise Misused("run needs BOX, a file of coordinates, or --restart (see openmm-sier run --help)")
     if seeds:
-        many.execute(given, seeds, workers, scheduler)
+        many.execute(options, seeds, workers, scheduler)
         return
     if workers or scheduler:
         raise Misused(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     with FileLocks() as locks, StopRequests() as requests:
-        checkpoint = checkpoint_to_resume(given, locks)
-        try:
-            run = resume(given, checkpoint, locks, requests) if checkpoint else start(given, locks, requests, config)
-        except Complete as done:
-            if not given.get("resume"):
-                raise
-            note(f"{checkpoint} is at step {done.settings.length(done.settings.steps)}: the run is complete")
-            report(done.settings, [], done.unsettled)
-            return
-        if run.settings.save_config:
-            write_config(run.settings.save_config, run.settings)
-        cost = run.advance(requests)
-        report(run.settings, cost, run.unsettled)
-    extras = [path for path in (run.settings.plot, run.settings.save_config) if path]
-    note(f"wrote {', '.join(map(str, [*run.outputs.paths, *extras]))}")
+        checkpoint = checkpoint_to_continue(options, locks)
+        beginning: Beginning = Restart(options, checkpoint) if checkpoint else NewRun(options)
+        _run(beginning, config, locks, requests)
 
 
-def report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:
+def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: StopRequests) -> None:
+    """Make a run, from its beginning to the table at its end."""
+    settings = beginning.settings
+    outputs = Outputs(settings, beginning.checkpoint)
+    # Settings may take the place of those that they are from.
+    read = [config] if config and config != settings.save_config else []
+    outputs.check([*beginning.sources.values(), *read], beginning.may_replace)
+    try:
+        beginning.check_inputs(outputs)
+    except NothingLeft:
+        if not settings.resume:
+            raise
+        note(f"{beginning.checkpoint} is at step {settings.length(settings.steps)}: the run is complete")
+        _report(settings, [], beginning.unsettled)
+        return
+    _warn_of_settings(settings)
+    simulated = SimulatedSystem(settings, beginning.sources)
+    locks.hold(outputs.paths)
+    beginning.check_outputs(outputs)
+    context = beginning.context(simulated)
+    # From here on, the step and all files are completed before a signal ends the run.
+    requests.defer()
+    platform = context.getPlatform().getName()
+    note(f"{settings.title}, to step {settings.length(settings.steps)} on the {platform} platform")
+    for remark in beginning.remarks(context):
+        note(remark)
+    outputs.open(simulated, context, beginning.unsettled, beginning.notes)
+    if settings.save_config:
+        write_config(settings.save_config, settings)
+    cost = RunningSimulation(simulated, context, outputs).advance(requests)
+    _report(settings, cost, beginning.unsettled)
+    note(f"wrote {', '.join(map(str, [*outputs.paths, *outputs.extras]))}")
+
+
+def _warn_of_settings(settings: RunSettings) -> None:
+    """Say which settings are seldom meant."""
+    if 0 < settings.temperature < COLD:
+        note(f"{settings.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
+    if settings.ensemble == "nve" and is_heavy(settings.hydrogen_mass):
+        note(
+            f"hydrogens of {settings.hydrogen_mass:g} dalton make motion slower: at constant energy keep their usual "
+            "mass"
+        )
+
+
+def _report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     """Print the table at the end of a run, and draw its log."""
     log = read_log(settings.report)
     warning = run_checks.fluctuation_warning(settings, log)
@@ -76,3 +128,94 @@ def report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | 
     table(f"{settings.title}, {settings.steps * settings.step_time:g} ps", ("", ""), rows + cost)
     if settings.plot:
         drawing.draw(read_runs([settings.report]), settings.plot)
+
+
+class RunningSimulation:
+    """A run after its beginning: a loop over outputs that are due."""
+
+    def __init__(self, simulated: SimulatedSystem, context: openmm.Context, outputs: Outputs):
+        """
+        Args:
+            simulated: the System, and settings of the run.
+            context: at its last completed step.
+            outputs: files of the run, which are open.
+        """
+        self._settings = simulated.settings
+        self._context = context
+        self._outputs = outputs
+        conserved = context.getIntegrator().conservesMomentum
+        self._bounds = run_checks.bounds(self._settings, degrees_of_freedom(simulated.bodies, conserved))
+
+    def advance(self, requests: StopRequests) -> list[tuple[str, str]]:
+        """Run to the last step, or to a signal, and write what is due; then close all files.
+
+        Returns:
+            The rows of `results.cost_rows`.
+
+        Raises:
+            Runaway: the energy or the temperature ran away.
+            RunError: a file cannot be written.
+            Stopped: a signal ended the run. Both say how to go on.
+            openmm.OpenMMException: as its message says.
+        """
+        integrator, settings, outputs = self._context.getIntegrator(), self._settings, self._outputs
+        begun = step = self._context.getStepCount()
+        evaluations, seconds, longest = integrator.forceEvaluations, 0.0, 1
+        progress = progress_bar(settings.method.name, settings.steps, settings.step_time, begun)
+        with self._saying_how_to_go_on(), progress as show:
+            if outputs.saved_step is None:
+                self._write(["log", "checkpoint"])
+            while step < settings.steps and requests.received is None:
+                chunk = min(outputs.next_due(step), settings.steps, step + longest) - step
+                start = clock()
+                integrator.step(chunk)
+                spent = clock() - start
+                longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / spent)))
+                seconds += spent
+                step += chunk
+                self._write(outputs.due(step))
+                show(step)
+            if outputs.saved_step != step:
+                self._write(["checkpoint"])
+        if step < settings.steps and requests.received is not None:
+            by, where = Signals(requests.received).name, settings.length(step)
+            way = f"all files are written; continue with --restart {outputs.checkpoint}"
+            raise Stopped(requests.received, f"stopped by {by} at step {where}, {way}")
+        outputs.close()
+        evaluations = integrator.forceEvaluations - evaluations
+        return results.cost_rows(step - begun, settings.step_time, seconds, evaluations)
+
+    def _write(self, due: Collection[str]) -> None:
+        """Check the bounds, then write the files that are due."""
+        context = self._context
+        run_checks.check(context, self._bounds)
+        values = {}
+        if "log" in due or "checkpoint" in due:
+            values = dict(zip(conservation.columns(context.getIntegrator()), conservation.row(context), strict=True))
+        self._outputs.write(due, context, values)
+        if "checkpoint" in due and isinstance(context.getIntegrator(), openmm_integrators.OpenMMIntegrator):
+            openmm_integrators.continue_as_restart(context, self._settings.seed)
+
+    @contextmanager
+    def _saying_how_to_go_on(self) -> Iterator[None]:
+        """Add to errors the step, the likely cause and the last checkpoint."""
+        try:
+            yield
+        except openmm.OpenMMException as error:
+            if not run_checks.is_runaway(error):
+                raise
+            cause, kept = run_checks.likely_cause(self._settings), self._kept("--start begins a new run from it")
+            message = f"the run became unstable at step {self._where()}: {first_line(error)}; {cause}. {kept}"
+            raise run_checks.Runaway(message) from error
+        except OSError as error:
+            kept = self._kept("--restart continues from it")
+            raise RunError(f"{error.filename}: {error.strerror}, at step {self._where()}. {kept}") from error
+
+    def _where(self) -> str:
+        return self._settings.length(self._context.getStepCount())
+
+    def _kept(self, use: str) -> str:
+        outputs = self._outputs
+        if outputs.saved_step is None:
+            return "There is no checkpoint yet"
+        return f"The last checkpoint is {outputs.checkpoint}, of step {outputs.saved_step}; {use}"

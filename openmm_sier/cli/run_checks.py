@@ -52,9 +52,9 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
     Raises:
         RunawayError: a temperature is above its bound, or no number.
     """
-    found = context.getIntegrator().computeTemperatures().in_kelvin()
+    temperatures = context.getIntegrator().computeTemperatures().in_kelvin()
     for name, bound in bounds.items():
-        if not (temperature := getattr(found, name)) <= bound:
+        if not (temperature := getattr(temperatures, name)) <= bound:
             raise RunawayError(f"the temperature of {name} is {temperature:.3g} K, above {bound:.4g} K")
 
 
@@ -92,7 +92,7 @@ def fluctuation_warning(plan: RunSettings, log: Mapping[str, np.ndarray]) -> str
     if plan.ensemble != "nve" or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
     bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]
-    found = energy_error_within_1_ps(t, H, V)
-    if found <= bound:
+    error = energy_error_within_1_ps(t, H, V)
+    if error <= bound:
         return None
-    return f"{100 * found:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"
+    return f"{100 * error:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"

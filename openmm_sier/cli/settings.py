@@ -1,94 +1,27 @@
 """The settings of a run: one model, from which come the command line, TOML files and what checkpoints hold."""
 
-# Fields are declared by functions.
-
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
 
-from openmm_sier.cli import fields
+from openmm_sier.cli import defaults, fields
+from openmm_sier.cli.contradictions import contradiction
+from openmm_sier.cli.defaults import RECOMMENDED, listed, motion_of
 from openmm_sier.cli.fields import FILE, NAME, File, Name, Switch, one_of
-from openmm_sier.cli.methods import (
-    ENSEMBLES,
-    FRICTION,
-    HEAVY,
-    HEAVY_FRICTION,
-    METHODS,
-    THERMOSTATS,
-    Method,
-    is_heavy,
-)
-from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_steps
+from openmm_sier.cli.methods import ENSEMBLES, METHODS, THERMOSTATS, Method
+from openmm_sier.dynamics.acceptance import TRIAL_LENGTH
 from openmm_sier.inputs.forcefields import CONSTRAINTS, CUTOFF, EWALD_TOLERANCE, Interactions
 from openmm_sier.inputs.pdb_files import LONGEST
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
-#: The default scheme of each ensemble, by the name that `--scheme` takes.
-RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier2v2"}
-
 #: Most steps of a run: doubles count them exactly, with room.
 MOST_STEPS = 10**15
 
-#: K; the temperature of the systems that come with the project.
-DEFAULT_TEMPERATURE = 297.0
-
-#: ps; the length of a run.
-DEFAULT_TIME = 10.0
-
 #: nm; the shortest and the longest edge of a box.
 EDGES = 0.1, LONGEST
-
-
-def _listed(meanings: Mapping[str, str]) -> str:
-    return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
-
-
-def _usual_steps() -> str:
-    """Return the default step of each method: at constant energy, with a bath and with trials, and heavy hydrogens."""
-
-    def told(method: Method) -> str:
-        bath, trials = (
-            "/".join(dict.fromkeys(f"{method.usual_step(ensemble, mass):g}" for mass in (None, HEAVY)))
-            for ensemble in ("nvt", "hmc")
-        )
-        return f"{method.usual_step('nve'):g}, {bath}" + (f", {trials}" if "hmc" in method.ensembles else "")
-
-    each = "; ".join(f"{name} {told(method)}" for name, method in METHODS.items())
-    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {each}"
-
-
-def _motion(ensemble: str, thermostat: str) -> str:
-    """Return the ensemble whose schemes and steps are the usual ones: between rescalings it is that of the energy."""
-    return "nve" if ensemble in ("nvt", "npt") and thermostat == "rescaling" else ensemble
-
-
-def _usual_scheme(before: dict[str, Any]) -> str:
-    return RECOMMENDED[_motion(before["ensemble"], before["thermostat"])]
-
-
-def _usual_step(before: dict[str, Any]) -> float:
-    motion = _motion(before["ensemble"], before["thermostat"])
-    return METHODS[before["scheme"]].usual_step(motion, before["hydrogen_mass"])
-
-
-def _usual_friction(before: dict[str, Any]) -> float:
-    if before["ensemble"] == "hmc":
-        return TRIAL_FRICTION
-    is_long = is_heavy(before["hydrogen_mass"]) and before["thermostat"] == "langevin"
-    return HEAVY_FRICTION if is_long else FRICTION
-
-
-def _steps(before: dict[str, Any]) -> int:
-    return steps_in(before["time"] or DEFAULT_TIME, before["dt"] * before["steps_per_trial"])
-
-
-def steps_in(time: float, dt: float) -> int:
-    """Return the number of steps of `dt` fs in a time in ps, at least 1."""
-    return max(1, round(time * 1000 / dt))
 
 
 class RunSettings(BaseModel):
@@ -160,46 +93,46 @@ class RunSettings(BaseModel):
     # --- their motion ---
 
     ensemble: Annotated[str, one_of(ENSEMBLES)] = fields.choice(
-        f"what is constant ({_listed(ENSEMBLES)})", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
+        f"what is constant ({listed(ENSEMBLES)})", ENSEMBLES, "nve", otherwise="nve; nvt for langevinmiddle"
     )
     thermostat: Annotated[str, one_of(THERMOSTATS)] = fields.choice(
-        f"what keeps the temperature with nvt and npt ({_listed(THERMOSTATS)})", THERMOSTATS, "langevin"
+        f"what keeps the temperature with nvt and npt ({listed(THERMOSTATS)})", THERMOSTATS, "langevin"
     )
     scheme: Annotated[str, one_of(METHODS)] = fields.choice(
         "scheme of this package, or for comparison one of OpenMM's own integrators: verlet, with an AndersenThermostat "
         "at constant temperature, or langevinmiddle; MonteCarloBarostat keeps their pressure",
         METHODS,
-        follows=_usual_scheme,
+        follows=defaults.scheme,
         otherwise="sier4g; sier2 with nvt and npt by langevin, sier2v2 with hmc",
     )
-    dt: float = fields.step("step", 0.05, 1e3, follows=_usual_step, otherwise=_usual_steps())
+    dt: float = fields.step("step", 0.05, 1e3, follows=defaults.step, otherwise=defaults.steps_in_words())
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
-        follows=_usual_friction,
+        follows=defaults.friction,
         otherwise="1, or 5 by langevin with heavy hydrogens; hmc draws all momenta anew where it is 0",
     )
     pressure: float | None = fields.number(
         *("with npt or hmc", "bar (1 bar is 100000 Pa)", -5000, 50000),
-        follows=lambda before: 1.0 if before["ensemble"] == "npt" else None,
+        follows=defaults.pressure,
         otherwise="1 with npt, constant volume with hmc",
     )
     steps_per_trial: int = fields.whole(
         "of the scheme in a trial of hmc, which is then a step of the run",
         most=10**6,
-        follows=lambda before: usual_steps(before["dt"] / 1000) if before["ensemble"] == "hmc" else 1,
+        follows=defaults.steps_per_trial,
         otherwise=f"as many as make {1000 * TRIAL_LENGTH:g} fs",
     )
     time: float | None = fields.time(
         "length of the whole trajectory; a restart does what is left of it",
-        otherwise=f"{DEFAULT_TIME:g}; that of the checkpoint with --restart",
+        otherwise=f"{defaults.TIME:g}; that of the checkpoint with --restart",
         restart="of the call",
     )
     steps: int = fields.whole(
-        "the same in steps", most=MOST_STEPS, follows=_steps, otherwise="as --time says", restart="may change"
+        "the same in steps", most=MOST_STEPS, follows=defaults.steps, otherwise="as --time says", restart="may change"
     )
     temperature: float = fields.number(
-        *("of start and heat bath", "K", 0, 3000, DEFAULT_TEMPERATURE),
-        otherwise=f"{DEFAULT_TEMPERATURE:g}, or that of the run of --start",
+        *("of start and heat bath", "K", 0, 3000, defaults.TEMPERATURE),
+        otherwise=f"{defaults.TEMPERATURE:g}, or that of the run of --start",
     )
     equilibrate: float | None = fields.number(
         *("how long", "ps", 0, 1e9),
@@ -226,14 +159,14 @@ class RunSettings(BaseModel):
     out: File = fields.file(
         "trajectory, .dcd or .xtc",
         writes=True,
-        follows=lambda before: trajectory_of(before["box"]),
+        follows=defaults.out,
         otherwise="BOX.dcd, in the current directory",
     )
     unwrapped: Switch = fields.switch("frames have molecules where they went, not in the box", otherwise="in the box")
     report: File = fields.file(
         "log, a table in CSV",
         writes=True,
-        follows=lambda before: before["out"].with_suffix(".csv"),
+        follows=defaults.report,
         otherwise="as the trajectory, with .csv",
     )
     every: float = fields.time("between frames", 0.1)
@@ -279,6 +212,18 @@ class RunSettings(BaseModel):
         restart="of the call",
     )
 
+    @model_validator(mode="after")
+    def _refuse_contradictions(self, info: ValidationInfo) -> "RunSettings":
+        """Refuse settings that contradict each other.
+
+        The context of the validation may have `chosen`, the names of the settings that a user chose. Without it these
+        are all that are not left to their defaults.
+        """
+        chosen = (info.context or {}).get("chosen", self.model_fields_set)
+        if reason := contradiction(self, chosen):
+            raise ValueError(reason)
+        return self
+
     # --- what follows from them ---
 
     @property
@@ -304,7 +249,7 @@ class RunSettings(BaseModel):
     @property
     def usual_step(self) -> float:
         """Return the usual step of the method, fs."""
-        return self.method.usual_step(_motion(self.ensemble, self.thermostat), self.hydrogen_mass)
+        return self.method.usual_step(motion_of(self.ensemble, self.thermostat), self.hydrogen_mass)
 
     @property
     def stand_in(self) -> "RunSettings":
@@ -350,11 +295,6 @@ class RunSettings(BaseModel):
         return values | {name: os.path.relpath(values[name], here) for name in FILES if values[name]}
 
 
-def trajectory_of(box: Path) -> Path:
-    """Return the trajectory of a run that was not told of any, after which its other files are named."""
-    return Path(f"{box.stem}.dcd")
-
-
 def checkpoint_of(trajectory: Path) -> Path:
     """Return the checkpoint of a run with this trajectory."""
     return trajectory.with_suffix(".chk")
@@ -389,14 +329,3 @@ OF_TUNING = (
     *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),
 )
 OF_INFO = ("box", "topology", "forcefield", "edges", "rigid", "constraints")
-
-#: Two of which only one may be given.
-LENGTHS = "steps", "time"
-
-
-# --- on a command line ---
-
-
-def flag(name: str) -> str:
-    """Return the option of a setting on a command line."""
-    return f"--{name.replace('_', '-')}"

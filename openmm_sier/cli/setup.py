@@ -4,11 +4,11 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from openmm_sier.analysis.many_runs import argument
+from openmm_sier.cli.arguments import argument
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
+from openmm_sier.cli.files.places import check_place, refuse_to_replace
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
 

@@ -9,10 +9,12 @@ from typing import Any
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
-from openmm_sier.cli.logged_runs import Runs, finding, read_runs, remarks
+from openmm_sier.cli.files.places import check_place, refuse_to_replace
+from openmm_sier.cli.findings import findings, verdict, warnings_of
+from openmm_sier.cli.logged_runs import Runs
 from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.results import Quantity
+from openmm_sier.cli.settling import read_runs
 from openmm_sier.version import __version__
 
 #: What a file of `--json` begins with.
@@ -40,7 +42,7 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
     means = runs.means()
     rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
     table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
-    for text in (finding(runs), *remarks(runs)):
+    for text in (verdict(runs), *findings(runs), *warnings_of(runs)):
         note(text)
     written = [path for path in (json, plot) if path]
     if json:

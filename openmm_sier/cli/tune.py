@@ -4,22 +4,21 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from openmm_sier.analysis.many_runs import argument, arguments
-from openmm_sier.cli.beginning import Simulated
+from openmm_sier.cli.arguments import argument, arguments
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused
-from openmm_sier.cli.planning import new_settings
-from openmm_sier.cli.starting import begin, read_origin
+from openmm_sier.cli.new_run import NewRun
+from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.integrators.tuning import SCHEMES, tune
 from openmm_sier.integrators.tuning_results import Tuning
 
 
-def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, samples: int) -> None:
-    """Run `openmm-sier tune`. Only the scheme that was given, if any, is tried.
+def execute(options: Mapping[str, Any], acceptance: float | None, trials: int, samples: int) -> None:
+    """Run `openmm-sier tune`. Only the scheme that the user chose, if any, is tried.
 
     Args:
-        given: settings of a run by name, see `RunSettings`.
+        options: of the user by name, see `RunSettings`.
         acceptance, trials, samples: see `openmm_sier.integrators.tuning.tune`.
 
     Raises:
@@ -28,30 +27,30 @@ def execute(given: Mapping[str, Any], acceptance: float | None, trials: int, sam
         Runaway: the equilibration broke down.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
-    if "box" not in given:
+    if "box" not in options:
         raise Misused("tune needs BOX, a file of coordinates (see openmm-sier tune --help)")
-    origin = read_origin(given.get("start"))
-    settings = new_settings({**given, "ensemble": "hmc"}, origin.settings if origin else None)
-    context, _ = begin(Simulated(settings), origin)
-    schemes = [given["scheme"]] if "scheme" in given else None
+    beginning = NewRun({**options, "ensemble": "hmc"})
+    settings = beginning.settings
+    context = beginning.context(SimulatedSystem(settings, beginning.sources))
+    schemes = [options["scheme"]] if "scheme" in options else None
     several = len(schemes or SCHEMES)
     note(f"{settings.title} on the {context.getPlatform().getName()} platform: tunes scheme, step and length of trials")
     # Each of the four lengths has as many steps in all; a step is found by some four attempts.
     note(f"this takes some {4 * samples + 4 * trials * several} trials of {settings.step_time:g} ps")
-    found = tune(context, acceptance, trials, samples, schemes=schemes)
+    tuning = tune(context, acceptance, trials, samples, schemes=schemes)
     # The run below has the scheme, whatever this Context has.
-    note(str(found._replace(isSet=True)))
-    note(f"Do not take averages over these trials. To run with what was found:\n{run_line(given, found)}")
+    note(str(tuning._replace(isSet=True)))
+    note(f"Do not take averages over these trials. To run with the result:\n{run_line(options, tuning)}")
 
 
-def run_line(given: Mapping[str, Any], found: Tuning) -> str:
-    """Return the command line of a run with what was found, and all else as given."""
-    chosen = {
-        "scheme": found.scheme.name.lower(),
-        "dt": float(f"{1000 * found.schemeStepSize:.4g}"),
-        "steps_per_trial": found.stepsPerTrial,
+def run_line(options: Mapping[str, Any], tuning: Tuning) -> str:
+    """Return the command line of a run with the result of tuning, and otherwise the same options."""
+    tuned = {
+        "scheme": tuning.scheme.name.lower(),
+        "dt": float(f"{1000 * tuning.schemeStepSize:.4g}"),
+        "steps_per_trial": tuning.stepsPerTrial,
     }
-    line = [PROGRAM, "run", argument(given["box"]), "--ensemble", "hmc"]
-    for name, value in {**given, **chosen}.items():
+    line = [PROGRAM, "run", argument(options["box"]), "--ensemble", "hmc"]
+    for name, value in {**options, **tuned}.items():
         line += [] if name == "box" else arguments(name, value)
     return shlex.join(line)

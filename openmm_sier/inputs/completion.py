@@ -20,8 +20,9 @@ from openmm_sier.inputs.pdb_files import (
     check_records,
     extent,
     refusing,
-    warn_of_alternates,
+    warn_about_alternates,
 )
+from openmm_sier.inputs.source_files import SourceFile
 from openmm_sier.observe.conservation import density
 
 if TYPE_CHECKING:
@@ -90,9 +91,10 @@ def complete(
     """
     names = tuple(map(str, files))
     forcefield = load(names, Path(path).parent)
-    check_records(path)
+    source = SourceFile(path)
+    check_records(source)
     fixer = _fixer(path)
-    warn_of_alternates(path, fixer.topology)
+    warn_about_alternates(source, fixer.topology)
     changes: list[tuple[str, str]] = []
     with refusing(f"cannot complete {path}"), _seeded(seed):
         changes += _left_out(fixer, path, leave_out)

@@ -1,7 +1,7 @@
 """Read coordinates of all supported formats with OpenMM's readers."""
 
+import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,8 @@ from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
-from openmm_sier.system.untrusted_files import open_regular, read_state
+from openmm_sier.inputs.source_files import FilePath, SourceFile
+from openmm_sier.system.untrusted_files import read_state
 
 #: Elements recognized by the first letter of an atom's name.
 _LETTERS = "HCNOPS"
@@ -32,7 +33,7 @@ class Coordinates(NamedTuple):
     topology: app.Topology | None = None
 
 
-def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> Coordinates:
+def read_coordinates(path: FilePath, edges: Sequence[float] | None = None) -> Coordinates:
     """Read a coordinate file.
 
     Args:
@@ -44,47 +45,47 @@ def read_coordinates(path: str | Path, edges: Sequence[float] | None = None) -> 
         ForceFieldError: the file has none of these formats, or OpenMM cannot read it.
         OSError: the file cannot be read.
     """
-    kind = kind_of(path)
+    source = SourceFile.of(path)
+    kind = kind_of(source)
     if kind in STRUCTURES:
-        pdb = read_pdb(path, edges)
+        pdb = read_pdb(source, edges)
         names = [atom.name for atom in pdb.topology.atoms()]
         return Coordinates(pdb.getPositions(asNumpy=True), pdb.topology.getPeriodicBoxVectors(), names, pdb.topology)
     if kind not in _READERS:
         raise ForceFieldError(f"{path} is {kind}, but coordinates are expected")
     with refusing(f"cannot read {path} as {kind}"):
-        coordinates = _READERS[kind](str(path))
+        coordinates = _READERS[kind](source)
     return coordinates._replace(box=box_of(path, coordinates.box, edges))
 
 
-def _amber(path: str) -> Coordinates:
-    file = app.AmberInpcrdFile(path)
+def _amber(source: SourceFile) -> Coordinates:
+    file = app.AmberInpcrdFile(str(source))
     # OpenMM returns False instead of a box for some files of one or two atoms.
     return Coordinates(file.getPositions(asNumpy=True), file.boxVectors or None)
 
 
-def _gro(path: str) -> Coordinates:
-    file = app.GromacsGroFile(path)
+def _gro(source: SourceFile) -> Coordinates:
+    file = app.GromacsGroFile(str(source))
     box = file.getPeriodicBoxVectors()
     is_none = not np.any(box.value_in_unit(unit.nanometer))
     return Coordinates(file.getPositions(asNumpy=True), None if is_none else box, file.atomNames)
 
 
-def _crd(path: str) -> Coordinates:
-    file = app.CharmmCrdFile(path)
+def _crd(source: SourceFile) -> Coordinates:
+    file = app.CharmmCrdFile(str(source))
     positions = np.array(file.positions.value_in_unit(unit.nanometer))
     return Coordinates(positions * unit.nanometer, None, file.attype)
 
 
-def _state(path: str) -> Coordinates:
-    with open_regular(path) as file:
-        state = read_state(file)
+def _state(source: SourceFile) -> Coordinates:
+    state = read_state(io.BytesIO(source.content))
     return Coordinates(state.getPositions(asNumpy=True), state.getPeriodicBoxVectors())
 
 
 _READERS = {AMBER_COORDINATES: _amber, GRO: _gro, CRD: _crd, STATE: _state}
 
 
-def refuse_other_atoms(path: str | Path, coordinates: Coordinates, topology: app.Topology, source: str | Path) -> None:
+def refuse_other_atoms(path: FilePath, coordinates: Coordinates, topology: app.Topology, source: FilePath) -> None:
     """Refuse coordinates that do not belong to the atoms of a topology.
 
     The numbers of atoms must agree, and in residues of several atoms the elements, as far as names show them.
@@ -102,8 +103,8 @@ def refuse_other_atoms(path: str | Path, coordinates: Coordinates, topology: app
     if number != expected:
         raise ForceFieldError(f"{path} has {number} atoms, but {source} has {expected}")
     for atom, name in zip(topology.atoms(), coordinates.names, strict=False):
-        expected_letter, letter = (_letter(text) for text in (atom.name, name))
-        if expected_letter and letter and expected_letter != letter and len(atom.residue) > 1:
+        one, two = (_letter(each) for each in (atom.name, name))
+        if one and two and one != two and len(atom.residue) > 1:
             raise ForceFieldError(
                 f"{path} has {name} where {source} has {named_atom(atom)}: are the atoms in another order?"
             )

@@ -84,6 +84,11 @@ class Equilibration(NamedTuple):
     described: str
 
 
+def platform_for(name: str | None) -> openmm.Platform:
+    """Return the platform of this name; None takes the one that OpenMM takes by itself, the fastest that works here."""
+    return usual_platform() if name is None else openmm.Platform.getPlatformByName(name)
+
+
 def make_context(system: openmm.System, integrator: openmm.Integrator, platform: str | None) -> openmm.Context:
     """Return a new Context, in mixed precision if possible, with at most one thread per core available to the process.
 
@@ -91,7 +96,7 @@ def make_context(system: openmm.System, integrator: openmm.Integrator, platform:
         system, integrator: System and integrator of the Context.
         platform: name of the platform; None for OpenMM's choice, the fastest one that works.
     """
-    chosen = usual_platform() if platform is None else openmm.Platform.getPlatformByName(platform)
+    chosen = platform_for(platform)
     properties, names = {}, chosen.getPropertyNames()
     if "Precision" in names:
         properties["Precision"] = "mixed"

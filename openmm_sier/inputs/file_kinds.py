@@ -1,9 +1,8 @@
 """Identify kinds of files by content: AMBER and GROMACS both use the suffix .top, AMBER and CHARMM .crd."""
 
 import re
-from pathlib import Path
 
-from openmm_sier.system.untrusted_files import open_regular
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 
 #: Kinds of files, as named in messages.
 PDB = "a PDB file"
@@ -39,14 +38,13 @@ _LINES = {
 }
 
 
-def kind_of(path: str | Path) -> str:
+def kind_of(path: FilePath) -> str:
     """Return the kind of a file, one of the constants above.
 
     Raises:
         OSError: the file cannot be read.
     """
-    with open_regular(path) as file:
-        text = file.read(HEAD).decode(errors="replace")
+    text = SourceFile.of(path).content[:HEAD].decode(errors="replace")
     # Titles may start with anything.
     if kind := _counted(text.splitlines()[:3]):
         return kind

@@ -1,10 +1,9 @@
 """Find the force field of a PDB file, and build Systems with it."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from openmm.unit import Quantity
 
 from openmm_sier.inputs.file_kinds import PDB, kind_of
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
@@ -75,22 +75,21 @@ class Interactions(NamedTuple):
 USUAL = Interactions()
 
 
-def pick(path: str | Path) -> tuple[tuple[str, ...], str]:
+def pick(path: FilePath) -> tuple[tuple[str, ...], str]:
     """Return the force-field files in records "REMARK  99 FORCEFIELD file.xml" of a PDB file, and a reason in words.
 
     Raises:
         ForceFieldError: there is no such record.
         OSError: the file cannot be read.
     """
-    with open_regular(path) as file:
-        lines = file.read().decode(errors="replace").splitlines()
+    lines = SourceFile.of(path).lines
     if not (named := tuple(line[len(REMARK) :].strip() for line in lines if line.startswith(REMARK))):
         such = f"tip3p.xml for water, or in a record '{REMARK} tip3p.xml' of the PDB file"
         raise ForceFieldError(f"no force field is named: give its `files` (--forcefield), such as {such}")
     return named, "named in the PDB file"
 
 
-def load(files: Sequence[str], beside: str | Path = ".") -> app.ForceField:
+def load(files: Sequence[str], beside: FilePath = ".") -> app.ForceField:
     """Load a ForceField from files, searched as given, in the directory `beside`, in this project and in OpenMM.
 
     Raises:
@@ -251,7 +250,6 @@ class Box(NamedTuple):
         files: files of the force field.
         reason: reason for these files, in words.
         listed: indices of the particles listed in the coordinate file, without added virtual sites.
-        sources: input files except those of OpenMM, by purpose.
     """
 
     topology: app.Topology
@@ -260,12 +258,11 @@ class Box(NamedTuple):
     files: tuple[str, ...]
     reason: str
     listed: np.ndarray
-    sources: Mapping[str, Path] = MappingProxyType({})
 
 
 def read_box(
-    path: str | Path,
-    files: Sequence[str | Path] | None = None,
+    path: FilePath,
+    files: Sequence[FilePath] | None = None,
     constraints: str | None = None,
     interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
@@ -283,18 +280,17 @@ def read_box(
             fits it; or a molecule is broken, see `openmm_sier.make_whole`.
         OSError: the file cannot be read.
     """
-    pdb = read_pdb(path, edges)
+    source = SourceFile.of(path)
+    pdb = read_pdb(source, edges)
     lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     # Force fields need whole molecules to place virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:
-        chosen, reason = (tuple(map(str, files)), "as given") if files else pick(path)
+        chosen, reason = (tuple(map(str, files)), "as given") if files else pick(source)
         forcefield = load(chosen, Path(path).parent)
         topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
         whole = make_whole(system, positions, topology)
-    except ForceFieldError as error:
-        raise ForceFieldError(f"{path}: {error}") from None
     except ValueError as error:
         raise ForceFieldError(f"{path}: {error}") from None
     listed = np.array([atom.index for atom in topology.atoms() if atom.element is not None])
@@ -319,7 +315,7 @@ def density_of(box: Box) -> float | None:
     return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
 
 
-def warn_about_thin_box(path: str | Path, box: Box) -> None:
+def warn_about_thin_box(path: FilePath, box: Box) -> None:
     """Warn if the density is too low for a liquid: the file may be cut off, or have the box of another system.
 
     There is no warning without a mesh for charges, as in many coarse-grained models.

@@ -1,8 +1,9 @@
 """Read the input of a simulation: coordinates, with a force field or a topology."""
 
-import hashlib
+import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -17,10 +18,11 @@ from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse
 from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
 from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
 from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
-from openmm_sier.system.untrusted_files import open_regular, read_system
+from openmm_sier.system.untrusted_files import read_system
 from openmm_sier.system.user_warnings import warn
 
 #: Arguments without effect, by the kind of topology.
@@ -38,9 +40,9 @@ _INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
 
 
 def read_input(
-    path: str | Path,
-    topology: str | Path | None = None,
-    files: Sequence[str | Path] | None = None,
+    path: FilePath,
+    topology: FilePath | None = None,
+    files: Sequence[FilePath] | None = None,
     constraints: str | None = None,
     interactions: Interactions = USUAL,
     edges: Sequence[float] | None = None,
@@ -60,21 +62,22 @@ def read_input(
         ForceFieldError: files have other formats or do not match, or OpenMM cannot create a System from them.
         OSError: a file cannot be read.
     """
+    coordinates = SourceFile.of(path)
     if topology is None:
-        _refuse_half(path)
-        box = forcefields.read_box(path, files, constraints, interactions, edges)
+        _refuse_half(coordinates)
+        box = forcefields.read_box(coordinates, files, constraints, interactions, edges)
     else:
         kind = topology_kind(topology)
-        source = _Source(Path(path), read_coordinates(path, edges), Path(topology), kind)
+        source = _Source(coordinates, read_coordinates(coordinates, edges), SourceFile.of(topology), kind)
         if kind == SYSTEM:
             box = _box_of_system(source, interactions)
         else:
             box = _box_of_topology(source, files or (), constraints, interactions)
-    forcefields.warn_about_thin_box(path, box)
-    return box._replace(sources=sources_of(path, topology, files))
+    forcefields.warn_about_thin_box(coordinates, box)
+    return box
 
 
-def topology_kind(path: str | Path) -> str:
+def topology_kind(path: FilePath) -> str:
     """Return the kind of a topology, see `openmm_sier.inputs.file_kinds`.
 
     Raises:
@@ -89,21 +92,16 @@ def topology_kind(path: str | Path) -> str:
     return kind
 
 
-def fingerprints(sources: Mapping[str, Path]) -> dict[str, str]:
-    """Return the SHA-256 of files, by purpose."""
-    return {use: hashlib.sha256(path.read_bytes()).hexdigest() for use, path in sources.items()}
-
-
 class _Source(NamedTuple):
     """Coordinates of an input, already read, and path and kind of its topology."""
 
-    path: Path
+    path: SourceFile
     coordinates: Coordinates
-    topology: Path
+    topology: SourceFile
     kind: str
 
 
-def _refuse_half(path: str | Path) -> None:
+def _refuse_half(path: FilePath) -> None:
     """Refuse files that require a second file."""
     kind = kind_of(path)
     if kind in TOPOLOGIES:
@@ -115,7 +113,7 @@ def _refuse_half(path: str | Path) -> None:
         raise ForceFieldError(f"{path} is {kind}, without a force field: give its `topology` (--topology) too: {kinds}")
 
 
-def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[str | Path] = ()) -> Box:
+def _box(source: _Source, system: openmm.System, topology: app.Topology, files: Sequence[FilePath] = ()) -> Box:
     """Return a Box whose coordinate file lists all particles; `files` belong to its force field."""
     positions = source.coordinates.positions
     check_positions(source.path, topology, positions.value_in_unit(unit.nanometer))
@@ -134,7 +132,7 @@ _READERS: dict[str, Any] = {PRMTOP: app.AmberPrmtopFile, TOP: app.GromacsTopFile
 
 
 def _box_of_topology(
-    source: _Source, files: Sequence[str | Path], constraints: str | None, interactions: Interactions
+    source: _Source, files: Sequence[FilePath], constraints: str | None, interactions: Interactions
 ) -> Box:
     path, coordinates, topology, kind = source
     if kind_of(path) == STATE:
@@ -148,7 +146,7 @@ def _box_of_topology(
             f"{topology} is {kind}, which needs its parameters: give all its parameter files as `files` "
             f"(--forcefield), such as {such}"
         )
-    parameters = [forcefields.locate(str(file), path.parent) for file in files]
+    parameters = [forcefields.locate(str(file), Path(path).parent) for file in files]
     with refusing(f"cannot read {topology} as {kind}"):
         file = _READERS[kind](str(topology), periodicBoxVectors=coordinates.box)
         create = file.createSystem
@@ -170,7 +168,7 @@ def _box_of_topology(
     return _box(source, system, file.topology, files)
 
 
-def _warn_about_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
+def _warn_about_rigid_water(path: SourceFile, file: app.GromacsTopFile) -> None:
     """Warn if a top file requests flexible water, since water is rigid here."""
     # OpenMM itself defines FLEXIBLE as True to read the bonds of water, and then makes them constraints.
     asks = file._defines.get("FLEXIBLE", True) is not True
@@ -187,8 +185,7 @@ def _warn_about_rigid_water(path: Path, file: app.GromacsTopFile) -> None:
 def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     path, coordinates, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
-        with open_regular(topology) as file:
-            system = read_system(file)
+        system = read_system(io.BytesIO(topology.content))
         checks.refuse_impossible_numbers(system)
     for force in system.getForces():
         if forces.kind_of(force).sets:
@@ -209,7 +206,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     return _box(source, system, named)
 
 
-def _refuse_other_masses(path: Path, system: openmm.System, named: app.Topology, topology: Path) -> None:
+def _refuse_other_masses(path: SourceFile, system: openmm.System, named: app.Topology, topology: SourceFile) -> None:
     """Refuse names that contradict the masses of a System's hydrogens.
 
     All other atoms are heavier than light hydrogen, even after mass repartitioning.
@@ -259,28 +256,29 @@ def _molecules(system: openmm.System) -> list[list[int]]:
 
 
 def sources_of(
-    path: str | Path, topology: str | Path | None = None, files: Sequence[str | Path] | None = None
-) -> dict[str, Path]:
+    path: FilePath,
+    topology: FilePath | None = None,
+    files: Sequence[FilePath] | None = None,
+) -> dict[str, SourceFile]:
     """Return the files that `read_input` reads, by purpose, except files of OpenMM and GROMACS.
 
     Args:
         path, topology, files: see `read_input`.
 
     Raises:
-        ForceFieldError: a PDB file names no force field, and none is given.
         OSError: a file that names others cannot be read.
     """
-    sources, named = {"box": Path(path)}, files or ()
+    box, named = SourceFile(path), files or ()
+    sources = {"box": box}
     if topology is not None:
-        sources["topology"] = Path(topology)
-        sources |= {str(name): Path(topology).parent / name for name in _included(Path(topology))}
+        sources["topology"] = SourceFile(topology)
+        sources |= {str(name): SourceFile(Path(topology).parent / name) for name in _included(Path(topology))}
     elif not named:
-        try:
-            named, _ = forcefields.pick(path)
-        except ForceFieldError as error:
-            raise ForceFieldError(f"{path}: {error}") from None
+        # A file that names no force field is refused when it is read.
+        with suppress(ForceFieldError):
+            named, _ = forcefields.pick(box)
     located = {str(name): Path(forcefields.locate(str(name), Path(path).parent)) for name in named}
-    return sources | {name: place for name, place in located.items() if place.is_file()}
+    return sources | {name: SourceFile(place) for name, place in located.items() if place.is_file()}
 
 
 def _included(topology: Path) -> Iterator[Path]:
@@ -291,7 +289,8 @@ def _included(topology: Path) -> Iterator[Path]:
     while pending:
         including = pending.pop()
         for name in _INCLUDED.findall((topology.parent / including).read_text(errors="replace")):
-            included = next((p for p in (Path(name), including.parent / name) if (topology.parent / p).is_file()), None)
+            places = Path(name), including.parent / name
+            included = next((place for place in places if (topology.parent / place).is_file()), None)
             if included is not None and included not in reached:
                 reached.add(included)
                 pending.append(included)

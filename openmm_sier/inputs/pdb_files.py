@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from openmm import Vec3, app, unit
@@ -11,6 +10,7 @@ from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system.boxes import reduced
 from openmm_sier.system.user_warnings import warn
 
@@ -36,7 +36,7 @@ class ForceFieldError(ValueError):
     """Error in a force field, in coordinates, or in their combination."""
 
 
-def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
+def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFile | app.PDBxFile:
     """Read a PDB or PDBx/mmCIF file.
 
     Args:
@@ -48,22 +48,23 @@ def read_pdb(path: str | Path, edges: Sequence[float] | None = None) -> app.PDBF
             too small for its atoms.
         OSError: the file cannot be read.
     """
-    kind = check_records(path)
+    source = SourceFile.of(path)
+    kind = check_records(source)
     if kind == PDB:
-        _check_edges(path)
+        _check_edges(source)
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:
-            file = READERS[kind](str(path))
+            file = READERS[kind](source.stream)
         except UserWarning as twice:
             raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
-    warn_of_alternates(path, file.topology)
+    warn_about_alternates(source, file.topology)
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
 
 
-def check_records(path: str | Path) -> str:
+def check_records(path: FilePath) -> str:
     """Check the records of a PDB or PDBx/mmCIF file, and return its kind.
 
     Raises:
@@ -74,14 +75,13 @@ def check_records(path: str | Path) -> str:
     if kind not in READERS:
         raise ForceFieldError(f"{path} is not a PDB file with atoms")
     if kind == PDB:
-        _check_lines(path)
+        _check_lines(SourceFile.of(path))
     return kind
 
 
-def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
+def warn_about_alternates(path: FilePath, topology: app.Topology) -> None:
     """Warn if a PDB or PDBx/mmCIF file has alternate locations; `topology` is that of its first model."""
-    lines = Path(path).read_text(errors="replace").splitlines()
-    records = sum(line.startswith(("ATOM", "HETATM")) for line in lines)
+    records = sum(line.startswith(("ATOM", "HETATM")) for line in SourceFile.of(path).lines)
     # All models have the same number of atoms.
     if records % max(topology.getNumAtoms(), 1):
         warn(
@@ -90,7 +90,7 @@ def warn_of_alternates(path: str | Path, topology: app.Topology) -> None:
         )
 
 
-def box_of(path: str | Path, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
+def box_of(path: FilePath, box: Quantity | None, edges: Sequence[float] | None) -> Quantity | None:
     """Return the periodic box of a file or, if it has none, a rectangular one with the given edges in nm.
 
     Raises:
@@ -152,7 +152,7 @@ def refusing(action: str = "") -> Iterator[None]:
         raise ForceFieldError(f"{action}: {first_line(error)}" if action else first_line(error)) from error
 
 
-def check_positions(path: str | Path, topology: app.Topology, positions: np.ndarray) -> None:
+def check_positions(path: FilePath, topology: app.Topology, positions: np.ndarray) -> None:
     """Refuse positions that would make a simulation meaningless; virtual sites may be anywhere.
 
     Args:
@@ -189,34 +189,34 @@ def check_positions(path: str | Path, topology: app.Topology, positions: np.ndar
         )
 
 
-def has_end(path: str | Path) -> bool:
+def has_end(path: FilePath) -> bool:
     """Return whether a PDB file has an END record."""
-    return any(record.split() == ["END"] for record in Path(path).read_text(errors="replace").splitlines())
+    return any(record.split() == ["END"] for record in SourceFile.of(path).lines)
 
 
-def _check_lines(path: str | Path) -> None:
+def _check_lines(file: SourceFile) -> None:
     """Refuse a file that ends within a coordinate, whose remaining digits OpenMM would read."""
-    for number, line in enumerate(Path(path).read_text(errors="replace").splitlines(), 1):
+    for number, line in enumerate(file.lines, 1):
         if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
             raise ForceFieldError(
-                f"{path}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
+                f"{file}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
                 "file is cut off, or is not a PDB file"
             )
 
 
-def _check_edges(path: str | Path) -> None:
+def _check_edges(file: SourceFile) -> None:
     """Refuse box edges that are not positive numbers."""
-    for record in Path(path).read_text(errors="replace").splitlines():
+    for record in file.lines:
         if not record.startswith("CRYST1"):
             continue
         try:
             edges = [float(record[first : first + 9]) for first in (6, 15, 24)]
         except ValueError:
             expected = "expected the edges of the box in Angstrom"
-            raise ForceFieldError(f"{path}: {expected}, got {record.strip()!r}") from None
+            raise ForceFieldError(f"{file}: {expected}, got {record.strip()!r}") from None
         if not all(0 < edge < np.inf for edge in edges):
             raise ForceFieldError(
-                f"{path}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
+                f"{file}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
                 "above 0. If the system has no box, remove the record CRYST1"
             )
 

@@ -64,14 +64,14 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
 def test_start_tells_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
     assert (plan["temperature"], plan["scheme"], plan["dt"]) == (310.0, "sier2", 4.0)
     # No equilibration is none, and not new velocities.
     kinetic = log("box.csv")["Kinetic Energy (kJ/mole)"][0]
     run(*start, "--ensemble", "nvt", "--equilibrate", "0")
     assert log("box.csv")["Kinetic Energy (kJ/mole)"][0] == kinetic
     run(*start, "--ensemble", "nvt", "--temperature", "290")
-    assert checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]["temperature"] == 290.0
+    assert checkpoints.read_checkpoint(Path("box.chk"))[1].plan["temperature"] == 290.0
 
 
 def test_start_equilibrates_if_asked(box, npt_run, capsys):

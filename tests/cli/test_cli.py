@@ -150,7 +150,7 @@ def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
         [sys.executable, "-c", KILLER, place, str(after), *command], capture_output=True, check=False
     )
     assert killed.returncode == -signal.SIGKILL
-    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == checkpoint
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1].step == checkpoint
     if suffix != ".xtc":
         # MDTraj refuses an XTC file that ends in half a frame.
         assert frames(out, box).n_frames == left

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator, ensembles
-from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.methods import ENSEMBLES, THERMOSTATS
-from openmm_sier.cli.planning import new_settings
+from openmm_sier.cli.new_run import NewRun
+from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.commands import SMALL, complaint, log, rewrite_notes, run
@@ -87,7 +87,7 @@ def test_options_of_another_ensemble(capsys, box, arguments, message):
 )
 def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
     run("run", box, "--platform", "Reference", "--equilibrate", "0", "--steps", "1", *options)
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
     assert CATALOGUE[plan["scheme"]] == integrator.scheme.without_bath()
     assert plan["dt"] == pytest.approx(1000 * step)
     assert plan["friction"] == (5 if "--hydrogen-mass" in options else 1)
@@ -97,11 +97,11 @@ def test_the_command_has_all_ensembles_that_scripts_have(box):
     """In one list of ensembles and thermostats, with the same temperature and pressure."""
     made = set()
     for ensemble, thermostat in product(ENSEMBLES, THERMOSTATS):
-        given = {"box": box, "ensemble": ensemble}
+        options = {"box": box, "ensemble": ensemble}
         if ensemble in ("nvt", "npt"):
-            given["thermostat"] = thermostat
-        simulated = Simulated(new_settings(given))
-        integrator = simulated.integrator(simulated.settings)
+            options["thermostat"] = thermostat
+        beginning = NewRun(options)
+        integrator = SimulatedSystem(beginning.settings, beginning.sources).integrator(beginning.settings)
         made.add(type(integrator.binding.ensemble))
         if ensemble != "nve":
             assert integrator.binding.ensemble.temperature == 297
@@ -115,4 +115,4 @@ def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):
     run("run", box, *short, "--steps", "1", "--out", "old.dcd")
     rewrite_notes("old.chk", lambda notes: notes["plan"].pop("thermostat"))
     run("run", box, "--restart", "old.chk", "--steps", "2")
-    assert checkpoints.read_notes(Path("old.chk"))["plan"]["thermostat"] == "langevin"
+    assert checkpoints.read_notes(Path("old.chk")).plan["thermostat"] == "langevin"

@@ -14,7 +14,7 @@ PLATFORM = ["--platform", "Reference", "--tolerance", "1e-3", "--equilibrate", "
 
 
 def noted(checkpoint):
-    return checkpoints.read_notes(Path(checkpoint))["plan"]
+    return checkpoints.read_notes(Path(checkpoint)).plan
 
 
 @pytest.mark.parametrize(

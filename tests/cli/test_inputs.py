@@ -206,7 +206,7 @@ def assert_same_runs(one, two):
 def test_run_that_starts_from_a_checkpoint_has_its_topology():
     run("run", *CHARMM.arguments, *SMALL, "--steps", "2")
     run("run", CHARMM.coordinates, "--start", "charmm.chk", "--steps", "1", "--platform", "Reference", "--out", "b.dcd")
-    plans = [read_checkpoint(Path(name))[1]["plan"] for name in ("charmm.chk", "b.chk")]
+    plans = [read_checkpoint(Path(name))[1].plan for name in ("charmm.chk", "b.chk")]
     for name in ("topology", "forcefield", "edges"):
         assert plans[0][name] == plans[1][name] is not None
 

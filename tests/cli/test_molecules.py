@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from openmm import app, unit
 
-from openmm_sier.cli import starting
+from openmm_sier.cli import new_run
 from openmm_sier.cli.main import main
 from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
@@ -56,7 +56,7 @@ def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys)
 def test_a_step_that_is_refused_is_refused_before_anything_is_simulated(box, tmp_path, monkeypatch, capsys):
     """The first step would tell it only after the start has been minimized and equilibrated."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(starting, "prepare", lambda *_: pytest.fail("a start was made"))
+    monkeypatch.setattr(new_run, "prepare", lambda *_: pytest.fail("a start was made"))
     assert main(["run", str(box), *FILES, "--platform", "Reference", "--constraints", "none", "--dt", "12"]) == 1
     captured = capsys.readouterr()
     assert "A step of 12 fs is too long for the bond" in captured.out + captured.err

@@ -276,9 +276,9 @@ def test_file_that_cannot_grow(box, capsys, file_size_limit):
     assert message.startswith("openmm-sier: box.dcd: File too large, at step ")
     assert "The last checkpoint is box.chk" in message
     notes = checkpoints.read_checkpoint(Path("box.chk"))[1]
-    assert f"of step {notes['step']};" in message
+    assert f"of step {notes.step};" in message
     assert not list(Path().glob("*.tmp"))
-    more = notes["step"] + 5
+    more = notes.step + 5
     assert main.main(["run", str(box), "--platform", "Reference", "--restart", "box.chk", "--steps", str(more)]) == 0
     assert frames(Path("box.dcd"), box).n_frames == more
 

@@ -75,6 +75,6 @@ def test_a_page_of_several_runs_of_which_nothing_else_is_known():
     run("summary", *names, "--plot", "a.html")
     texts = read("a.html")
     assert texts["h2"] == ["Means", "Course", "Versions, where this page was made"]
-    assert texts["h1"] == ["20 ps without a trend of energy, temperatures or density"]
+    assert texts["h1"] == ["5 runs, 20 ps"]
+    assert texts["p"] == ["20 ps without a trend of energy, temperatures or density"]
     assert texts["td"][: len(names) + 1] == ["mean over runs", *(Path(name).stem for name in names)]
-    assert any(text.startswith("The density is 0.99") for text in texts["p"])

@@ -35,7 +35,7 @@ def files(place):
 
 def test_the_same_line_begins_goes_on_and_ends_well(box, whole_run, capsys):
     run(*resume(box, *PART))
-    assert checkpoints.read_checkpoint(Path("a.chk"))[1]["step"] == 25
+    assert checkpoints.read_checkpoint(Path("a.chk"))[1].step == 25
     with open("a.csv", "a") as file:
         file.write("30,0.12,-1")
     run(*resume(box, *WHOLE))
@@ -104,7 +104,7 @@ def test_what_a_run_left_before_its_first_checkpoint_is_replaced(box, capsys, su
         path.write_bytes(path.read_bytes()[:kept])
     # Step 1 is before the first frame, row and tensor.
     run(*resume(box, "--steps", "2", *tensors, out=f"a{suffix}"))
-    assert checkpoints.read_checkpoint(Path("a.chk"))[1]["step"] == 2
+    assert checkpoints.read_checkpoint(Path("a.chk"))[1].step == 2
 
 
 @pytest.mark.parametrize("victim", ["a.dcd", "a.csv"])

@@ -58,10 +58,10 @@ def test_long_step_ends_with_its_code_and_a_good_checkpoint(box, capsys):
     assert "became unstable at step" in message
     assert "the step of 20 fs is too long for SIER2, for which 2 fs is usual: --dt 2." in message
     rows, (_, notes) = log("box.csv"), checkpoints.read_checkpoint(Path("box.chk"))
-    assert f"The last checkpoint is box.chk, of step {notes['step']}; --start begins a new run" in message
+    assert f"The last checkpoint is box.chk, of step {notes.step}; --start begins a new run" in message
     # Nothing that is out of bounds has got to a file.
     assert rows["Temperature (K)"].max() < HOTTEST
-    assert notes["step"] in (rows["Step"][-1], rows["Step"][-1] + 1)
+    assert notes.step in (rows["Step"][-1], rows["Step"][-1] + 1)
 
 
 @pytest.mark.thorough
@@ -79,7 +79,7 @@ def test_bounds_are_looked_at_before_anything_is_written(box, capsys, monkeypatc
     assert "The last checkpoint is box.chk, of step 25; --start begins a new run" in message
     assert "the step of 4 fs should be short enough for SIER4G" in message
     _, notes = checkpoints.read_checkpoint(Path("box.chk"))
-    assert notes["step"] == 25
+    assert notes.step == 25
     assert log("box.csv")["Step"][-1] == 40
     assert frames(Path("box.dcd"), box).n_frames == 9
     # The way on that the message names.

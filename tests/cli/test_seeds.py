@@ -12,13 +12,14 @@ from pathlib import Path
 import openmm
 import pytest
 
-from openmm_sier.analysis import many_runs
-from openmm_sier.analysis.many_runs import Member, _line, run_many
-from openmm_sier.cli import main, many
+from openmm_sier.cli import main
 from openmm_sier.cli.command_line import parse
-from openmm_sier.cli.many import _grouped, _usual_workers
-from openmm_sier.cli.seeds import read_seeds, shown
+from openmm_sier.cli.many import members
+from openmm_sier.cli.many.command import _grouped, _usual_workers
+from openmm_sier.cli.many.members import Member, command_of, run_many
+from openmm_sier.cli.many.seeds import read_seeds, shown
 from openmm_sier.dynamics.threads import cores
+from openmm_sier.engines import choice
 from tests.support.commands import SMALL, complaint, contents, log, run, wait_for
 
 pytest.importorskip("distributed")
@@ -68,7 +69,7 @@ def single_runs(box, tmp_path_factory):
 def test_nothing_listens_beyond_this_machine():
     """Dask's scheduler and each of its workers have an HTTP server, by default on all interfaces."""
     psutil = pytest.importorskip("psutil")
-    with many_runs._client(None, 2):
+    with members._client(None, 2):
         listening = {each.laddr.ip for each in psutil.Process().net_connections() if each.status == "LISTEN"}
     assert listening == {"127.0.0.1"}
 
@@ -143,8 +144,8 @@ def test_seeds_are_shown_as_they_are_read():
 
 def test_names_with_a_dash_are_no_options_of_a_member():
     options = {"forcefield": [Path("-f.xml"), Path("g.xml")], "pressure": -5.0, "topology": Path("-t.top")}
-    line = _line(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
-    given = parse(line).carry_out.args[0].given()
+    line = command_of(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
+    given = parse(line).carry_out.args[0].chosen()
     assert given.pop("resume")
     assert given == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
     # Where a member looks for it.
@@ -153,16 +154,16 @@ def test_names_with_a_dash_are_no_options_of_a_member():
 
 def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
     """OpenMM takes another one, whose cores members share; here Reference stands for a GPU without its driver."""
-    monkeypatch.setattr(many, "ON_CORES", ("CPU",))
+    monkeypatch.setattr(choice, "EXACT_PLATFORMS", ("CPU",))
     monkeypatch.setattr(openmm.Platform, "getSpeed", lambda platform: 100 * (platform.getName() == "Reference"))
     assert _usual_workers(None) == cores()
     assert _usual_workers("Reference") == 1
 
 
 def test_each_complaint_is_told_once():
-    members = [Member(seed, Path(f"a-seed{seed}.dcd")) for seed in (1, 2, 5)]
-    told = [(f"a-seed{member.seed}.dcd: no space at step {10 * member.seed}", member) for member in members]
-    assert _grouped([*told, ("another", members[0])]) == [
+    runs = [Member(seed, Path(f"a-seed{seed}.dcd")) for seed in (1, 2, 5)]
+    complaints = [(f"a-seed{run.seed}.dcd: no space at step {10 * run.seed}", run) for run in runs]
+    assert _grouped([*complaints, ("another", runs[0])]) == [
         ("a-seed1.dcd: no space at step 10", "seeds 1-2,5"),
         ("another", "seed 1"),
     ]
@@ -232,11 +233,11 @@ def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
 
 def test_a_stop_before_the_first_step_begins_nothing_again(box, monkeypatch):
     """One member equilibrates for ever, which a signal ends at once, and the other waits."""
-    monkeypatch.setattr(many_runs, "REFRESH", 0.02)
+    monkeypatch.setattr(members, "REFRESH", 0.02)
     options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": FOR_EVER, "time": 0.4}
     begun = Path(".a-seed1.csv.lock").exists
-    members = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
-    assert [(member.state, member.error) for member in members] == 2 * [("stopped", "")]
+    runs = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
+    assert [(run.state, run.error) for run in runs] == 2 * [("stopped", "")]
     assert not Path("a-seed2.csv").exists()
 
 

@@ -23,7 +23,7 @@ import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
     number = getattr(signal, name)
     signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
-from openmm_sier.cli import starting, main, stopping
+from openmm_sier.cli import main, new_run, stopping
 from openmm_sier.cli.files import outputs
 {patch}
 sys.exit(main.main(sys.argv[1:]))
@@ -91,7 +91,7 @@ def test_signal_completes_the_step_and_all_files(box, signum, monkeypatch, capsy
     assert capsys.readouterr().err == (
         f"openmm-sier: stopped by {name} at step 30 (0.12 ps), all files are written; continue with --restart cut.chk\n"
     )
-    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] == 30
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1].step == 30
     assert frames(Path("cut.dcd"), box).n_frames == 6
     assert sorted(path.name for path in Path().iterdir()) == ["cut.chk", "cut.csv", "cut.dcd"]
     # The handlers are those of before.
@@ -113,7 +113,7 @@ def test_ignored_signals_stay_ignored(box, monkeypatch):
 @pytest.mark.thorough
 def test_signal_before_the_first_step_ends_at_once(box):
     """Also in a minimization that takes long, from which OpenMM returns to Python only when it is done."""
-    process = started(box, patch=f"{BUSY}\nstarting.prepare = busy")
+    process = started(box, patch=f"{BUSY}\nnew_run.prepare = busy")
     wait_for(Path("busy").exists, process, LIMIT)
     process.send_signal(signal.SIGINT)
     code, _ = ended(process)
@@ -140,7 +140,7 @@ def test_closed_terminal(box):
         time.sleep(0.05)
     assert os.waitstatus_to_exitcode(status[1]) == 129
     # Nothing was written after this checkpoint.
-    assert checkpoints.read_checkpoint(Path("cut.chk"))[1]["step"] >= log("cut.csv")["Step"][-1]
+    assert checkpoints.read_checkpoint(Path("cut.chk"))[1].step >= log("cut.csv")["Step"][-1]
 
 
 # --- what OpenMM's wrappers make of a signal ---

@@ -10,7 +10,7 @@ import pytest
 from openmm_sier.analysis.statistics import Estimate, over_runs
 from openmm_sier.cli.results import Quantity
 from tests.support.commands import SMALL, complaint, contents, run
-from tests.support.logs import write_log
+from tests.support.logs import write_log, write_notes
 
 POTENTIAL, DENSITY = "Potential Energy (kJ/mole)", "Density (g/mL)"
 
@@ -41,6 +41,8 @@ def test_means_are_over_runs_and_errors_from_their_scatter(logs, capsys):
     assert "8 runs, 20 ps" in said
     assert "mean over 8 runs" in said
     assert f"{Estimate(density['value'], density['error'])} g/ml" in said
+    # Findings follow the table, once.
+    assert said.count("Rotation: no difference from translation shows within") == 1
     lowest = list(logs)[int(np.argmin(values))].removesuffix(".csv")
     # As many digits as the mean has.
     digits = len(str(Estimate(density["value"], density["error"])).split()[0].partition(".")[2])
@@ -79,6 +81,7 @@ def test_every_ensemble_and_a_single_run(ensemble):
     """JSON has no NaN, which is what most readers refuse."""
     for seed in (1, 2):
         write_log(f"seed{seed}.csv", ensemble, seed=seed)
+        write_notes(f"seed{seed}.csv", ensemble, seed)
     run("summary", "seed1.csv", "--json", "one.json")
     run("summary", "seed1.csv", "seed2.csv", "--json", "two.json")
     one, two = written("one.json")[0], written("two.json")[0]

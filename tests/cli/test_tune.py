@@ -45,7 +45,7 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
     program, *arguments = shlex.split(said.splitlines()[-1])
     assert program == "openmm-sier"
     run(*arguments, "--steps", "3", "--report-every", "0.001")
-    plan = checkpoints.read_checkpoint(Path("box.chk"))[1]["plan"]
+    plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
     assert plan["ensemble"] == "hmc"
     assert plan["scheme"] == scheme.lower()
     assert plan["pressure"] == 1
@@ -58,7 +58,7 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
 
 def test_line_keeps_what_was_given():
     words = "tune a/b.crd --topology c.psf --forcefield x.prm --edges 1 1 2 --dt 6 --no-minimize --start s.chk"
-    given = parse(words.split()).carry_out.args[0].given()
+    given = parse(words.split()).carry_out.args[0].chosen()
     assert run_line(given, FOUND) == (
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --scheme sier2p3 --steps-per-trial 4"

@@ -109,7 +109,7 @@ def _changed(path: Path) -> int:
 
 def last_step(directory: Path, out: str) -> int:
     checkpoint = (directory / out).with_suffix(".chk")
-    return checkpoints.read_checkpoint(checkpoint)[1]["step"] if checkpoint.exists() else 0
+    return checkpoints.read_checkpoint(checkpoint)[1].step if checkpoint.exists() else 0
 
 
 def finish(directory: Path, out: str, steps: int, resume: bool) -> None:

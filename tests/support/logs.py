@@ -1,9 +1,13 @@
 """Logs of runs that nobody made, with means, drifts and fluctuations that are known."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from openmm_sier.cli.files.checkpoints import FORMAT, Notes
+from openmm_sier.cli.files.records import Noted
+from openmm_sier.cli.planning import new_settings
 from openmm_sier.observe.conservation import COLUMNS, csv_line
 from tests.support.series import correlated
 
@@ -53,3 +57,23 @@ def write_log(path, ensemble="nve", rows=501, seed=1, drift=0.0, change=None, co
     rows_of_numbers = zip(*(log[name].tolist() for name in names), strict=True)
     Path(path).write_text("".join(map(csv_line, [names, *rows_of_numbers])))
     return log
+
+
+def write_notes(path, ensemble, seed=1):
+    """Write a checkpoint beside a log, with notes of its run alone."""
+    checkpoint = Path(path).with_suffix(".chk")
+    options = {"box": Path("box.pdb"), "ensemble": ensemble, "seed": seed, "out": Path(path).with_suffix(".dcd")}
+    empty = Noted(0, 0, 32 * "0")
+    notes = Notes(
+        format=FORMAT,
+        plan=new_settings(options).noted(checkpoint),
+        step=0,
+        potential_energy=0.0,
+        platform={"Platform": "Reference"},
+        inputs={},
+        unsettled=None,
+        trajectory=empty,
+        log=empty,
+    )
+    with zipfile.ZipFile(checkpoint, "w") as archive:
+        archive.writestr("notes.json", notes.model_dump_json())

@@ -52,7 +52,7 @@ class Notes(BaseModel):
         trajectory, log, tensors: of the files that the run writes.
     """
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: int
     plan: dict[str, Any]
@@ -64,6 +64,11 @@ class Notes(BaseModel):
     trajectory: records.Noted
     log: records.Noted
     tensors: Annotated[records.Noted | None, Field(validate_default=True)] = None
+
+    def file(self, name: str) -> records.Noted:
+        """Return the note of a file that the run writes, by its name among these notes."""
+        noted: records.Noted = getattr(self, name)
+        return noted
 
     @field_validator("platform")
     @classmethod
@@ -81,13 +86,13 @@ class Notes(BaseModel):
         return tensors
 
 
-def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> None:
+def write_checkpoint(path: Path, state: openmm.State, notes: Notes) -> None:
     """Replace the checkpoint: at any moment the file is either the old or the new one.
 
     Args:
         path: of the file, a zip archive with state.xml and notes.json.
         state: openmm.State with positions, velocities and parameters.
-        notes: what JSON can hold.
+        notes: of the run that reached the state.
 
     Raises:
         OSError: it cannot be written. The old one is still there, and nothing of the new one.
@@ -95,11 +100,11 @@ def write_checkpoint(path: Path, state: openmm.State, notes: dict[str, Any]) -> 
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("state.xml", openmm.XmlSerializer.serialize(state))
-        archive.writestr("notes.json", json.dumps({"format": FORMAT, **notes}, indent=1))
+        archive.writestr("notes.json", notes.model_dump_json(indent=1))
     records.replace(path, content.getbuffer())
 
 
-def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, dict[str, Any]]:
+def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, Notes]:
     """State and notes of a checkpoint.
 
     Args:
@@ -115,8 +120,8 @@ def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.St
         with _part(archive, "state.xml") as content:
             state = read_state(content, particles)
     notes = _checked(path, noted)
-    if (step := state.getStepCount()) != notes["step"]:
-        raise _damaged(path, f"its State is of step {step}, and its note step says {notes['step']}")
+    if (step := state.getStepCount()) != notes.step:
+        raise _damaged(path, f"its State is of step {step}, and its note step says {notes.step}")
     _check_numbers(path, state)
     return state, notes
 
@@ -135,7 +140,7 @@ def _check_numbers(path: Path, state: openmm.State) -> None:
         raise _damaged(path, f"its State has a box with an edge of {longest:.3g} nm")
 
 
-def read_notes(path: Path) -> dict[str, Any]:
+def read_notes(path: Path) -> Notes:
     """Notes of a checkpoint, without its State; see `read_checkpoint`."""
     with _opened(path) as archive:
         noted = _notes(archive)
@@ -182,8 +187,8 @@ def _notes(archive: zipfile.ZipFile) -> Any:
     return json.loads(text)
 
 
-def _checked(path: Path, noted: Any) -> dict[str, Any]:
-    """Return what is noted, by the names of `Notes`.
+def _checked(path: Path, noted: Any) -> Notes:
+    """Return notes from the JSON of a checkpoint.
 
     Raises:
         RecordError: a note is missing or wrong, or of another version; the message names it.
@@ -195,7 +200,7 @@ def _checked(path: Path, noted: Any) -> dict[str, Any]:
             f"{FORMAT}: finish the run with that version, or begin a new one"
         )
     try:
-        return dict(Notes.model_validate_json(json.dumps(noted), strict=True))
+        return Notes.model_validate_json(json.dumps(noted), strict=True)
     except ValidationError as error:
         first = error.errors(include_input=False)[0]
         name = ".".join(map(str, first["loc"]))

@@ -1,14 +1,15 @@
 """Cut from the files of a run what a killed run wrote after its last checkpoint, and no more."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints, records
+from openmm_sier.cli.files.checkpoints import Notes
 from openmm_sier.cli.files.kinds import KINDS
-from openmm_sier.cli.files.outputs import same_file
+from openmm_sier.cli.files.places import same_file
 from openmm_sier.cli.planning import noted_settings
 from openmm_sier.cli.settings import RunSettings
 
@@ -25,7 +26,7 @@ class Cut(NamedTuple):
     step: int
 
 
-def find_cuts(plan: RunSettings, notes: Mapping[str, Any]) -> list[Cut]:
+def find_cuts(plan: RunSettings, notes: Notes) -> list[Cut]:
     """Return what a restart cuts from each file that has records after the checkpoint.
 
     Args:
@@ -35,14 +36,14 @@ def find_cuts(plan: RunSettings, notes: Mapping[str, Any]) -> list[Cut]:
     Raises:
         OSError: a file cannot be read.
     """
-    found = []
+    cuts = []
     for name, kind in KINDS.items():
         if (path := getattr(plan, kind.option)) is None:
             continue
-        if count := kind.format(path).records_after(path, notes[name].size):
+        if count := kind.format(path).records_after(path, notes.file(name).size):
             interval = plan.interval(getattr(plan, kind.every))
-            found.append(Cut(path, (notes["step"] // interval + count) * interval))
-    return found
+            cuts.append(Cut(path, (notes.step // interval + count) * interval))
+    return cuts
 
 
 def describe(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> str:
@@ -86,22 +87,22 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, ste
 def _later_checkpoint(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> Path | None:
     """Return the last checkpoint of the same run, beside this one or its files, that is beyond this one's step."""
     places = {path.parent for path in (checkpoint, *(cut.path for cut in cuts))}
-    latest, found = step, None
+    latest, latest_step = None, step
     for other in sorted(path for place in places for path in place.glob("*.chk")):
         # Other files may be anything.
         with suppress(ValueError, LookupError, TypeError, OSError):
             notes = checkpoints.read_notes(other)
-            if notes["step"] > latest and _is_of(cuts, noted_settings(other, notes["plan"]), notes):
-                latest, found = notes["step"], other
-    return found
+            if notes.step > latest_step and _is_of(cuts, noted_settings(other, notes.plan), notes):
+                latest, latest_step = other, notes.step
+    return latest
 
 
-def _is_of(cuts: Sequence[Cut], plan: RunSettings, notes: Mapping[str, Any]) -> bool:
+def _is_of(cuts: Sequence[Cut], plan: RunSettings, notes: Notes) -> bool:
     """Return whether a checkpoint, by its plan and notes, belongs to one of the files as it is now."""
     for name, kind in KINDS.items():
         path = getattr(plan, kind.option)
         if path is not None and any(same_file(path, cut.path) for cut in cuts):
-            records.check(path, notes[name], kind.format(path))
+            records.check(path, notes.file(name), kind.format(path))
             return True
     return False
 

@@ -8,9 +8,9 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_sier.cli.beginning import Simulated
 from openmm_sier.cli.files.records import GrowingFile, Log, Noted
 from openmm_sier.cli.files.trajectories import FORMATS, Trajectory
+from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.observe import conservation, pressure
 
 #: An open file, and what appends a record of the last completed step to it, given the values of the log by column.
@@ -30,7 +30,7 @@ class OutputKind(NamedTuple):
 
     option: str
     every: str
-    open: Callable[[Path, Simulated, openmm.Context, Noted | None], Opened]
+    open: Callable[[Path, SimulatedSystem, openmm.Context, Noted | None], Opened]
     format: Callable[[Path], type[GrowingFile]]
 
 
@@ -44,7 +44,7 @@ def table_format(path: Path) -> type[Log]:
     return Log
 
 
-def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
+def open_trajectory(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
     """Positions of the atoms that are listed in the file of the coordinates."""
     settings, box = simulated.settings, simulated.box
     is_wrapped = box.system.usesPeriodicBoundaryConditions() and not settings.unwrapped
@@ -58,7 +58,7 @@ def open_trajectory(path: Path, simulated: Simulated, context: openmm.Context, n
     return file, write
 
 
-def open_log(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
+def open_log(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
     """Energies, temperatures and what the integrator reports."""
     file = Log(path, conservation.columns(context.getIntegrator()), noted)
 
@@ -68,7 +68,7 @@ def open_log(path: Path, simulated: Simulated, context: openmm.Context, noted: N
     return file, write
 
 
-def open_tensors(path: Path, simulated: Simulated, context: openmm.Context, noted: Noted | None) -> Opened:
+def open_tensors(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
     """Molecular pressure tensors, which are computed in a second Context."""
     pressures = pressure.MolecularPressure(context)
     file = Log(path, pressure.COLUMNS, noted)

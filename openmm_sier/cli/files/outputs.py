@@ -3,22 +3,21 @@
 import os
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import openmm
 
-from openmm_sier.cli.beginning import Simulated
+from openmm_sier.cli import config
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
+from openmm_sier.cli.files.checkpoints import FORMAT, Notes
 from openmm_sier.cli.files.kinds import KINDS
-from openmm_sier.cli.files.locks import is_name_of_a_lock
+from openmm_sier.cli.files.places import check_place, refuse_to_replace
+from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.platforms import platform_of
 from openmm_sier.cli.settings import FILES, RunSettings
-from openmm_sier.cli.streams import PROGRAM
-
-#: First bytes of a file in which the mark of its kind is.
-BEGINNING = 2**12
+from openmm_sier.cli.simulated_system import SimulatedSystem
+from openmm_sier.inputs.source_files import FilePath
 
 
 class Outputs:
@@ -43,14 +42,16 @@ class Outputs:
 
     # --- before any is opened ---
 
-    def check(self, sources: Iterable[Path]) -> None:
+    def check(self, sources: Iterable[FilePath], may_replace: bool) -> None:
         """Refuse outputs that cannot be written, and any that would overwrite an input or another output.
 
         Args:
-            sources: files of the System.
+            sources: files that the command reads.
+            may_replace: whether a picture and settings of an earlier run are replaced.
 
         Raises:
             RunError: naming the file.
+            ModuleNotFoundError: there is no matplotlib for the picture.
         """
         for path in map(self._settings.noted(self.checkpoint).get, FILES):
             if path and not is_utf8(path):
@@ -61,6 +62,10 @@ class Outputs:
         paths = [*self._grown.values(), *self.extras, self.checkpoint]
         for number, path in enumerate(paths):
             check_place(path, inputs, paths[:number])
+        if self._settings.plot:
+            canvas.check(self._settings.plot, inputs, may_replace)
+        if self._settings.save_config:
+            refuse_to_replace(self._settings.save_config, "--save-config", config.MARK if may_replace else b"")
 
     def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.
@@ -90,7 +95,7 @@ class Outputs:
         kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)
         return kind.format(path).is_beginning(path)
 
-    def check_noted(self, notes: Mapping[str, Any]) -> None:
+    def check_noted(self, notes: Notes) -> None:
         """Check that the outputs are those of the run that a checkpoint notes; none is changed.
 
         Raises:
@@ -98,9 +103,9 @@ class Outputs:
             OSError: one cannot be read.
         """
         for name, path in self._grown.items():
-            records.check(path, notes[name], KINDS[name].format(path))
+            records.check(path, notes.file(name), KINDS[name].format(path))
 
-    def remove(self) -> None:
+    def _remove(self) -> None:
         """Remove all files, the checkpoint first, so that it is never left with files that are not its own."""
         for path in self.paths:
             Path(os.path.realpath(path)).unlink(missing_ok=True)
@@ -109,12 +114,12 @@ class Outputs:
 
     def open(
         self,
-        simulated: Simulated,
+        simulated: SimulatedSystem,
         context: openmm.Context,
         unsettled: str | None,
-        notes: Mapping[str, Any] | None = None,
+        notes: Notes | None = None,
     ) -> None:
-        """Open the files, new or cut back to the lengths that a checkpoint notes.
+        """Open the files, new in place of earlier ones, or cut back to the lengths that a checkpoint notes.
 
         Args:
             simulated: what is simulated.
@@ -122,13 +127,15 @@ class Outputs:
             unsettled: how a doubtful equilibration ended, in words; None without one.
             notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
         """
+        if notes is None:
+            self._remove()
         self._inputs = simulated.inputs
         self._unsettled = unsettled
-        self.saved_step = notes["step"] if notes else None
+        self.saved_step = notes.step if notes else None
         self._files = {}
         self._writers = {}
         for name, path in self._grown.items():
-            noted = notes[name] if notes else None
+            noted = notes.file(name) if notes else None
             self._files[name], self._writers[name] = KINDS[name].open(path, simulated, context, noted)
 
     def next_due(self, step: int) -> int:
@@ -137,7 +144,7 @@ class Outputs:
 
     def due(self, step: int) -> list[str]:
         """Return the files that are due after a step: names of outputs, and "checkpoint"."""
-        return [what for what, interval in self._intervals.items() if step % interval == 0]
+        return [name for name, interval in self._intervals.items() if step % interval == 0]
 
     def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
         """Write the files that are due, the checkpoint last, since it notes the lengths of the others.
@@ -155,15 +162,16 @@ class Outputs:
 
     def _write_checkpoint(self, context: openmm.Context, potential: float) -> None:
         step = context.getStepCount()
-        notes = {
-            "plan": self._settings.noted(self.checkpoint),
-            "step": step,
-            "potential_energy": potential,
-            "platform": platform_of(context),
-            "inputs": self._inputs,
-            "unsettled": self._unsettled,
-            **{name: vars(file.noted()) for name, file in self._files.items()},
-        }
+        notes = Notes(
+            format=FORMAT,
+            plan=self._settings.noted(self.checkpoint),
+            step=step,
+            potential_energy=potential,
+            platform=platform_of(context),
+            inputs=self._inputs,
+            unsettled=self._unsettled,
+            **{name: file.noted() for name, file in self._files.items()},
+        )
         state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
         checkpoints.write_checkpoint(self.checkpoint, state, notes)
         self.saved_step = step
@@ -172,63 +180,3 @@ class Outputs:
         """Close all files at the end of the run."""
         for file in self._files.values():
             file.close()
-
-
-# --- files that any command writes ---
-
-
-def check_place(path: Path, inputs: Iterable[Path], outputs: Iterable[Path] = ()) -> None:
-    """Refuse a file that would overwrite another or cannot be written.
-
-    Args:
-        path: of the file.
-        inputs, outputs: other files that the command reads and writes.
-
-    Raises:
-        RunError: naming the file.
-    """
-    for other in inputs:
-        if same_file(path, other):
-            raise RunError(f"{path} would overwrite the input {other}: give another name")
-    for other in outputs:
-        if same_file(path, other):
-            raise RunError(f"{path} and {other} are the same: outputs must be different files")
-    # For example a device: /dev/null would be replaced by a file.
-    if path.exists() and not path.is_file():
-        raise RunError(f"{path} is not a regular file")
-    if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
-    if is_name_of_a_lock(path):
-        raise RunError(f"{path} has the name of a lock: give another name")
-
-
-def refuse_to_replace(path: Path, option: str, mark: bytes = b"") -> None:
-    """Refuse a file that exists, unless it is an earlier one of the same kind.
-
-    Args:
-        path: of the file.
-        option: that names the file.
-        mark: bytes in the first `BEGINNING` of every file of this kind, if such a file may be replaced.
-
-    Raises:
-        RunError: naming the file.
-    """
-    if not os.path.lexists(path):
-        return
-    if not mark:
-        raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
-    if not path.is_file() or mark not in _beginning(path):
-        raise RunError(f"{path} exists, and is no earlier file of {PROGRAM}: give another name, or remove it")
-
-
-def _beginning(path: Path) -> bytes:
-    with records.naming(path), open(path, "rb") as file:
-        return file.read(BEGINNING)
-
-
-def same_file(one: Path, two: Path) -> bool:
-    """Return whether two names lead to the same file, also through links; neither has to exist."""
-    try:
-        return os.path.samefile(one, two)
-    except OSError:
-        return os.path.realpath(one) == os.path.realpath(two)

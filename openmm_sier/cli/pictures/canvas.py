@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from openmm_sier.cli.errors import Misused
 from openmm_sier.cli.files import records
-from openmm_sier.cli.files.outputs import check_place, refuse_to_replace
+from openmm_sier.cli.files.places import check_place, refuse_to_replace
+from openmm_sier.cli.pictures.endings import ENDINGS
 from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.inputs.source_files import FilePath
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Endings of names, and for each what matplotlib shall write into the file: no time, so that a log gives the same bytes
-#: again, and the program, by which an earlier picture is known.
+#: By `ENDINGS`, what matplotlib writes into the file: no time, so that a log gives the same bytes again, and the
+#: program, by which an earlier picture is known.
 FORMATS: dict[str, dict[str, Any]] = {
     ".png": {"Software": PROGRAM},
     ".svg": {"Creator": PROGRAM, "Date": None},
@@ -55,7 +57,7 @@ RC: Any = {
 }
 
 
-def check(path: Path, inputs: Collection[Path], may_replace: bool, outputs: Collection[Path] = ()) -> None:
+def check(path: Path, inputs: Collection[FilePath], may_replace: bool, outputs: Collection[Path] = ()) -> None:
     """Refuse a picture that cannot be drawn, or would overwrite another file.
 
     Args:
@@ -68,8 +70,8 @@ def check(path: Path, inputs: Collection[Path], may_replace: bool, outputs: Coll
         RunError: naming the file that is in the way.
         ModuleNotFoundError: there is no matplotlib; the message says how to install it.
     """
-    if path.suffix.lower() not in FORMATS:
-        raise Misused(f"the name of a picture must end in {', '.join(FORMATS)}, got {path}")
+    if path.suffix.lower() not in ENDINGS:
+        raise Misused(f"the name of a picture must end in {', '.join(ENDINGS)}, got {path}")
     check_place(path, inputs, outputs)
     refuse_to_replace(path, "--plot", MARKS[path.suffix.lower()] if may_replace else b"")
     try:
@@ -87,7 +89,7 @@ def panels(path: Path, number: int, title: str, caption: str, page: Callable[[st
     Args:
         path: of the picture.
         number: of panels.
-        title: the finding, above all.
+        title: above all.
         caption: below all, in small letters.
         page: makes the page of a picture in SVG, for a file that ends in .html.
 
@@ -100,14 +102,14 @@ def panels(path: Path, number: int, title: str, caption: str, page: Callable[[st
 
     with mpl.rc_context(RC):
         size = WIDTH, HEIGHT_OF_PANEL * number + HEIGHT_OF_HEADINGS
-        made = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
-        made.suptitle(title, x=0.01, ha="left", fontsize=TITLE, fontweight="bold")
-        made.supxlabel(caption, x=0.01, ha="left", fontsize=SMALL, color="0.25")
-        axes = list(made.subplots(number, 1, squeeze=False, sharex=True).flat)
+        figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.08))
+        figure.suptitle(title, x=0.01, ha="left", fontsize=TITLE, fontweight="bold")
+        figure.supxlabel(caption, x=0.01, ha="left", fontsize=SMALL, color="0.25")
+        axes = list(figure.subplots(number, 1, squeeze=False, sharex=True).flat)
         yield axes
-        made.align_ylabels(axes)
+        figure.align_ylabels(axes)
         content, suffix = io.BytesIO(), path.suffix.lower()
         is_page = suffix == ".html"
-        made.savefig(content, format="svg" if is_page else suffix[1:], metadata=FORMATS[suffix])
+        figure.savefig(content, format="svg" if is_page else suffix[1:], metadata=FORMATS[suffix])
     whole = page(content.getvalue().decode()).encode() if is_page else content.getbuffer()
     records.replace(path, memoryview(whole))

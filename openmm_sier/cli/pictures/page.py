@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import openmm
 
+from openmm_sier.cli.findings import verdict, warnings_of
 from openmm_sier.cli.logged_runs import Runs
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.version import __version__
@@ -18,19 +19,17 @@ tr { border-bottom: 1px solid #ddd; } .warning { font-weight: bold; } svg { widt
 """
 
 
-def page_of(runs: Runs, title: str, remarks: Sequence[str], picture: str) -> str:
-    """Return an HTML page of runs: title, remarks, means, picture and settings.
+def page_of(runs: Runs, picture: str) -> str:
+    """Return an HTML page of runs: title, warnings, means, picture and settings.
 
     Args:
         runs: of one kind.
-        title: what is found.
-        remarks: sentences below the title; those of warnings begin with "warning".
         picture: in SVG.
     """
-    body = [f"<h1>{_text(title)}</h1>", f"<p>{_text(runs.title)}</p>"]
-    body += [f"<p{' class=warning' * text.startswith('warning')}>{_text(text)}</p>" for text in remarks]
-    body += ["<h2>Means</h2>", _means(runs)]
-    # What comes before it is for files that are pictures alone.
+    body = [f"<h1>{_text(runs.title)}</h1>"]
+    body += [f"<p class=warning>{_text(text)}</p>" for text in warnings_of(runs)]
+    body += ["<h2>Means</h2>", f"<p>{_text(verdict(runs))}</p>", _means(runs)]
+    # The lines before it are for files that are pictures alone.
     body += ["<h2>Course</h2>", picture[picture.index("<svg") :]]
     if runs.first.plan is not None:
         noted = runs.first.plan.noted(runs.first.path)

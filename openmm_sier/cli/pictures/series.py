@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from openmm_sier.analysis.statistics import ENOUGH_RUNS, Estimate
-from openmm_sier.cli.logged_runs import Runs, binned
+from openmm_sier.cli.logged_runs import Runs
+from openmm_sier.cli.settling import binned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,14 +135,14 @@ def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = 
     )
 
 
-def draw_mean(axes: Axes, runs: Runs, found: Estimate, look: Look) -> None:
+def draw_mean(axes: Axes, runs: Runs, mean: Estimate, look: Look) -> None:
     """Draw a mean with its standard error, over the part that it was taken from."""
-    if not math.isfinite(found.value):
+    if not math.isfinite(mean.value):
         return
-    error = found.error if math.isfinite(found.error) else 0.0
+    error = mean.error if math.isfinite(mean.error) else 0.0
     ends = [runs.begin, runs.length]
-    axes.fill_between(ends, found.value - error, found.value + error, color=BLACK, alpha=0.22, lw=0)
-    axes.plot(ends, [found.value] * 2, color=BLACK, lw=1.3, ls="--")
+    axes.fill_between(ends, mean.value - error, mean.value + error, color=BLACK, alpha=0.22, lw=0)
+    axes.plot(ends, [mean.value] * 2, color=BLACK, lw=1.3, ls="--")
 
 
 def shade_unsettled(axes: Axes, runs: Runs) -> None:

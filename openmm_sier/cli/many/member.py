@@ -1,8 +1,8 @@
 """The process of one of many runs: `openmm-sier`, ended by the end of whoever started it.
 
-`python -m openmm_sier.cli.member run …` carries out a command line. Its standard input is a pipe from the process that
-started it. When that pipe ends, because the process closed it or was killed, this one ends as by SIGTERM: it completes
-a step and its files.
+`python -m openmm_sier.cli.many.member run …` executes a command line. Its standard input is a pipe from the process
+that started it. When that pipe ends, because the process closed it or was killed, this one ends as by SIGTERM: it
+completes a step and its files.
 """
 
 import os

@@ -10,8 +10,8 @@ from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from openmm_sier.analysis.many_runs import Member, Watch
-from openmm_sier.cli.console import LINE_AFTER, clock
+from openmm_sier.cli.console import Pace
+from openmm_sier.cli.many.members import Member, Watch
 
 
 @contextmanager
@@ -22,17 +22,14 @@ def watching(steps: int) -> Iterator[Watch]:
         steps: of each.
     """
     console = Console(stderr=True)
-    started = last = clock()
+    pace = Pace()
     live = Live(console=console, auto_refresh=False) if console.is_terminal else None
 
     def watch(members: Sequence[Member]) -> None:
-        nonlocal last
-        now = clock()
         with suppress(OSError):
             if live:
                 live.update(_table(members, steps), refresh=True)
-            elif now - last >= min(20 * LINE_AFTER, max(LINE_AFTER, (now - started) / 20)):
-                last = now
+            elif pace.is_due():
                 print(described(members, steps), file=sys.stderr, flush=True)
 
     with suppress(OSError):
@@ -54,8 +51,8 @@ def described(members: Sequence[Member], steps: int) -> str:
 
 
 def _table(members: Sequence[Member], steps: int) -> Table:
-    made = Table("seed", "", "", "state", title=described(members, steps), title_justify="left")
+    table = Table("seed", "", "", "state", title=described(members, steps), title_justify="left")
     for member in members:
         bar = ProgressBar(total=steps, completed=min(member.step, steps), width=30)
-        made.add_row(str(member.seed), bar, f"{100 * min(member.step, steps) / steps:.0f} %", member.state)
-    return made
+        table.add_row(str(member.seed), bar, f"{100 * min(member.step, steps) / steps:.0f} %", member.state)
+    return table

@@ -6,21 +6,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from openmm_sier.analysis.many_runs import Member, RunsError, named, run_many
 from openmm_sier.cli import summary
+from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused, RunError
-from openmm_sier.cli.files.outputs import same_file
-from openmm_sier.cli.logged_runs import FEWEST_ROWS
-from openmm_sier.cli.many_table import watching
+from openmm_sier.cli.files.places import same_file
+from openmm_sier.cli.many.members import Member, RunsError, named, run_many
+from openmm_sier.cli.many.seeds import shown
+from openmm_sier.cli.many.table import watching
 from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.planning import new_settings
 from openmm_sier.cli.platforms import check_platform
-from openmm_sier.cli.seeds import shown
-from openmm_sier.cli.settings import RunSettings, flag
+from openmm_sier.cli.results import FEWEST_ROWS
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.threads import cores
-from openmm_sier.engines.choice import usual_platform
+from openmm_sier.engines.choice import is_on_host
+from openmm_sier.inputs.equilibration import platform_for
 
 #: Options that name a file which each member writes by itself.
 OF_MEMBERS = ("report", "pressure_tensor", "save_config")
@@ -28,15 +30,12 @@ OF_MEMBERS = ("report", "pressure_tensor", "save_config")
 #: What a member warns of, and the table of means too.
 UNSETTLED = "not equilibrated"
 
-#: Platforms that share the cores of a machine. Of the others a machine has one or a few, which a run fills.
-ON_CORES = ("CPU", "Reference")
 
-
-def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None, scheduler: str | None) -> None:
+def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None, scheduler: str | None) -> None:
     """Run `openmm-sier run --seeds`.
 
     Args:
-        given: options of a run by name, those that were given.
+        chosen: options of the user by name.
         seeds: of the members.
         workers: how many run at a time on this machine; None for as many as its platform suits.
         scheduler: address of a scheduler of Dask; None for this machine.
@@ -47,7 +46,7 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
         Stopped: a signal stopped the members.
         ForceFieldError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
-    options = {name: value for name, value in given.items() if not _is_usual(name, value)}
+    options = {name: value for name, value in chosen.items() if not _is_usual(name, value)}
     picture = options.pop("plot", None)
     _check(options, workers, scheduler)
     if scheduler is None:
@@ -79,7 +78,7 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
             raise RunError(
                 f"{error}. Give the same command again to continue the runs that are not complete"
             ) from error
-    _tell(ended)
+    _print_warnings(ended)
     if requests.received is not None:
         raise Stopped(requests.received, f"stopped: {_counted(ended)}. Give the same command again to continue")
     if any(member.state != "complete" for member in ended):
@@ -93,7 +92,7 @@ def execute(given: Mapping[str, Any], seeds: Sequence[int], workers: int | None,
 
 @contextmanager
 def _dask_in_silence() -> Iterator[None]:
-    """Let Dask, which shows where its errors come from, say nothing of what is told in one line."""
+    """Keep Dask from logging errors, with their tracebacks, which the command reports in one line."""
     logging.disable()
     try:
         yield
@@ -132,10 +131,10 @@ def _is_usual(name: str, value: object) -> bool:
 
 def _usual_workers(platform: str | None) -> int:
     """Return how many runs a machine has at a time: one for each core, or one alone on a GPU."""
-    return cores() if (platform or usual_platform().getName()) in ON_CORES else 1
+    return cores() if is_on_host(platform_for(platform)) else 1
 
 
-# --- what is told ---
+# --- messages ---
 
 
 def _counted(members: Sequence[Member]) -> str:
@@ -143,24 +142,24 @@ def _counted(members: Sequence[Member]) -> str:
     return f"{complete} of {len(members)} runs are complete"
 
 
-def _tell(members: Sequence[Member]) -> None:
-    """Tell each warning once, with the seeds that it is of. The means say which runs were not equilibrated."""
-    told = [(text, member) for member in members for text in member.warnings if UNSETTLED not in text]
-    for text, seeds in _grouped(told):
+def _print_warnings(members: Sequence[Member]) -> None:
+    """Print each warning once, with the seeds that it is of. The means say which runs were not equilibrated."""
+    warnings = [(text, member) for member in members for text in member.warnings if UNSETTLED not in text]
+    for text, seeds in _grouped(warnings):
         note(f"{text} ({seeds})")
 
 
 def _complaints(members: Sequence[Member]) -> str:
-    """Return what members complained of, each once."""
+    """Return the complaints of members, each once."""
     failed = [(member.error or "it was stopped", member) for member in members if member.state != "complete"]
     return "; ".join(f"{seeds}: {text}" for text, seeds in _grouped(failed))
 
 
-def _grouped(told: Sequence[tuple[str, Member]]) -> list[tuple[str, str]]:
+def _grouped(messages: Sequence[tuple[str, Member]]) -> list[tuple[str, str]]:
     """Return texts, each once though it names another file or number in each member, and the seeds that they are of."""
     first: dict[str, str] = {}
     seeds: dict[str, list[int]] = {}
-    for text, member in told:
+    for text, member in messages:
         alike = re.sub(r"\d+(\.\d+)?", "#", text)
         first.setdefault(alike, text)
         seeds.setdefault(alike, []).append(member.seed)

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from openmm_sier.cli.arguments import argument, arguments
 from openmm_sier.dynamics.threads import cores
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ class Member:
         out: its trajectory, after which its other files are named.
         state: what has become of it.
         step: the last one in its log.
-        error: what it complained of, in one line.
-        warnings: what it warned of.
+        error: its complaint, in one line.
+        warnings: its warnings.
     """
 
     seed: int
@@ -129,7 +130,7 @@ def run_many(
         raise RunsError(f"the seed {twice[0]} is given twice: give each run a seed of its own")
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
-    lines = {member.seed: _line(box, member, options) for member in members}
+    lines = {member.seed: command_of(box, member, options) for member in members}
     with _telling(), _client(scheduler, workers) as client:
         _Runs(client, members, retries, watch or (lambda _: None), stop).carry_out(lines, _threads(scheduler, workers))
     return members
@@ -140,24 +141,10 @@ def named(path: Path, seed: int) -> Path:
     return path.with_name(f"{path.stem}-seed{seed}{path.suffix}")
 
 
-def _line(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
+def command_of(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
     """Return the words of the command line of a member."""
     line = ["run", argument(box), "--seed", str(member.seed), "--out", argument(member.out), "--resume"]
     return line + [each for name, value in options.items() if value is not None for each in arguments(name, value)]
-
-
-def arguments(name: str, value: Any) -> list[str]:
-    """Return the arguments of a command line that give an option, by its name with underscores, a value."""
-    flag = f"--{name.replace('_', '-')}"
-    if isinstance(value, bool):
-        return [flag if value else f"--no-{flag[2:]}"]
-    return [flag, *map(argument, value if isinstance(value, (list, tuple)) else [value])]
-
-
-def argument(value: Any) -> str:
-    """Return a value as an argument that no parser takes for an option; negative numbers are none by themselves."""
-    text = str(value)
-    return f"./{text}" if text.startswith("-") and not isinstance(value, (int, float)) else text
 
 
 # --- the pool, which is Dask's ---
@@ -331,7 +318,7 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
     environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
     with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
         process = subprocess.Popen(
-            [sys.executable, "-m", "openmm_sier.cli.member", *line],
+            [sys.executable, "-m", "openmm_sier.cli.many.member", *line],
             cwd=directory,
             env=environment,
             stdin=subprocess.PIPE,

@@ -17,9 +17,9 @@ def read_seeds(text: str) -> list[int]:
     """
     seeds: list[int] = []
     for part in text.split(","):
-        if not (found := re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", part)):
+        if not (match := re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", part)):
             raise Misused(f"--seeds: expected seeds such as 1-24 or 1-4,7,9, got {text!r}")
-        first, last = int(found[1]), int(found[2] or found[1])
+        first, last = int(match[1]), int(match[2] or match[1])
         if not 1 <= first <= last < 2**31:
             raise Misused(
                 f"--seeds: expected seeds from 1 to {2**31 - 1}, the lower one first, got {part.strip()!r} in {text!r}"

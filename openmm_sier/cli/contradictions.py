@@ -1,0 +1,96 @@
+"""Settings of a run that contradict each other, and settings that do nothing beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from typing import TYPE_CHECKING
+
+from openmm_sier.cli.arguments import flag
+from openmm_sier.cli.files.trajectories import FORMATS
+from openmm_sier.cli.pictures.endings import ENDINGS
+from openmm_sier.cli.results import FEWEST_ROWS
+from openmm_sier.observe.stock import BAROSTAT_INTERVAL
+
+if TYPE_CHECKING:
+    from openmm_sier.cli.settings import RunSettings
+
+#: Two settings of which a user may choose one.
+LENGTHS = "steps", "time"
+
+#: Settings that do nothing beside some others: what they need in words, and whether that is there.
+DEPENDENT: dict[str, tuple[str, Callable[[RunSettings], bool]]] = {
+    "thermostat": (
+        "--ensemble nvt or npt, and a scheme of this package",
+        lambda settings: settings.ensemble in ("nvt", "npt") and settings.method.scheme is not None,
+    ),
+    "friction": ("--ensemble nvt, npt or hmc", lambda settings: settings.ensemble != "nve"),
+    "pressure": ("--ensemble npt or hmc", lambda settings: settings.ensemble in ("npt", "hmc")),
+    "steps_per_trial": ("--ensemble hmc", lambda settings: settings.ensemble == "hmc"),
+    "pressure_tensor_every": (
+        "--pressure-tensor FILE.csv",
+        lambda settings: settings.pressure_tensor is not None,
+    ),
+}
+
+
+def contradiction(settings: RunSettings, chosen: Collection[str]) -> str | None:
+    """Return why no run has these settings, in words; None for settings that a run can have.
+
+    Args:
+        settings: of which each has a value that it can have.
+        chosen: names of the settings that a user chose.
+    """
+    return next(_contradictions(settings, chosen), None)
+
+
+def _contradictions(settings: RunSettings, chosen: Collection[str]) -> Iterator[str]:
+    yield from _of_motion(settings)
+    yield from _of_files(settings)
+    if all(name in chosen for name in LENGTHS):
+        yield f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them"
+    for name in useless(settings):
+        if name in chosen:
+            yield f"{flag(name)} needs {DEPENDENT[name][0]}"
+
+
+def _of_motion(settings: RunSettings) -> Iterator[str]:
+    method = settings.method
+    if settings.ensemble not in method.ensembles:
+        yield f"{method.name} supports the ensembles {', '.join(method.ensembles)}, got {settings.ensemble}"
+    if settings.cutoff and settings.switch and settings.switch >= settings.cutoff:
+        yield f"--switch {settings.switch:g} must be below --cutoff {settings.cutoff:g}"
+    if method.scheme is not None:
+        return
+    if settings.rigid:
+        yield (
+            f"--rigid {' '.join(settings.rigid)} needs a scheme of this package: {method.name} keeps molecules rigid "
+            "only by constraints"
+        )
+    if settings.moves_volume and settings.interval(settings.checkpoint_every) < BAROSTAT_INTERVAL:
+        yield (
+            f"--checkpoint-every {settings.checkpoint_every:g} is too short: OpenMM's barostat counts its "
+            f"{BAROSTAT_INTERVAL} steps from zero after each checkpoint, and would never act. Give "
+            f"{BAROSTAT_INTERVAL * settings.step_time:g} ps or more"
+        )
+
+
+def _of_files(settings: RunSettings) -> Iterator[str]:
+    if settings.out.suffix.lower() not in FORMATS:
+        yield f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {settings.out}"
+    for table in (settings.report, settings.pressure_tensor):
+        if table is not None and table.suffix.lower() in FORMATS:
+            yield f"{table} will be a table: give a name that ends in .csv"
+    if settings.plot is None:
+        return
+    if settings.plot.suffix.lower() not in ENDINGS:
+        yield f"the name of a picture must end in {', '.join(ENDINGS)}, got {settings.plot}"
+    rows = settings.steps // settings.interval(settings.report_every) + 1
+    if rows < FEWEST_ROWS:
+        yield (
+            f"--plot needs a log of {FEWEST_ROWS} rows or more, and this one would have {rows}: lower --report-every"
+        )
+
+
+def useless(settings: RunSettings) -> list[str]:
+    """Return the names of settings that do nothing beside the others."""
+    return [name for name, (_, does_something) in DEPENDENT.items() if not does_something(settings)]

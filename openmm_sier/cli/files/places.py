@@ -1,0 +1,71 @@
+"""Whether a command may write a file: that it is in nobody's way, and replaces nothing of a user."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.files import records
+from openmm_sier.cli.files.locks import is_name_of_a_lock
+from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.inputs.source_files import FilePath
+
+#: First bytes of a file in which the mark of its kind is.
+BEGINNING = 2**12
+
+
+def check_place(path: Path, inputs: Iterable[FilePath], outputs: Iterable[Path] = ()) -> None:
+    """Refuse a file that would overwrite another or cannot be written.
+
+    Args:
+        path: of the file.
+        inputs, outputs: other files that the command reads and writes.
+
+    Raises:
+        RunError: naming the file.
+    """
+    for other in inputs:
+        if same_file(path, other):
+            raise RunError(f"{path} would overwrite the input {other}: give another name")
+    for other in outputs:
+        if same_file(path, other):
+            raise RunError(f"{path} and {other} are the same: outputs must be different files")
+    # For example a device: /dev/null would be replaced by a file.
+    if path.exists() and not path.is_file():
+        raise RunError(f"{path} is not a regular file")
+    if not path.parent.is_dir():
+        raise RunError(f"there is no directory {path.parent} for {path.name}")
+    if is_name_of_a_lock(path):
+        raise RunError(f"{path} has the name of a lock: give another name")
+
+
+def refuse_to_replace(path: Path, option: str, mark: bytes = b"") -> None:
+    """Refuse a file that exists, unless it is an earlier one of the same kind.
+
+    Args:
+        path: of the file.
+        option: that names the file.
+        mark: bytes in the first `BEGINNING` of every file of this kind, if such a file may be replaced.
+
+    Raises:
+        RunError: naming the file.
+    """
+    if not os.path.lexists(path):
+        return
+    if not mark:
+        raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
+    if not path.is_file() or mark not in _beginning(path):
+        raise RunError(f"{path} exists, and is no earlier file of {PROGRAM}: give another name, or remove it")
+
+
+def _beginning(path: Path) -> bytes:
+    with records.naming(path), open(path, "rb") as file:
+        return file.read(BEGINNING)
+
+
+def same_file(one: FilePath, two: FilePath) -> bool:
+    """Return whether two names lead to the same file, also through links; neither has to exist."""
+    try:
+        return os.path.samefile(one, two)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(two)

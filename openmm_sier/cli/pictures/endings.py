@@ -1,0 +1,3 @@
+"""Endings of the names of pictures."""
+
+ENDINGS = (".png", ".svg", ".html")

@@ -1,0 +1,128 @@
+"""A run that goes on from its checkpoint, without a gap."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import openmm
+from openmm import unit
+
+from openmm_sier.cli import planning, platforms
+from openmm_sier.cli.beginning import Beginning
+from openmm_sier.cli.defaults import trajectory_of
+from openmm_sier.cli.errors import Misused, NothingLeft, RunError
+from openmm_sier.cli.files import checkpoints, cuts
+from openmm_sier.cli.files.checkpoints import Notes
+from openmm_sier.cli.files.locks import FileLocks
+from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.settings import checkpoint_of
+from openmm_sier.cli.simulated_system import SimulatedSystem
+from openmm_sier.inputs.inputs import sources_of
+
+#: Relative difference allowed between the energy of a checkpoint's positions and the energy noted in it. Platforms
+#: differ by single precision.
+ENERGY_TOLERANCE = 1e-4
+
+
+def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path | None:
+    """Return the checkpoint from which a run is to go on: the one of `restart`, or with `resume` its own.
+
+    It is locked before anybody looks for it or reads it, so that nobody makes or replaces it from here on. Where the
+    file is missing, a run that has just removed it says so by its lock.
+
+    Raises:
+        Misused: options say different things of it.
+        RunError: another command writes there.
+    """
+    checkpoint: Path | None = options.get("restart")
+    if options.get("resume"):
+        if checkpoint:
+            raise Misused("--resume finds the checkpoint beside --out: leave --restart out")
+        out = options.get("out") or ("box" in options and trajectory_of(options["box"]))
+        checkpoint = checkpoint_of(out) if out else None
+    elif checkpoint and "start" in options:
+        raise Misused("--start begins a new run, and --restart continues an old one: give one of them")
+    if checkpoint and checkpoint.parent.is_dir():
+        locks.hold([checkpoint])
+    return checkpoint if options.get("restart") or (checkpoint and checkpoint.exists()) else None
+
+
+class Restart(Beginning):
+    """The beginning of a run that goes on from its checkpoint."""
+
+    notes: Notes
+    may_replace = True
+
+    def __init__(self, options: Mapping[str, Any], checkpoint: Path):
+        """Plan a run by a checkpoint, which is locked, and the options of a user.
+
+        Raises:
+            Misused, RunError, RecordError, OSError: as their messages say.
+        """
+        self.checkpoint = checkpoint
+        self.notes = checkpoints.read_notes(checkpoint)
+        settings = planning.continued_settings(options, checkpoint, self.notes.plan)
+        self.settings = platforms.keep_platform(settings, checkpoint, self.notes.platform)
+        self.sources = sources_of(settings.box, settings.topology, settings.forcefield)
+        planning.refuse_foreign_force_field(settings, options, checkpoint, self.sources["box"])
+        self.unsettled = self.notes.unsettled
+        self._cuts: list[cuts.Cut] = []
+
+    def check_inputs(self, outputs: Outputs) -> None:
+        """Refuse files that are not those of the run, and a run that has reached its last step."""
+        self._refuse_other_files()
+        step, settings = self.notes.step, self.settings
+        if step < settings.steps:
+            return
+        message = (
+            f"{self.checkpoint} is at step {settings.length(step)}, and the run ends at step {settings.steps}; "
+            "ask for more with --steps or --time"
+        )
+        if step > settings.steps:
+            raise RunError(message)
+        outputs.check_noted(self.notes)
+        raise NothingLeft(message)
+
+    def _refuse_other_files(self) -> None:
+        """Refuse inputs that are not those of the run, which may hold another system of nearly its energy."""
+        noted = self.notes.inputs
+        for purpose, file in self.sources.items():
+            if file.fingerprint != noted.get(purpose):
+                raise RunError(
+                    f"{file} is not the file that the run of {self.checkpoint} read, or was edited. Give the original "
+                    "file, or begin a new run with --start"
+                )
+        if missing := [purpose for purpose in noted if purpose not in self.sources]:
+            raise RunError(
+                f"{missing[0]}, which the run of {self.checkpoint} read, is missing: put it back under this name"
+            )
+
+    def check_outputs(self, outputs: Outputs) -> None:
+        """Refuse files that are not those of the run, or would lose more than a killed run leaves."""
+        outputs.check_noted(self.notes)
+        self._cuts = cuts.find_cuts(self.settings, self.notes)
+        if not self.settings.overwrite:
+            cuts.refuse_to_lose(self._cuts, self.settings, self.checkpoint, self.notes.step)
+
+    def context(self, simulated: SimulatedSystem) -> openmm.Context:
+        """Return a Context in the state of the checkpoint, which must belong to this system."""
+        notes = self.notes
+        state, _ = checkpoints.read_checkpoint(self.checkpoint, simulated.box.system.getNumParticles())
+        context = simulated.context(notes.step)
+        context.setState(state)
+        energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        # An energy that is not a number differs too.
+        if not abs(energy - notes.potential_energy) <= ENERGY_TOLERANCE * (abs(energy) + 1):
+            raise RunError(
+                f"the positions of {self.checkpoint} have the energy {energy:.6g} kJ/mol in the system of "
+                f"{self.settings.box}, but had {notes.potential_energy:.6g} in the run: the molecules or the force "
+                "field are not those of the run. Give the files of the run"
+            )
+        return context
+
+    def remarks(self, context: openmm.Context) -> Sequence[str]:
+        """Return in words how the run goes on otherwise than before, and what is cut from its files."""
+        remarks = platforms.differences(context, self.checkpoint, self.notes.platform)
+        if self._cuts:
+            remarks.append(cuts.describe(self._cuts, self.settings, self.checkpoint, self.notes.step))
+        return remarks

@@ -1,0 +1,150 @@
+"""The System of an input, its integrators, and Contexts for them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import openmm
+from openmm import unit
+
+from openmm_sier.cli.console import note
+from openmm_sier.cli.errors import RunError
+from openmm_sier.cli.platforms import check_platform
+from openmm_sier.cli.settings import RunSettings
+from openmm_sier.dynamics.schemes import SIER4G
+from openmm_sier.ensembles import VelocityRescaling
+from openmm_sier.inputs.equilibration import make_context
+from openmm_sier.inputs.forcefields import Box, describe
+from openmm_sier.inputs.inputs import read_input
+from openmm_sier.inputs.source_files import SourceFile
+from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
+from openmm_sier.integrators.hmc import SIERHMCIntegrator
+from openmm_sier.integrators.integrator import SIERIntegrator
+from openmm_sier.integrators.langevin import SIERLangevinIntegrator
+from openmm_sier.observe import openmm_integrators
+from openmm_sier.prepare.preparation import prepare_system
+from openmm_sier.system.body_selection import select_bodies
+from openmm_sier.system.find_bodies import RigidBodies
+from openmm_sier.system.molecules import make_whole
+
+#: Most bodies named by the user that are shown.
+MOST_SHOWN = 6
+
+
+def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:
+    """Find the rigid bodies of a box, print those that words describe, and return the box with these whole.
+
+    Args:
+        box: as `inputs.read_input` gives it.
+        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
+
+    Raises:
+        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
+        ValueError: nothing is described by one of the words.
+    """
+    if not rigid:
+        return box, RigidBodies.from_system(box.system, box.topology, None, box.positions)
+    named = select_bodies(box.topology, rigid)
+    shown = str(named).splitlines()
+    more = f", and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+    note(f"rigid: {', '.join(shown[:MOST_SHOWN])}{more}")
+    whole = make_whole(box.system, box.positions, box.topology, named)
+    bodies = RigidBodies.from_system(box.system, box.topology, named, whole)
+    return box._replace(positions=whole * unit.nanometer), bodies
+
+
+class SimulatedSystem:
+    """Hold an input and its System, which is prepared for long steps.
+
+    Attributes:
+        settings: of the run.
+        box: with the System.
+        bodies: its rigid bodies.
+        fast: force groups that are fast.
+        inputs: fingerprints of the files of the input, by purpose.
+    """
+
+    def __init__(self, settings: RunSettings, sources: Mapping[str, SourceFile]):
+        """Read the files of the input, and prepare their System.
+
+        Args:
+            settings: of the run.
+            sources: files of the input by purpose, see `openmm_sier.inputs.inputs.sources_of`.
+
+        Raises:
+            Misused: OpenMM does not have the platform here.
+            RunError: the run requires a periodic box, and the input has none.
+            ForceFieldError, RigidityError, OSError: as their messages say.
+        """
+        check_platform(settings.platform)
+        box = read_input(
+            sources["box"],
+            sources.get("topology"),
+            settings.forcefield,
+            settings.constraints,
+            settings.interactions,
+            settings.edges,
+        )
+        is_periodic = box.system.usesPeriodicBoundaryConditions()
+        hint = "" if is_periodic else " (--edges gives a box)"
+        note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
+        self.settings = settings
+        self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
+        preparation = prepare_system(box.system, self.bodies)
+        self.fast = preparation.fastForceGroups
+        if settings.rigid:
+            for change in preparation.done:
+                note(change)
+        if settings.pressure_tensor and not is_periodic:
+            raise RunError("--pressure-tensor requires a periodic box, and the input has none")
+        self.inputs = {purpose: file.fingerprint for purpose, file in sources.items()}
+
+    def context(self, step: int = 0) -> openmm.Context:
+        """Return the Context of the run when it begins or goes on at a step, without positions."""
+        settings = self.settings
+        if settings.method.scheme is not None:
+            return self.context_of(self.integrator(settings))
+        bath = settings.temperature if settings.ensemble != "nve" else None
+        piston = settings.pressure if settings.moves_volume else None
+        system, integrator = openmm_integrators.make_integrator(
+            self.box.system,
+            self.box.positions.value_in_unit(unit.nanometer),
+            settings.scheme,
+            settings.dt / 1000,
+            bath,
+            settings.friction,
+            piston,
+        )
+        openmm_integrators.seed_noise(system, integrator, settings.seed, step)
+        context = make_context(system, integrator, settings.platform)
+        integrator.bind(context, self.bodies)
+        return context
+
+    def context_of(self, integrator: SIERIntegrator) -> openmm.Context:
+        """Return a Context of an integrator of this package, without positions."""
+        return make_context(self.box.system, integrator, self.settings.platform)
+
+    def integrator(self, settings: RunSettings) -> SIERIntegrator:
+        """Return an integrator of this package, with SIER4G where settings have a method of OpenMM."""
+        step, scheme = settings.dt / 1000, settings.method.scheme or SIER4G
+        # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold.
+        engine = "exact" if settings.rigid else "auto"
+        shared: dict[str, Any] = {"bodies": self.bodies, "engine": engine, "fastForceGroups": self.fast}
+        if settings.ensemble == "nve":
+            return SIERIntegrator(step, scheme, **shared)
+        temperature, friction = settings.temperature, settings.friction
+        pressure = settings.pressure if settings.moves_volume else None
+        integrator: SIERThermostatIntegrator
+        if settings.ensemble == "hmc":
+            trial = settings.steps_per_trial
+            integrator = SIERHMCIntegrator(
+                temperature, step, scheme, trial, friction or None, pressure=pressure, **shared
+            )
+        elif settings.rescales:
+            thermostat = VelocityRescaling(temperature, friction, pressure=pressure)
+            integrator = SIERThermostatIntegrator(thermostat, step, scheme, **shared)
+        else:
+            # The log has the conserved energy, on every platform.
+            shared |= {"pressure": pressure, "countsHeat": True}
+            integrator = SIERLangevinIntegrator(temperature, friction, step, scheme, **shared)
+        integrator.setRandomNumberSeed(settings.seed)
+        return integrator
