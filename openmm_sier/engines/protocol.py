@@ -21,6 +21,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import Snapshot, box_of
+from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
@@ -153,6 +154,22 @@ class Engine(ABC):
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.
         """
+
+    @property
+    def makes_trials(self) -> bool:
+        """Tell whether `make_trial` makes whole trials of hybrid Monte Carlo."""
+        return False
+
+    def make_trial(self, trial: Trial) -> Outcome:
+        """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.
+
+        Heat and number of evaluations go on; clock and random numbers are left to the caller.
+
+        Raises:
+            openmm.OpenMMException: OpenMM failed for another reason than a trajectory that cannot be followed. The
+                start is restored, with the momenta that were drawn.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def publish(self) -> None:
