@@ -15,17 +15,15 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.program import THERMAL
+from openmm_sier.engines.native.trials import ACCEPTED, ERROR, TRIALS
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.forces import kind_of
 
-#: Global variables of all trials: their number, how many were accepted, the energy error at the first end of the last
-#: one in kT; and the step in ps at which reversibility was checked, with the error found, nm.
-TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL = (
-    PREFIX + name for name in ("trials", "accepted", "error", "checked_step", "reversal")
-)
+#: Global variables: the step in ps at which reversibility was checked, and the error found, nm.
+CHECKED_STEP, REVERSAL = (PREFIX + name for name in ("checked_step", "reversal"))
 
 #: A trajectory that comes back to its start within this distance, in nm, counts as reversible. An irreversible one,
 #: such as that of a scheme that is not a palindrome, misses by a multiple of this at usual steps. Rounding and forces
@@ -150,7 +148,9 @@ class Metropolis(ConstantTemperature):
         clock = engine.clock
         make = self._native_trial if self._is_native(engine) else self._trajectory
         outcome = make(engine)
-        _refuse_energy(outcome.energy, clock)
+        if not math.isfinite(outcome.energy):
+            engine.clock = clock
+            _refuse_energy(outcome.energy, clock)
         made, accepted = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         ledger.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}

@@ -26,6 +26,8 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     binding = integrator.binding
     copied, program = installation.without_program(integrator), binding.general_program()
     installation.install(program, copied)
+    for name, value in binding.ensemble.variables(binding.flow()).items():
+        copied.setGlobalVariableByName(name, value)
     copied.setStepSize(binding.settings.step / (program.native_steps or 1))
     return copied
 

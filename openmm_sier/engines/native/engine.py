@@ -156,7 +156,8 @@ class NativeEngine(Engine):
             integrator.setGlobalVariableByName(EXACT_ONLY, is_guarded)
 
     def take_over(self) -> None:
-        set_bath(self._integrator, self.flow.bath)
+        if not self.makes_trials:
+            set_bath(self._integrator, self.flow.bath)
         if self._potential is not None:
             environment = _environment_of(openmm.Context.getState(self._context, parameters=True))
             if environment != self._potential.environment:
@@ -271,7 +272,7 @@ class NativeEngine(Engine):
     def _follow_as_trial(self, steps: int) -> None:
         """Follow a trajectory as a trial whose end is accepted."""
         start = self.clock
-        numbers = self._executed(trials.followed(steps))
+        numbers = self._executed(trials.followed(self._integrator, steps))
         if not numbers.is_accepted:
             raise TrajectoryError("The energy at the end of a trajectory is not finite")
         self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)

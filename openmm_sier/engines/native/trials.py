@@ -62,6 +62,9 @@ GLOBALS = (
     *(START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED),
 )
 
+#: Global variables in which an ensemble counts trials, with the error of the first end of the last one in kT.
+TRIALS, ACCEPTED, ERROR = (PREFIX + name for name in ("trials", "accepted", "error"))
+
 #: An error above this counts as infinite, kT.
 INFINITE = 1e300
 
@@ -150,6 +153,8 @@ class Writer:
         self._go_back()
         if self._trials.stopped_mass:
             self._stop_centre()
+        if self._trials.steps_alone:
+            self._count()
 
     def _draw(self) -> None:
         """Draw momenta, scale them, and keep the start. All that can fail comes later."""
@@ -207,14 +212,26 @@ class Writer:
         to.endBlock()
 
     def _stop_centre(self) -> None:
+        """Stop the centre of mass where momenta were drawn.
+
+        The sums use no global variable: to use one that has changed, the platforms for GPUs upload all of them.
+        """
         to, mass = self._integrator, self._trials.stopped_mass
         for name, component in zip(CENTRE, ("_x", "_y", "_z"), strict=True):
             # A sum is over three components, and all of this vector are the same.
-            to.addComputeSum(name, f"select({WANTED}, {1 / (3 * mass)!r}*m, 0)*{component}(v)")
-        to.addComputePerDof("v", f"v - vector({', '.join(CENTRE)})")
+            to.addComputeSum(name, f"{1 / (3 * mass)!r}*m*{component}(v)")
+        to.addComputePerDof("v", f"v - select({WANTED}, 1, 0)*vector({', '.join(CENTRE)})")
         squares = " + ".join(f"{name}*{name}" for name in CENTRE)
-        to.addComputeGlobal(STOPPED, f"{0.5 * mass!r}*({squares})")
+        to.addComputeGlobal(STOPPED, f"select({WANTED}, {0.5 * mass!r}*({squares}), 0)")
         to.addComputeGlobal(KINETIC, f"{KINETIC} - {STOPPED}")
+
+
+    def _count(self) -> None:
+        """Count the trial, as an ensemble does."""
+        to = self._integrator
+        to.addComputeGlobal(TRIALS, f"{TRIALS} + 1")
+        to.addComputeGlobal(ACCEPTED, f"{ACCEPTED} + {TAKEN}")
+        to.addComputeGlobal(ERROR, FIRST_ERROR)
 
 
 # --- its execution ---
@@ -244,9 +261,10 @@ def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
     return Numbers(start, error, taken > 0, int(ends), kinetic, stopped)
 
 
-def followed(steps: int) -> Trial:
+def followed(integrator: openmm.CustomIntegrator, steps: int) -> Trial:
     """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
-    return Trial(steps, 0, share=1.0, thermal=1.0, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
+    thermal = integrator.getGlobalVariableByName(THERMAL)
+    return Trial(steps, 0, share=1.0, thermal=thermal, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
 
 
 def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
