@@ -372,13 +372,15 @@ class Binding:
         ledger.seed, ledger.draws = seed, max(draws, ledger.draws)
         self.stored.write()
         self.take_over()
-        is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
-        if is_lost and not self._told_of_noise and BATH in self.flow().scheme.operators:
+        engine = self._engine
+        is_lost = has_parameters and engine is not None and not engine.repeats_noise
+        draws = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
+        if is_lost and draws and not self._told_of_noise:
             self._told_of_noise = True
             notify(
-                "With the native engine a State does not hold the noise of Langevin dynamics, which is OpenMM's: the "
-                "run continues in the same ensemble, but on another trajectory. To continue the same trajectory, load "
-                "a checkpoint"
+                "With the native engine a State does not hold the noise of Langevin dynamics and of trials, which is "
+                "OpenMM's: the run continues in the same ensemble, but on another trajectory. To continue the same "
+                "trajectory, load a checkpoint"
             )
 
 

@@ -81,6 +81,92 @@ def conserved(context):
     return sum(energies(context)) - context.getIntegrator().getHeat()._value
 
 
+# --- restarts, changes and failures ---
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_a_checkpoint_is_continued_bit_for_bit(name):
+    context = anharmonic_context(1, 2, 3, name)
+    integrator, saved = context.getIntegrator(), context.createCheckpoint()
+    integrator.step(7)
+    expected = counted(context)
+    integrator.step(3)
+    context.loadCheckpoint(saved)
+    integrator.step(7)
+    for one, other in zip(counted(context), expected, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_trials_of_other_lengths_steps_and_temperatures():
+    """What a trial is made of may change between two, and the next one has it."""
+    context = anharmonic_context()
+    integrator = context.getIntegrator()
+    energies_of_atoms = []
+    integrator.setTemperature(600.0)
+    integrator.setStepsPerTrial(4)
+    integrator.setSchemeStepSize(0.01)
+    for _ in range(3):
+        integrator.step(1)
+        forces, time = integrator.forceEvaluations, context.getTime()._value
+        integrator.step(1)
+        assert (integrator.forceEvaluations - forces) // 2 == 4
+        assert context.getTime()._value - time == pytest.approx(0.04, rel=1e-10)
+    for _ in range(400):
+        integrator.step(1)
+        energies_of_atoms.append(energies(context)[1])
+    # 48 degrees of freedom. Each kinetic energy is nearly opposite to the one before, so that their mean is better than
+    # that of as many independent ones: six standard errors of these.
+    expected = 48 / 2 * 2 * anharmonic.KT
+    assert np.mean(energies_of_atoms) == pytest.approx(expected, rel=6 * math.sqrt(2 / 48 / 400))
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_ends_that_are_not_finite_are_rejected(name):
+    """A particle in a well that ends at x = 0.3 nm. The start is restored, bit for bit, with reversed velocities."""
+    integrator = sampler(0.02, 3, seed=6, engine="native")
+    context = context_at(assembled([1.0], field("sqrt(0.09-x^2)-0.3", [0])), integrator, np.zeros((2, 1, 3)), name)
+    failed = 0
+    for _ in range(200):
+        start = phase_point(context)[0]
+        integrator.step(1)
+        assert integrator.lastEnergyError > -1e300
+        if math.isinf(integrator.lastEnergyError):
+            failed += 1
+            assert np.array_equal(phase_point(context)[0], start)
+    assert failed > 3
+    assert (context.getStepCount(), integrator.trials) == (200, 200)
+
+
+def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
+    """At a call after the first few; the run then goes on."""
+    fails_at = math.inf
+    calls = 0
+
+    def force(state):
+        nonlocal calls
+        calls += 1
+        if calls == fails_at:
+            raise ValueError("no force")
+        x = state.getPositions(asNumpy=True)._value
+        return 500.0 * (x**2).sum(), -1000.0 * x
+
+    integrator = sampler(0.01, 4, engine="native", frictionCoeff=3.0)
+    context = context_at(
+        assembled([10.0, 10.0, 0.0], openmm.PythonForce(force)), integrator, np.zeros((2, 3, 3)), steps=3
+    )
+    sample, before = phase_point(context)[0], counted(context)[3:5]
+    energy = conserved(context)
+    fails_at = calls + 3
+    with pytest.raises(openmm.OpenMMException, match="no force"):
+        integrator.step(5)
+    assert np.array_equal(phase_point(context)[0], sample)
+    assert (integrator.trials, counted(context)[3:5]) == (3, before)
+    # Momenta were drawn, and their heat is counted.
+    assert conserved(context) == pytest.approx(energy, abs=1e-9)
+    integrator.step(2)
+    assert integrator.trials == 5
+
+
 # --- exact averages ---
 
 

@@ -111,9 +111,7 @@ def steps_of(program: Program) -> list[tuple[Statement, str]]:
 
 
 class Writer:
-    """Add the computations of trials to an openmm.CustomIntegrator, which has their variables.
-
-    """
+    """Add the computations of trials to an openmm.CustomIntegrator, which has their variables."""
 
     def __init__(
         self,
@@ -224,7 +222,6 @@ class Writer:
         squares = " + ".join(f"{name}*{name}" for name in CENTRE)
         to.addComputeGlobal(STOPPED, f"select({WANTED}, {0.5 * mass!r}*({squares}), 0)")
         to.addComputeGlobal(KINETIC, f"{KINETIC} - {STOPPED}")
-
 
     def _count(self) -> None:
         """Count the trial, as an ensemble does."""
