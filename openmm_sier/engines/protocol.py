@@ -80,6 +80,7 @@ class Engine(ABC):
     Attributes:
         name: by which users ask for it.
         repeats_noise: whether the noise of baths goes on from a State as it does from a checkpoint.
+        makes_trials: whether `make_trial` makes whole trials of hybrid Monte Carlo.
         flow: what is followed.
         ledger: heat, random numbers and counts.
         stored: the ledger's place between calls of `step`.
@@ -91,6 +92,7 @@ class Engine(ABC):
 
     name: ClassVar[str]
     repeats_noise: ClassVar[bool] = False
+    makes_trials: ClassVar[bool] = False
     moving: BodySet
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
@@ -154,11 +156,6 @@ class Engine(ABC):
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.
         """
-
-    @property
-    def makes_trials(self) -> bool:
-        """Tell whether `make_trial` makes whole trials of hybrid Monte Carlo."""
-        return False
 
     def make_trial(self, trial: Trial) -> Outcome:
         """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.

@@ -198,7 +198,7 @@ class Binding:
         groups = integrator.getIntegrationForceGroups()
         checks_positions = given.engine == "native" and needs_finite_positions(system, platform)
         flow = self._whole_flow()
-        if not on_gpu and given.engine != "native" or given.engine == "exact":
+        if (not on_gpu and given.engine != "native") or given.engine == "exact":
             # The exact engine decides on trials in Python.
             flow = replace(flow, trial_steps=0)
         self.program = program_for(flow, system, groups, on_gpu, checks_positions)

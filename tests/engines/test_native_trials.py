@@ -1,22 +1,20 @@
-"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions, exact averages, failures, and without Python."""
+"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions, failures, and exact averages."""
 
-import itertools
 import math
 
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2V2, SIER4G, SIERHMCIntegrator, prepare_system
+from openmm_sier import SIER2V2, SIERHMCIntegrator
 from openmm_sier.engines.native import trials
 from openmm_sier.ensembles import metropolis
 from tests.support import anharmonic
-from tests.support.ethane import ethane
-from tests.support.samplers import KT, counted, sampler
+from tests.support.samplers import counted, sampler
 from tests.support.seeded import seeded
 from tests.support.strangers import samples_as_stranger
-from tests.support.systems import assembled, field, with_forces
-from tests.support.waters import cluster_system, context_at, energies, phase_point, platform, settled
+from tests.support.systems import assembled, field
+from tests.support.waters import cluster_system, context_at, energies, phase_point, settled
 
 
 @pytest.fixture(scope="module")

@@ -169,8 +169,8 @@ class Decision:
 def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     """Each of its ends is accepted or not by the same random number, on its own energy; forces are counted.
 
-    In turn the first, the second, the third end and none is accepted, whatever its energy. Trials that OpenMM makes as a
-    whole have a test of their own, `test_native_trials.py`.
+    In turn the first, the second, the third end and none is accepted, whatever its energy. `test_native_trials.py` has
+    a test of trials that OpenMM makes as a whole.
     """
     integrator = sampler(0.010, extraChances=2, scheme=SIER2)
     context = context_at(cluster[0], integrator, cluster[1], steps=1)

@@ -1,7 +1,7 @@
 """A System that is neither harmonic nor free, whose canonical averages are known exactly.
 
-Rigid dipoles turn in a field, which has the function of Langevin, and atoms are in wells of fourth order, whose energies
-have a gamma distribution.
+Rigid dipoles turn in a field, with the function of Langevin. Atoms are in wells of fourth order, whose energies have a
+gamma distribution.
 """
 
 import math
@@ -18,7 +18,7 @@ KT = GAS_CONSTANT * TEMPERATURE
 #: Numbers of dipoles and of other atoms.
 DIPOLES, ATOMS = 4, 8
 
-#: Places of the atoms of a dipole, nm, and their masses, Da. Its field acts along the line from the third to the second.
+#: Places of the atoms of a dipole, nm, and their masses, Da. The dipole is from the third atom to the second.
 SITES = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.09], [0.0, 0.09, -0.06]])
 MASSES = (16.0, 4.0, 6.0)
 LENGTH = math.dist(SITES[1], SITES[2])
@@ -48,7 +48,7 @@ def system(*others, well_group=0):
 
 def positions():
     """Positions to begin with, (N, 3), nm."""
-    dipoles = np.concatenate([SITES + [i, 0, 0] for i in range(DIPOLES)])
+    dipoles = np.concatenate([SITES + np.array([i, 0, 0]) for i in range(DIPOLES)])
     return np.concatenate([dipoles, np.zeros((ATOMS, 3))])
 
 

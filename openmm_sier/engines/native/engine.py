@@ -16,17 +16,15 @@ from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
-from openmm_sier.engines.native import refusals, trials
+from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.told_bodies import ToldBodies
-from openmm_sier.engines.native.trials import Numbers
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
-from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -86,8 +84,6 @@ class NativeEngine(Engine):
         self._is_fresh = True
         #: Whether OpenMM still has the forces of the end of the last step.
         self._has_force = False
-        #: Kinetic energy of the end of the last trial, kJ/mol, until velocities are changed.
-        self._kinetic: float | None = None
         #: Whether velocities are those that the last step left.
         self._follows_bath = False
         self.evaluations = 0
@@ -108,13 +104,6 @@ class NativeEngine(Engine):
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
         refusals.refuse_fast_forces(system, groups_of(self.flow.fast_groups), self._groups)
         refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
-        name = self._context.getPlatform().getName()
-        has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-        if self._program.trials is not None and has_sites and name in ("CPU", "Reference"):
-            raise openmm.OpenMMException(
-                f"OpenMM took the {name} platform in place of the one for which trials were written, and virtual sites "
-                "do not follow their atoms within a native step there: name the platform when the Context is made"
-            )
 
     @property
     def bodies(self) -> BodySet:
@@ -156,8 +145,7 @@ class NativeEngine(Engine):
             integrator.setGlobalVariableByName(EXACT_ONLY, is_guarded)
 
     def take_over(self) -> None:
-        if not self.makes_trials:
-            set_bath(self._integrator, self.flow.bath)
+        self._set_bath()
         if self._potential is not None:
             environment = _environment_of(openmm.Context.getState(self._context, parameters=True))
             if environment != self._potential.environment:
@@ -169,6 +157,9 @@ class NativeEngine(Engine):
             openmm.Context.setVelocities(self._context, velocities)
             self._is_box_new = self._has_force = False
 
+    def _set_bath(self) -> None:
+        set_bath(self._integrator, self.flow.bath)
+
     def follow(self, steps: int, wants_energy: bool = False) -> None:
         if self.flow.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
@@ -176,9 +167,6 @@ class NativeEngine(Engine):
             self.clock = Clock(time, count + steps)
             return
         if not steps:
-            return
-        if self.makes_trials:
-            self._follow_as_trial(steps)
             return
         self._settle()
         if not self._has_force:
@@ -249,65 +237,6 @@ class NativeEngine(Engine):
         self._follows_bath = self._follows_bath or steps > 0
         self.evaluations += steps * self.flow.scheme.force_evaluations
 
-    # --- trials ---
-
-    @property
-    def makes_trials(self) -> bool:
-        return self._program.trials is not None
-
-    def make_trial(self, trial: Trial) -> Outcome:
-        before = self.kinetic_energy()
-        try:
-            numbers = self._executed(trial)
-        except openmm.OpenMMException as error:
-            self.ledger.heat += trial.kinetic - before
-            if not isinstance(error, TrajectoryError):
-                raise
-            return Outcome(self.potential_energy(), math.inf, False)
-        self._kinetic = numbers.kinetic
-        self.ledger.heat += trial.kinetic - before - numbers.stopped
-        error = numbers.first_error if math.isfinite(numbers.first_error) else math.inf
-        return Outcome(numbers.start, error, numbers.is_accepted)
-
-    def _follow_as_trial(self, steps: int) -> None:
-        """Follow a trajectory as a trial whose end is accepted."""
-        start = self.clock
-        numbers = self._executed(trials.followed(self._integrator, steps))
-        if not numbers.is_accepted:
-            raise TrajectoryError("The energy at the end of a trajectory is not finite")
-        self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)
-        act_on_pending()
-
-    def _executed(self, trial: Trial) -> Numbers:
-        """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
-        self._settle()
-        scheme = self.flow.scheme
-        self.evaluations += int(scheme.reuses_force and not self._has_force)
-        self._potential = None
-        self._known.forget()
-        self._kinetic = None
-        self._has_force = False
-        try:
-            numbers = trials.execute(self._integrator, trial)
-        except BaseException as error:
-            is_lost = isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
-            self._restore_start(reverse=is_lost)
-            if is_lost:
-                raise TrajectoryError(str(error)) from error
-            raise
-        self._has_force = numbers.is_accepted
-        self.evaluations += numbers.ends * trial.steps * scheme.force_evaluations
-        if self._has_sites and not numbers.is_accepted:
-            self._context.computeVirtualSites()
-        return numbers
-
-    def _restore_start(self, reverse: bool) -> None:
-        positions, velocities = trials.start_of(self._integrator)
-        restored, _ = self._known.both
-        restored = np.where(self._known.masses[:, None] > 0, positions, restored)
-        self._known.write_positions(restored)
-        self._write_velocities(-velocities if reverse else velocities)
-
     def publish(self) -> None:
         """Write velocities that an ensemble changed; all else the Context has at any time."""
         self._known.publish()
@@ -361,13 +290,12 @@ class NativeEngine(Engine):
     def _velocities_changed(self) -> None:
         # OpenMM considers no force valid after that.
         self._has_force = False
-        self._kinetic = None
 
     def positions(self) -> np.ndarray:
         return self._known.positions
 
     def kinetic_energy(self) -> float:
-        return self._known.kinetic_energy() if self._kinetic is None else self._kinetic
+        return self._known.kinetic_energy()
 
     def centre_velocity(self) -> np.ndarray:
         return self._known.centre_velocity()

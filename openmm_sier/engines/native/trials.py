@@ -9,8 +9,9 @@ A program alone needs no host: the random number of the decision is OpenMM's too
 the one that was drawn.
 
 OpenMM looks at every path through the blocks of a program, twice in a row, and computes an energy with each force after
-which some path needs it. So the last step before an end is written apart from the steps before it, whose forces then
-come without energies.
+which some path needs it. So the ending of the last step is written apart from those of the steps before it, whose
+forces come without energies. It computes statements between two others in one kernel, but not across the beginning or
+the end of a block: these are where constraints move atoms, which takes kernels of its own.
 """
 
 from __future__ import annotations
@@ -82,29 +83,34 @@ def energies(program: Program) -> tuple[str, ...]:
     return tuple(f"energy{group}" for group in (*program.fast_groups, program.slow_group))
 
 
-def step_to_end(program: Program) -> list[tuple[Statement | str, str]]:
-    """Return the statements of a step, with each energy of its end before the first force there of the same group.
+#: A statement with the definitions of its lengths.
+Executed = tuple[Statement, str]
+
+
+def halves_of(program: Program) -> tuple[list[Executed], list[Executed]]:
+    """Return the statements of a step to the last that moves atoms, and those after it.
 
     Velocities are constrained only at an end: until then constraints of positions take up what they have along them.
-
-    Returns:
-        Each statement, or the name of an energy, with the definitions of its lengths.
     """
-    steps: list[tuple[Statement | str, str]] = [*steps_of(program)]
-    last_move = max(index for index, (statement, _) in enumerate(steps_of(program)) if statement.moves)
-    for energy in energies(program):
-        force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
-        after = range(last_move + 1, len(steps))
-        place = next((i for i in after if force.search(getattr(steps[i][0], "expression", ""))), len(steps))
-        steps.insert(place, (energy, ""))
-    return steps
-
-
-def steps_of(program: Program) -> list[tuple[Statement, str]]:
-    """Return the statements of a step without the constraints of velocities at its end."""
     (part,) = program.parts
     executed = [each for line in part for each in line.executed()]
-    return executed[:-1] if executed[-1][0].target == CONSTRAIN_V else executed
+    if executed[-1][0].target == CONSTRAIN_V:
+        executed = executed[:-1]
+    middle = 1 + max(index for index, (statement, _) in enumerate(executed) if statement.moves)
+    return executed[:middle], executed[middle:]
+
+
+def ending_of(program: Program) -> list[Executed | str]:
+    """Return the second of the halves, with the name of each energy before the first force of the same group."""
+    _, after = halves_of(program)
+    ending: list[Executed | str] = [*after]
+    for energy in energies(program):
+        force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
+        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and force.search(each[0].expression))
+        ending.insert(next(places, len(ending)), energy)
+    # Statements without a force can be computed with those of the first force, after its energy.
+    first = next(i for i, each in enumerate(ending) if isinstance(each, str))
+    return [ending[first], *ending[:first], *ending[first + 1 :]]
 
 
 # --- the program ---
@@ -139,13 +145,7 @@ class Writer:
         to.addComputeGlobal(ENDS, "0")
         to.addComputeGlobal(GOES_ON, "1")
         to.beginWhileBlock(f"{GOES_ON} > 0.5")
-        to.addComputeGlobal(LEFT, f"{STEPS} - 1")
-        to.beginWhileBlock(f"{LEFT} > 0.5")
-        for statement, lengths in steps_of(self._program):
-            self._execute(statement, lengths)
-        to.addComputeGlobal(LEFT, f"{LEFT} - 1")
-        to.endBlock()
-        self._last_step()
+        self._trajectory()
         self._decide()
         to.endBlock()
         self._go_back()
@@ -178,15 +178,26 @@ class Writer:
         for each in others:
             self._integrator.addComputeGlobal(name, f"{name} + {each}")
 
-    def _last_step(self) -> None:
-        """Add the step to an end, whose energies come with its last forces."""
+    def _trajectory(self) -> None:
+        """Add the steps to an end, whose energies come with its last forces."""
         to = self._integrator
+        before, after = halves_of(self._program)
+        self._execute_all(before)
+        to.addComputeGlobal(LEFT, f"{STEPS} - 1")
+        to.beginWhileBlock(f"{LEFT} > 0.5")
+        self._execute_all(after + before)
+        to.addComputeGlobal(LEFT, f"{LEFT} - 1")
+        to.endBlock()
         to.addComputeGlobal(END_ERROR, f"-{START} - {START_KINETIC}")
-        for each, lengths in step_to_end(self._program):
+        for each in ending_of(self._program):
             if isinstance(each, str):
                 to.addComputeGlobal(END_ERROR, f"{END_ERROR} + {each}")
             else:
-                self._execute(each, lengths)
+                self._execute(*each)
+
+    def _execute_all(self, statements: list[Executed]) -> None:
+        for statement, lengths in statements:
+            self._execute(statement, lengths)
 
     def _decide(self) -> None:
         to = self._integrator
