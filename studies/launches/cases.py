@@ -54,7 +54,7 @@ CASES = {
     "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
     "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
-    "hmc": Case(_native_trials(), calls=3, steps=2),
+    "hmc": Case(_native_trials(), calls=4, steps=4),
 }
 
 
