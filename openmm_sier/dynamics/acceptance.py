@@ -99,14 +99,13 @@ def over_relaxed(old: float, freedoms: float, noise: np.random.Generator) -> flo
     return float(ranked[-1 - ranked.index(old)])
 
 
-def is_accepted(error: float, seed: int, draw: int) -> bool:
-    """Return whether Metropolis' rule accepts the end of a trajectory; never if the error is NaN.
+def largest_error(seed: int, draw: int) -> float:
+    """Return the largest energy error in kT at which Metropolis' rule accepts an end of a trajectory.
 
     Args:
-        error: energy at its end minus that at its start, in kT.
         seed, draw: fix the random number.
     """
-    return bool(error <= -math.log(1 - generator(seed, draw, stream=2).random()))
+    return -math.log(1 - generator(seed, draw, stream=2).random())
 
 
 def acceptance_at(spread: float) -> float:

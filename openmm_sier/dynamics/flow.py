@@ -22,6 +22,7 @@ class Flow:
         constant_energy: whether the energy is to be conserved, so that steps that make it drift draw a warning.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
         counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
+        trial_steps: number of steps of each trial of hybrid Monte Carlo; 0 where it is not followed in trials.
     """
 
     scheme: Scheme
@@ -33,3 +34,4 @@ class Flow:
     constant_energy: bool = False
     updates_context: bool = True
     counts_heat: bool | None = None
+    trial_steps: int = 0

@@ -8,6 +8,7 @@ import openmm
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
+from openmm_sier.engines.native.trial_engine import TrialEngine
 from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import STATE_VARIABLES
 
@@ -38,10 +39,13 @@ def _taken_by_openmm(default: str | None) -> openmm.Platform:
 
 def engine_for(wanted: str, task: Task) -> Engine:
     """Return an engine of `ENGINES` for a task, or the one that suits the platform if "auto" is wanted."""
-    if wanted != "auto":
-        return ENGINES[wanted](task)
+    if wanted == ExactEngine.name:
+        return ExactEngine(task)
+    native = NativeEngine if task.program.trials is None else TrialEngine
+    if wanted == NativeEngine.name:
+        return native(task)
     # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
     has_variables = set(STATE_VARIABLES) <= vectors_of(task.context.getIntegrator())
     if is_on_host(task.context.getPlatform()) and has_variables:
         return ExactEngine(task)
-    return NativeEngine(task)
+    return native(task)

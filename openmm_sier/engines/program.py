@@ -17,6 +17,10 @@ CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context
 KEPT, V0, WORK = (PREFIX + name for name in ("kept", "v0", "work"))
 VECTORS = (KEPT, V0, WORK)
 
+#: Per-atom variables of trials: positions and velocities of the start.
+START_X, START_V = (PREFIX + name for name in ("start_x", "start_v"))
+TRIAL_VECTORS = (START_X, START_V)
+
 
 class Statement(NamedTuple):
     """One computation.
@@ -86,6 +90,19 @@ class Line(NamedTuple):
         return f"{text}  for {self.unit} = {', '.join(f'{d:.6g}' for d in self.lengths)}" if self.lengths else text
 
 
+class Trials(NamedTuple):
+    """Describe trials of hybrid Monte Carlo, each of which is one native step.
+
+    Attributes:
+        stopped_mass: mass of the atoms whose centre is stopped after each trial, Da; 0 where it is not.
+        steps_alone: number of steps of each trial, where the program draws all random numbers itself and needs nothing
+            but OpenMM; 0 where the host decides.
+    """
+
+    stopped_mass: float = 0.0
+    steps_alone: int = 0
+
+
 class Program(NamedTuple):
     """A step of a scheme as native steps.
 
@@ -98,6 +115,8 @@ class Program(NamedTuple):
         ends_constrained: whether velocities at the end of a step satisfy the constraints.
         slow_group: the force group that it takes all slow forces from; None: from the sum of all groups.
         momentum_lag: see `Scheme.momentum_lag`.
+        fast_groups: the force groups within its drifts.
+        trials: the trials that OpenMM executes by this step; None where it executes steps.
     """
 
     name: str
@@ -108,6 +127,18 @@ class Program(NamedTuple):
     ends_constrained: bool = True
     slow_group: int | None = None
     momentum_lag: float = 0.0
+    fast_groups: tuple[int, ...] = ()
+    trials: Trials | None = None
+
+    @property
+    def native_steps(self) -> float:
+        """Return the number of native steps in a step of the scheme.
+
+        It is the fraction of a native step where that is a trial without a host, as long as all of its steps.
+        """
+        if self.trials is not None and self.trials.steps_alone:
+            return 1 / self.trials.steps_alone
+        return float(len(self.parts))
 
     @property
     def statements(self) -> list[Statement]:
@@ -118,7 +149,8 @@ class Program(NamedTuple):
     def vectors(self) -> tuple[str, ...]:
         """Return the per-atom variables that the statements use."""
         text = " ".join(f"{statement.target} {statement.expression}" for statement in self.statements)
-        return tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
+        used = tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
+        return used if self.trials is None else (*used, *TRIAL_VECTORS)
 
     def __str__(self) -> str:
         n = len(self.parts)

@@ -21,6 +21,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import Snapshot, box_of
+from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
@@ -79,6 +80,7 @@ class Engine(ABC):
     Attributes:
         name: by which users ask for it.
         repeats_noise: whether the noise of baths goes on from a State as it does from a checkpoint.
+        makes_trials: whether `make_trial` makes whole trials of hybrid Monte Carlo.
         flow: what is followed.
         ledger: heat, random numbers and counts.
         stored: the ledger's place between calls of `step`.
@@ -90,6 +92,7 @@ class Engine(ABC):
 
     name: ClassVar[str]
     repeats_noise: ClassVar[bool] = False
+    makes_trials: ClassVar[bool] = False
     moving: BodySet
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
@@ -153,6 +156,17 @@ class Engine(ABC):
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.
         """
+
+    def make_trial(self, trial: Trial) -> Outcome:
+        """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.
+
+        Heat and number of evaluations go on; clock and random numbers are left to the caller.
+
+        Raises:
+            openmm.OpenMMException: OpenMM failed for another reason than a trajectory that cannot be followed. The
+                start is restored, with the momenta that were drawn.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def publish(self) -> None:

@@ -80,6 +80,10 @@ class Ensemble:
         """Return what the engine is to follow, from a flow at constant energy."""
         return flow
 
+    def variables(self, flow: Flow) -> dict[str, float]:
+        """Return the global variables that a program needs where this package is not there, by name, for a flow."""
+        return {}
+
     def check(self, system: openmm.System, engine: Engine) -> None:
         """Prepare an engine.
 

@@ -7,22 +7,23 @@ from typing import ClassVar
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.acceptance import is_accepted, over_relaxed, usual_chances
+from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_chances
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines.interrupts import act_on_pending
+from openmm_sier.engines.native import trials
+from openmm_sier.engines.native.program import THERMAL
+from openmm_sier.engines.native.trials import ACCEPTED, ERROR, TRIALS
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
+from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
-from openmm_sier.ensembles.thermal_motion import ThermalMotion
 from openmm_sier.system.forces import kind_of
 
-#: Global variables of all trials: their number, how many were accepted, the energy error at the first end of the last
-#: one in kT; and the step in ps at which reversibility was checked, with the error found, nm.
-TRIALS, ACCEPTED, ERROR, CHECKED_STEP, REVERSAL = (
-    PREFIX + name for name in ("trials", "accepted", "error", "checked_step", "reversal")
-)
+#: Global variables: the step in ps at which reversibility was checked, and the error found, nm.
+CHECKED_STEP, REVERSAL = (PREFIX + name for name in ("checked_step", "reversal"))
 
 #: A trajectory that comes back to its start within this distance, in nm, counts as reversible. An irreversible one,
 #: such as that of a scheme that is not a palindrome, misses by a multiple of this at usual steps. Rounding and forces
@@ -76,11 +77,6 @@ class Metropolis(ConstantTemperature):
         return self.steps_per_trial
 
     @property
-    def needs_package(self) -> bool:
-        """Return True, since OpenMM alone would accept every trial."""
-        return True
-
-    @property
     def has_friction(self) -> bool:
         """Return True, since momenta are drawn anew, in part or all of them."""
         return True
@@ -99,7 +95,24 @@ class Metropolis(ConstantTemperature):
         return scheme
 
     def flow(self, flow: Flow) -> Flow:
-        return replace(flow, updates_context=False)
+        return replace(flow, updates_context=False, trial_steps=self.steps_per_trial)
+
+    def variables(self, flow: Flow) -> dict[str, float]:
+        return {
+            trials.STEPS: self.steps_per_trial,
+            trials.CHANCES: self._chances(flow),
+            trials.SHARE: self._share(flow),
+            THERMAL: self._thermal,
+        }
+
+    @property
+    def _thermal(self) -> float:
+        """Return kT in kJ/mol."""
+        return GAS_CONSTANT * self.temperature
+
+    def _share(self, flow: Flow) -> float:
+        """Return the factor that momenta keep in a trial."""
+        return 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * flow.step)
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
@@ -112,6 +125,11 @@ class Metropolis(ConstantTemperature):
 
     def advance(self, engine: Engine, steps: int) -> None:
         for _ in range(steps):
+            if self._is_native(engine):
+                # OpenMM itself restores the start of a trial that it makes as a whole.
+                self._trial(engine)
+                act_on_pending()
+                continue
             sample = engine.remember()
             try:
                 self._trial(engine)
@@ -119,34 +137,89 @@ class Metropolis(ConstantTemperature):
                 engine.undo(sample)
                 raise
 
+    def _is_native(self, engine: Engine) -> bool:
+        """Tell whether the engine makes trials as a whole. Where nothing moves it need not."""
+        return engine.makes_trials and _moves(engine)
+
     def _trial(self, engine: Engine) -> None:
+        """Make a trial, and count it at once, so that an error does not find it counted in part."""
         ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step
-        time, steps = engine.clock
-        self._draw_momenta(engine, length)
-        decision = ledger.draws
-        ledger.draws += 1
-        start, energy = engine.remember(), _energy(engine)
-        if not math.isfinite(energy):
-            raise openmm.OpenMMException(
-                f"The energy at the beginning of step {steps + 1} is {energy}, so that no trajectory can begin. Do "
-                "atoms overlap? Then minimize the energy first"
-            )
         self._check_reversal(engine)
-        errors, accepted = [], False
-        for _ in range(1 + self._chances(engine)):
+        clock = engine.clock
+        make = self._native_trial if self._is_native(engine) else self._trajectory
+        outcome = make(engine)
+        if not math.isfinite(outcome.energy):
+            engine.clock = clock
+            _refuse_energy(outcome.energy, clock)
+        made, accepted = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED] + outcome.is_accepted
+        engine.clock = Clock(clock.time + length, clock.steps + 1)
+        ledger.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
+
+    # --- the choices of a trial ---
+
+    def _chosen(self, engine: Engine) -> Trial:
+        """Choose the numbers of a trial, from those of the present draw.
+
+        Where the centre of mass was stopped after the last trial, it is given a velocity before momenta are drawn, in
+        part or all of them, and the kinetic energy that is over-relaxed has that of the centre too.
+        """
+        ledger, flow = engine.ledger, engine.flow
+        centre, mass = np.zeros(3), engine.moving.mass
+        if engine.removes_momentum:
+            centre = math.sqrt(self._thermal / mass) * ledger.noise(stream=3).standard_normal(3)
+        half = 0.5 * self._thermal
+        before = (engine.kinetic_energy() + 0.5 * mass * float(centre @ centre)) / half
+        freedoms = engine.degrees_of_freedom(conserved=False)
+        kinetic = half * over_relaxed(before, freedoms, ledger.noise(stream=5))
+        threshold = largest_error(ledger.seed, ledger.draws + 1)
+        share, chances = self._share(flow), self._chances(flow)
+        return Trial(self.steps_per_trial, chances, share, self._thermal, kinetic, threshold, centre)
+
+    def _chances(self, flow: Flow) -> int:
+        """Return how many times a trajectory may go on."""
+        if self.extra_chances is None:
+            return usual_chances(self.steps_per_trial * flow.step)
+        return self.extra_chances
+
+    # --- made as a whole, or step by step ---
+
+    def _native_trial(self, engine: Engine) -> Outcome:
+        trial = self._chosen(engine)
+        engine.ledger.draws += 2
+        return engine.make_trial(trial)
+
+    def _trajectory(self, engine: Engine) -> Outcome:
+        """Make a trial as `Engine.make_trial` does."""
+        threshold = 0.0
+        if _moves(engine):
+            trial = self._chosen(engine)
+            threshold = trial.threshold
+            self._draw(engine, trial)
+        engine.ledger.draws += 1
+        start = engine.remember()
+        potential = engine.potential_energy()
+        energy = potential + engine.kinetic_energy()
+        errors, is_accepted = [], False
+        for _ in range(1 + self._chances(engine.flow)):
             errors.append(self._error_of_end(engine, energy))
-            accepted = is_accepted(errors[-1], ledger.seed, decision)
+            is_accepted = math.isfinite(errors[-1]) and errors[-1] <= threshold
             # From where forces are not finite no trajectory goes on, from the other side neither.
-            if accepted or not math.isfinite(errors[-1]):
+            if is_accepted or not math.isfinite(errors[-1]):
                 break
-        if not accepted:
+        if not is_accepted:
             engine.go_back(start, reverse=True)
         if engine.removes_momentum:
             engine.shift_velocities(-engine.centre_velocity())
-        trials, before = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED]
-        engine.clock = Clock(time + length, steps + 1)
-        # At once, so that an error does not find a trial that is counted in part.
-        ledger.counts |= {TRIALS: trials, ACCEPTED: before + accepted, ERROR: errors[0]}
+        return Outcome(potential, errors[0], is_accepted)
+
+    def _draw(self, engine: Engine, trial: Trial) -> None:
+        """Draw momenta with the kinetic energy of a trial."""
+        friction = math.inf if self.friction is None else self.friction
+        if engine.removes_momentum:
+            engine.shift_velocities(trial.centre)
+        bath = OrnsteinUhlenbeck(self.temperature, friction, friction)
+        engine.draw_momenta(bath, self.steps_per_trial * engine.flow.step)
+        engine.scale_velocities(math.sqrt(trial.kinetic / engine.kinetic_energy()), np.zeros(3))
 
     def _error_of_end(self, engine: Engine, energy: float) -> float:
         """Follow a trajectory to its next end; return the energy there less that of the start, in kT.
@@ -155,36 +228,15 @@ class Metropolis(ConstantTemperature):
         """
         try:
             engine.follow(self.steps_per_trial, wants_energy=True)
-            error = (_energy(engine) - energy) / (GAS_CONSTANT * self.temperature)
+            error = (engine.potential_energy() + engine.kinetic_energy() - energy) / self._thermal
         except TrajectoryError:
             return math.inf
-        return math.inf if math.isnan(error) else error
+        return error if math.isfinite(error) else math.inf
 
-    def _chances(self, engine: Engine) -> int:
-        """Return how many times a trajectory may go on."""
-        if self.extra_chances is None:
-            return usual_chances(self.steps_per_trial * engine.flow.step)
-        return self.extra_chances
-
-    def _draw_momenta(self, engine: Engine, time: float) -> None:
-        """Draw momenta anew, in part or all of them, with a kinetic energy that is over-relaxed."""
-        # Infinite friction has no meaning for steps of zero length, in which nothing moves.
-        if not time or not engine.moving.mass:
-            return
-        before = ThermalMotion.of(engine, engine.removes_momentum).energy
-        if engine.removes_momentum and self.friction is not None:
-            # The centre of mass was stopped after the last trial. Its momentum is drawn anew, the rest in part.
-            spread = math.sqrt(GAS_CONSTANT * self.temperature / engine.moving.mass)
-            engine.shift_velocities(spread * engine.ledger.noise(stream=3).standard_normal(3))
-        friction = math.inf if self.friction is None else self.friction
-        engine.draw_momenta(OrnsteinUhlenbeck(self.temperature, friction, friction), time)
-        motion = ThermalMotion.of(engine, engine.removes_momentum)
-        if motion.freedoms > 0:
-            unit = 0.5 * GAS_CONSTANT * self.temperature
-            motion.scale_to(unit * over_relaxed(before / unit, motion.freedoms, engine.ledger.noise(stream=5)))
+    # --- reversibility ---
 
     def _check_reversal(self, engine: Engine) -> None:
-        """Follow a trajectory there and back, once for each step size.
+        """Follow a trajectory there and back, once for each step size, with momenta that are drawn for it.
 
         Raises:
             openmm.OpenMMException: it does not come back.
@@ -192,11 +244,18 @@ class Metropolis(ConstantTemperature):
         counts, step = engine.ledger.counts, engine.flow.step
         if counts[CHECKED_STEP] == step:
             return
-        # Later ends need not exist, for example where atoms leave a potential that ends.
-        for steps in (self.steps_per_trial * (1 + self._chances(engine)), self.steps_per_trial):
-            error = reversal_error(engine, steps)
-            if math.isfinite(error):
-                break
+        _refuse_energy(engine.potential_energy(), engine.clock)
+        sample = engine.remember()
+        try:
+            if _moves(engine):
+                self._draw(engine, self._chosen(engine))
+            # Later ends need not exist, for example where atoms leave a potential that ends.
+            for steps in (self.steps_per_trial * (1 + self._chances(engine.flow)), self.steps_per_trial):
+                error = reversal_error(engine, steps)
+                if math.isfinite(error):
+                    break
+        finally:
+            engine.go_back(sample)
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
                 f"A trajectory of {steps} steps, followed backwards, missed its start by {error:.1e} nm; up to "
@@ -205,6 +264,20 @@ class Metropolis(ConstantTemperature):
             )
         counts[REVERSAL] = error
         counts[CHECKED_STEP] = step
+
+
+def _moves(engine: Engine) -> bool:
+    """Tell whether anything moves in a trial."""
+    return engine.flow.step > 0 and engine.degrees_of_freedom(conserved=False) > 0
+
+
+def _refuse_energy(energy: float, clock: Clock) -> None:
+    """Refuse the energy of the start of a trial, kJ/mol, if it is not finite."""
+    if not math.isfinite(energy):
+        raise openmm.OpenMMException(
+            f"The energy at the beginning of step {clock.steps + 1} is {energy}, so that no trajectory can begin. Do "
+            "atoms overlap? Then minimize the energy first"
+        )
 
 
 def reversal_error(engine: Engine, steps: int) -> float:
@@ -225,7 +298,3 @@ def reversal_error(engine: Engine, steps: int) -> float:
         return math.inf
     finally:
         engine.go_back(start)
-
-
-def _energy(engine: Engine) -> float:
-    return engine.potential_energy() + engine.kinetic_energy()

@@ -62,6 +62,8 @@ class Binding:
         self.settings = given
         #: The fast force groups of a prepared System, a bit mask.
         self._found_groups = 0
+        #: Whether trials need virtual sites placed within them, which OpenMM alone does not do on every platform.
+        self._needs_sites = False
         self._flow: Flow | None = None
         self.program = self.general_program()
         self._own_computations = integrator.getNumComputations()
@@ -104,7 +106,7 @@ class Binding:
         integrator = self._integrator
         for name in self.stored.names:
             integrator.addGlobalVariable(name, 0)
-        installation.declare(integrator)
+        installation.declare(integrator, bool(self.flow().trial_steps))
         integrator.setConstraintTolerance(TOLERANCE)
         self.change()
 
@@ -117,9 +119,9 @@ class Binding:
         self._set_program_variables()
 
     @property
-    def native_steps(self) -> int:
+    def native_steps(self) -> float:
         """Return the number of OpenMM steps in one step of the scheme."""
-        return len(self.program.parts) or 1 if self._own_computations else 1
+        return self.program.native_steps or 1 if self._own_computations else 1
 
     def flow(self) -> Flow:
         """Return what an engine is to follow now, the same object until settings change."""
@@ -138,10 +140,12 @@ class Binding:
     def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
         flow = self.flow()
-        does_less = self.ensemble.needs_package or self.settings.bodies is not None
+        does_less = self.ensemble.needs_package or self.settings.bodies is not None or self._needs_sites
         # A State that was written on another platform may have those of another program.
         self._integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
         installation.set_bath(self._integrator, flow.bath)
+        for name, value in self.ensemble.variables(flow).items():
+            self._integrator.setGlobalVariableByName(name, value)
         installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
 
     # --- a Context ---
@@ -175,6 +179,8 @@ class Binding:
         if given.fast_groups is None:
             self._found_groups = find_fast_groups(system, given.bodies)
             self._flow = None
+        has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        self._needs_sites = has_sites and bool(self.flow().trial_steps)
         self._write_program(system, platform)
         if given.scheme.without_bath().order >= 4:
             warn_about_pme(system, given.scheme.name)
@@ -191,9 +197,14 @@ class Binding:
         on_gpu = not is_on_host(platform)
         groups = integrator.getIntegrationForceGroups()
         checks_positions = given.engine == "native" and needs_finite_positions(system, platform)
-        self.program = program_for(self._whole_flow(), system, groups, not on_gpu, checks_positions)
+        flow = self._whole_flow()
+        if (not on_gpu and given.engine != "native") or given.engine == "exact":
+            # The exact engine decides on trials in Python.
+            flow = replace(flow, trial_steps=0)
+        self.program = program_for(flow, system, groups, on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
-        vectors = self.program.vectors if on_gpu and given.engine != "exact" else installation.ALL_VECTORS
+        is_lean = on_gpu and given.engine != "exact"
+        vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_flow())
         installation.install(self.program, integrator, vectors)
         self._own_computations = integrator.getNumComputations()
         self.change()
@@ -361,13 +372,15 @@ class Binding:
         ledger.seed, ledger.draws = seed, max(draws, ledger.draws)
         self.stored.write()
         self.take_over()
-        is_lost = has_parameters and self._engine is not None and not self._engine.repeats_noise
-        if is_lost and not self._told_of_noise and BATH in self.flow().scheme.operators:
+        engine = self._engine
+        is_lost = has_parameters and engine is not None and not engine.repeats_noise
+        draws = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
+        if is_lost and draws and not self._told_of_noise:
             self._told_of_noise = True
             warn(
-                "With the native engine a State does not hold the noise of Langevin dynamics, which is OpenMM's: the "
-                "run continues in the same ensemble, but on another trajectory. To continue the same trajectory, load "
-                "a checkpoint"
+                "With the native engine a State does not hold the noise of Langevin dynamics and of trials, which is "
+                "OpenMM's: the run continues in the same ensemble, but on another trajectory. To continue the same "
+                "trajectory, load a checkpoint"
             )
 
 

@@ -41,7 +41,10 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     integrator stops; `reversalError` is the distance.
 
     Random numbers are a function of the seed and of the number of draws so far. Checkpoints hold both, and a State
-    holds the number. The total energy less the heat changes only by the energy errors of ends that are accepted.
+    holds the number. The native engine takes the directions of momenta from OpenMM's random numbers, which checkpoints
+    hold. The total energy less the heat changes only by the energy errors of ends that are accepted.
+
+    XML of the integrator is a CustomIntegrator whose every step is a trial where this package is not imported, too.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.
@@ -81,7 +84,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
             rotation: you can skip this; see `SIERIntegrator`.
             engine: you can skip this; see `SIERIntegrator`.
-            substeps: you can skip this; see `SIERIntegrator`.
+            substeps: you can skip this; see `SIERIntegrator`. Fewer steps make a trial cheaper and its energy errors
+                larger; samples are exact with any number.
             fastForceGroups: you can skip this; see `SIERIntegrator`.
             extraChances: you can skip this. It is how many times a trajectory whose end would be rejected goes on by
                 `stepsPerTrial` steps; None lets trials of up to 72 fs go on twice, those of up to 108 fs once, and

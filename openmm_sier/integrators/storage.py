@@ -26,7 +26,9 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     binding = integrator.binding
     copied, program = installation.without_program(integrator), binding.general_program()
     installation.install(program, copied)
-    copied.setStepSize(binding.settings.step / max(1, len(program.parts)))
+    for name, value in binding.ensemble.variables(binding.flow()).items():
+        copied.setGlobalVariableByName(name, value)
+    copied.setStepSize(binding.settings.step / (program.native_steps or 1))
     return copied
 
 
@@ -73,8 +75,8 @@ def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
         raise settings.SettingsError(
             f"A stored SIER integrator lacks the variable {missing.pop()}: create the integrator anew"
         )
-    parts = int(plain.getGlobalVariableByName(installation.PARTS)) or 1
-    step = plain.getStepSize().value_in_unit(unit.picosecond) * parts
+    native_steps = plain.getGlobalVariableByName(installation.PARTS) or 1
+    step = plain.getStepSize().value_in_unit(unit.picosecond) * native_steps
     installation.uninstall(plain)
     plain.__class__ = cls
     plain.binding = Binding(plain, found)

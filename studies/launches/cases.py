@@ -8,7 +8,7 @@ import openmm
 from openmm import app
 
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
-from openmm_sier.dynamics.schemes import SIER2P3, SIER4G
+from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
 from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
 from studies.methods import HEAVY, MIDDLE, SEVERAL_STEPS, VERLET, Bath, Contestant, in_bath, of_scheme, trials
@@ -40,9 +40,9 @@ class Case(NamedTuple):
 
 
 def _native_trials() -> Contestant:
-    """Return hybrid Monte Carlo with the usual friction, whose trials all have as many steps."""
-    method = trials(SIER4G, 10, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
-    return method.at(9, **HEAVY, detail=" x 10", steps=10)
+    """Return hybrid Monte Carlo with the usual step and friction, whose trials all have as many steps."""
+    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
+    return method.at(9, **HEAVY, detail=" x 8", steps=8)
 
 
 #: By the names that the command takes.
@@ -54,7 +54,7 @@ CASES = {
     "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
     "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
-    "hmc": Case(_native_trials(), calls=3, steps=2),
+    "hmc": Case(_native_trials(), calls=4, steps=4),
 }
 
 

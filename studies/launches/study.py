@@ -29,6 +29,7 @@ COLUMNS = {
     "blocking": "{blocking_reads:.1f}",
     "writes": "{writes:.1f}",
     "blocking writes": "{blocking_writes:.1f}",
+    "bytes": "{bytes:.0f}",
     "waits": "{waits:.1f}",
     "Python/us": "{python:.0f}",
 }
@@ -100,7 +101,8 @@ def study(settings: LaunchesSettings, report: Report = SILENT) -> Record:
     counted = [each for point in order for each in runs if point.items() <= each.items()]
     rows = pd.DataFrame([row for each in counted for row in rows_of(each)])
     kernels = pd.DataFrame([row for each in counted for row in kernels_of(each)])
+    shown = rows.assign(bytes=rows["reads_bytes"] + rows["writes_bytes"])
     for per in ("step", "call"):
-        report.table(f"For each {per}", text.table(rows[rows["per"] == per], COLUMNS))
+        report.table(f"For each {per}", text.table(shown[shown["per"] == per], COLUMNS))
     made = Record(settings.recorded(), {"rows": rows, "kernels": kernels}, {})
     return made.write(settings.out / "launches.json")

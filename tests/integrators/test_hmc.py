@@ -153,39 +153,50 @@ def test_constant_pressure_moves_the_volume_between_trials(engine):
     assert all(step % 2 == 0 for step in changed)
 
 
-@ENGINES
-def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch, engine):
+class Decision:
+    """A largest error that the end with a given number satisfies, whatever its energy, and no other."""
+
+    def __init__(self, wanted):
+        self.wanted = wanted
+        self.errors = []
+
+    def __ge__(self, error):
+        self.errors.append(error)
+        return len(self.errors) == self.wanted
+
+
+def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     """Each of its ends is accepted or not by the same random number, on its own energy; forces are counted.
 
-    In turn the first, the second, the third end and none is accepted, whatever its energy.
+    In turn the first, the second, the third end and none is accepted, whatever its energy. `test_native_trials.py` has
+    a test of trials that OpenMM makes as a whole.
     """
-    integrator = sampler(0.010, extraChances=2, scheme=SIER2, **engine)
+    integrator = sampler(0.010, extraChances=2, scheme=SIER2)
     context = context_at(cluster[0], integrator, cluster[1], steps=1)
-    asked, decisions = [], set()
+    asked = []
 
-    def decide(error, seed, draw):
-        asked.append((error, seed, draw))
-        return len(asked) == wanted
+    def decide(seed, draw):
+        asked.append((seed, draw))
+        return decision
 
-    monkeypatch.setattr(metropolis, "is_accepted", decide)
+    monkeypatch.setattr(metropolis, "largest_error", decide)
     for wanted in (1, 2, 3, 4) * 3:
-        asked.clear()
+        decision = Decision(wanted)
         before, forces = conserved(context), integrator.forceEvaluations
         accepted, place = integrator.accepted, phase_point(context)[0]
         integrator.step(1)
-        assert len(asked) == min(wanted, 3)
-        assert (integrator.forceEvaluations - forces) // 4 == len(asked)
+        errors = decision.errors
+        assert len(errors) == min(wanted, 3)
+        assert (integrator.forceEvaluations - forces) // 4 == len(errors)
         assert integrator.accepted - accepted == (wanted < 4)
         assert np.array_equal(phase_point(context)[0], place) is (wanted == 4)
-        assert integrator.lastEnergyError == asked[0][0]
+        assert integrator.lastEnergyError == errors[0]
         # Kinetic energies of the Context are rounded to some 1e-9 kJ/mol, and so are those of the bodies.
-        change = asked[-1][0] * KT if wanted < 4 else 0.0
+        change = errors[-1] * KT if wanted < 4 else 0.0
         assert conserved(context) - before == pytest.approx(change, abs=1e-7)
-        (decision,) = {(seed, draw) for _, seed, draw in asked}
-        decisions.add(decision)
-    assert len(decisions) == 12
+    assert len(asked) == len(set(asked)) == 12
     assert context.getTime()._value == pytest.approx(13 * 4 * 0.010, rel=1e-13)
-    assert (integrator.getExtraChances(), sampler(extraChances=0, **engine).getExtraChances()) == (2, 0)
+    assert (integrator.getExtraChances(), sampler(extraChances=0).getExtraChances()) == (2, 0)
 
 
 def test_trials_that_are_long_do_not_go_on():
@@ -236,9 +247,13 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
         found.append(2 * integrator.binding.engine.kinetic_energy() / KT)
     assert stats.kstest(found[::20], stats.chi2(freedoms).cdf).pvalue > 1e-3
     assert np.mean(found) == pytest.approx(freedoms, rel=4 * math.sqrt(2 / freedoms / 1000))
-    # Those of `test_acceptance.py`.
     opposite = stats.spearmanr(found[1:], found[:-1]).statistic
-    assert opposite == pytest.approx(-14 / 17, abs=4 * (1 - (14 / 17) ** 2) / 1000**0.5)
+    if at_rest:
+        # The energy that is over-relaxed has that of the centre of mass, which is drawn anew: 3 of 13 freedoms here.
+        assert opposite < -0.25
+    else:
+        # Those of `test_acceptance.py`.
+        assert opposite == pytest.approx(-14 / 17, abs=4 * (1 - (14 / 17) ** 2) / 1000**0.5)
 
 
 def assert_means(rows, expected, errors):
@@ -347,7 +362,7 @@ def test_a_trial_that_failed_in_mid_step_leaves_nothing_to_the_next():
     for calls in (1, 60):
         system = assembled([1.0, 1.0, 0.0], field("sqrt(0.09-x^2)-0.3", [0]))
         system.setVirtualSite(2, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
-        integrator = sampler(0.02, 3, SIER4G, seed=6, engine="native")
+        integrator = sampler(0.02, 3, SIER4G, seed=5, engine="native")
         context = context_at(system, integrator, (points, points), "CPU")
         for _ in range(calls):
             integrator.step(60 // calls)
@@ -359,24 +374,19 @@ def test_a_trial_that_failed_in_mid_step_leaves_nothing_to_the_next():
 
 @pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize("at_rest", [False, True])
-@PARTS_KEPT
-def test_a_trial_reads_what_it_must(cluster, monkeypatch, options, at_rest):
+def test_a_native_trial_reads_no_atoms(cluster, monkeypatch, at_rest):
     """On GPUs each reading of positions or velocities waits for the device, and takes longer than the host's work."""
     system = with_forces(cluster[0], openmm.CMMotionRemover()) if at_rest else cluster[0]
-    integrator = sampler(0.010, engine="native", substeps=2, extraChances=0, **options)
+    integrator = sampler(0.010, engine="native", substeps=2, extraChances=0)
     _context = context_at(system, integrator, cluster[1], steps=5)
     # The watch for runaways reads velocities now and then.
     monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
     asked, accepted = states_asked(monkeypatch), integrator.accepted
     for _ in range(30):
         integrator.step(1)
-    # Rejected trials are undone, and need no more.
     assert 0 < integrator.accepted - accepted < 30
-    reads = [sum(bool(kinds & kind) for kinds in asked) for kind in (openmm.State.Positions, openmm.State.Velocities)]
-    # One position, and velocities before and after momenta are drawn and at the end.
-    assert reads == [30, 90]
-    # The energy of the start is that of the last end.
-    assert sum(bool(kinds & openmm.State.Energy) for kinds in asked) == 30
+    read = openmm.State.Positions | openmm.State.Velocities | openmm.State.Forces | openmm.State.Energy
+    assert not any(kinds & read for kinds in asked)
 
 
 def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
@@ -449,15 +459,15 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-@pytest.mark.parametrize("kind", ["trials", "pressure"])
-def test_fails_without_this_package(cluster, tmp_path, kind, engine):
-    """OpenMM alone would accept every trial, and keep the volume."""
+@pytest.mark.parametrize("kind", ["virtual sites", "pressure"])
+def test_fails_without_this_package(tmp_path, kind, engine):
+    """OpenMM alone would keep the volume, and leave virtual sites behind in a trial on some platforms."""
+    _, positions, system = cluster_system(1, "tip4pew")
     integrator = sampler(engine=engine)
-    system, point = cluster
     if kind == "pressure":
         _, positions, system = periodic_system()
-        point = positions, np.zeros_like(positions)
         integrator = SIERLangevinIntegrator(300, 1, 0.001, pressure=1, engine=engine)
+    point = positions, np.zeros_like(positions)
     _context = context_at(system, integrator, point, steps=1)
     assert integrator.getGlobalVariableByName(EXACT_ONLY) == 1
     assert fails_as_stranger(tmp_path, integrator)

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import openmm
 
 from openmm_sier.engines.native.installation import PARTS
@@ -32,14 +33,47 @@ print(json.dumps([energies, context.getTime()._value, error]))
 """
 
 
-def run_as_stranger(directory, system, integrator, state):
-    """Energies (4, 2) after each of four steps of the scheme, the time in ps, and the error that ended them."""
-    native_steps = int(written(integrator).getGlobalVariableByName(PARTS)) or 1
+#: Positions and velocities after each of many steps, as a file of NumPy.
+SAMPLES = """
+import sys, numpy, openmm
+system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
+assert not any(name.startswith("openmm_sier") for name in sys.modules)
+assert type(integrator) is openmm.CustomIntegrator
+integrator.setRandomNumberSeed(5)
+context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+context.setPositions(state.getPositions())
+integrator.step(20)
+rows = []
+for _ in range(int(sys.argv[4])):
+    integrator.step(1)
+    found = context.getState(positions=True, velocities=True)
+    rows.append([found.getPositions(asNumpy=True)._value, found.getVelocities(asNumpy=True)._value])
+counts = [integrator.getGlobalVariableByName(name) for name in ("sier_trials", "sier_accepted")]
+numpy.savez(sys.argv[5], rows=rows, counts=counts, time=context.getTime()._value)
+"""
+
+
+def samples_as_stranger(directory, system, integrator, state, steps):
+    """Positions and velocities (n, 2, N, 3) after steps of OpenMM, numbers of trials and of accepted ones, and the time
+    in ps after these steps and 20 before."""
+    path = directory / "samples.npz"
+    run_python(SAMPLES, *_written(directory, system, integrator, state), steps, path)
+    found = np.load(path)
+    return found["rows"], found["counts"], float(found["time"])
+
+
+def _written(directory, system, integrator, state):
     files = []
     for name, thing in (("system", system), ("integrator", integrator), ("state", state)):
         files.append(directory / f"{name}.xml")
         files[-1].write_text(openmm.XmlSerializer.serialize(thing))
-    return json.loads(run_python(PROGRAM, *files, native_steps))
+    return files
+
+
+def run_as_stranger(directory, system, integrator, state):
+    """Energies (4, 2) after each of four steps of the scheme, the time in ps, and the error that ended them."""
+    native_steps = int(written(integrator).getGlobalVariableByName(PARTS)) or 1
+    return json.loads(run_python(PROGRAM, *_written(directory, system, integrator, state), native_steps))
 
 
 def fails_as_stranger(directory, integrator):

@@ -145,7 +145,7 @@ class NativeEngine(Engine):
             integrator.setGlobalVariableByName(EXACT_ONLY, is_guarded)
 
     def take_over(self) -> None:
-        set_bath(self._integrator, self.flow.bath)
+        self._set_bath()
         if self._potential is not None:
             environment = _environment_of(openmm.Context.getState(self._context, parameters=True))
             if environment != self._potential.environment:
@@ -156,6 +156,9 @@ class NativeEngine(Engine):
             velocities = openmm.Context.getState(self._context, velocities=True).getVelocities(asNumpy=True)
             openmm.Context.setVelocities(self._context, velocities)
             self._is_box_new = self._has_force = False
+
+    def _set_bath(self) -> None:
+        set_bath(self._integrator, self.flow.bath)
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
         if self.flow.step == 0:
@@ -282,6 +285,9 @@ class NativeEngine(Engine):
 
     def _write_velocities(self, velocities: np.ndarray) -> None:
         self._known.write_velocities(velocities)
+        self._velocities_changed()
+
+    def _velocities_changed(self) -> None:
         # OpenMM considers no force valid after that.
         self._has_force = False
 
@@ -297,11 +303,11 @@ class NativeEngine(Engine):
     def shift_velocities(self, velocity: np.ndarray) -> None:
         self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
         self._known.scale(1.0, velocity)
-        self._has_force = False
+        self._velocities_changed()
 
     def _scale_velocities(self, factor: float, shift: np.ndarray) -> None:
         self._known.scale(factor, shift)
-        self._has_force = False
+        self._velocities_changed()
 
     def draw_momenta(self, bath: Thermostat, time: float) -> None:
         """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
@@ -310,7 +316,7 @@ class NativeEngine(Engine):
         self._known.refresh_velocities(kept, GAS_CONSTANT * bath.temperature, self.ledger.noise())
         if len(self._constraints.pairs):
             self._known.constrain_velocities(self._integrator.getConstraintTolerance())
-        self._has_force = False
+        self._velocities_changed()
         self.ledger.heat += self.kinetic_energy() - before
         self.ledger.draws += 1
 
@@ -383,7 +389,8 @@ class NativeEngine(Engine):
     # --- news from outside ---
 
     def start_anew(self) -> None:
-        self._is_fresh, self._has_force, self._potential = True, False, None
+        self._is_fresh, self._potential = True, None
+        self._velocities_changed()
 
     def atoms_moved(self) -> None:
         self.start_anew()

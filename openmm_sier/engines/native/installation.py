@@ -3,19 +3,31 @@
 import copy
 import re
 from collections.abc import Iterable
+from functools import partial
 
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.program import FRICTION, NEVER, THERMAL
-from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, UPDATE, VECTORS, Program
+from openmm_sier.engines.program import (
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    TRIAL_VECTORS,
+    UPDATE,
+    VECTORS,
+    Program,
+    Statement,
+)
 from openmm_sier.engines.variables import PART, PREFIX, SITES, STATE_VARIABLES
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
 
-#: Global variable: the number of native steps of the program.
+#: Global variable: the number of native steps of the program in a step of the scheme, below 1 where a native step is a
+#: trial.
 PARTS = PREFIX + "parts"
 
 #: The per-atom variables of both engines, which are there where a run may go on with the other one.
@@ -35,10 +47,15 @@ OWN = {
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
-def declare(integrator: openmm.CustomIntegrator) -> None:
-    """Give an openmm.CustomIntegrator the global variables of programs, unless it has them."""
+def all_vectors(flow: Flow) -> tuple[str, ...]:
+    """Return the names of the per-atom variables of both engines for a flow."""
+    return (*ALL_VECTORS, *TRIAL_VECTORS) if flow.trial_steps else ALL_VECTORS
+
+
+def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:
+    """Give an openmm.CustomIntegrator the global variables of programs, or of trials too, unless it has them."""
     there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
-    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL):
+    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL, *(trials.GLOBALS if in_trials else ())):
         if name not in there:
             integrator.addGlobalVariable(name, 0)
 
@@ -52,14 +69,19 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
     Args:
         program: what OpenMM executes.
         integrator: has neither computations nor per-atom variables yet.
-        vectors: names of the per-atom variables; None: all.
+        vectors: names of the per-atom variables; None: those of the program, with all that steps may need.
     """
-    for name in ALL_VECTORS if vectors is None else vectors:
+    usual = program.vectors if program.trials is not None else ALL_VECTORS
+    for name in usual if vectors is None else vectors:
         integrator.addPerDofVariable(name, 0)
-    declare(integrator)
-    n = len(program.parts)
+    declare(integrator, program.trials is not None)
+    n = program.native_steps
     integrator.setGlobalVariableByName(PARTS, n)
     _add_guard(integrator)
+    if program.trials is not None:
+        trials.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
+        _add_last_force(program, integrator)
+        return
     integrator.beginIfBlock(f"{PART} < 0")
     integrator.addUpdateContextState()
     integrator.endBlock()
@@ -67,16 +89,21 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
         integrator.beginIfBlock(f"{PART} = {k}")
         for line in part:
             for statement, lengths in line.executed():
-                if statement.target in OWN:
-                    OWN[statement.target](integrator)
-                else:
-                    integrator.addComputePerDof(statement.target, f"{statement.expression}{lengths}; h = {n}*dt")
+                _execute(integrator, n, statement, lengths)
         integrator.endBlock()
     _add_last_force(program, integrator)
     # A program of one native step has nothing to count: OpenMM's GPU platforms upload all global variables after each
     # computation of one.
     if n > 1:
         integrator.addComputeGlobal(PART, f"select(step({PART} - {n - 1}), 0, {PART} + step({PART}))")
+
+
+def _execute(integrator: openmm.CustomIntegrator, native_steps: float, statement: Statement, lengths: str) -> None:
+    """Add the computation of a statement, with the definitions of its lengths, to a program of so many native steps."""
+    if statement.target in OWN:
+        OWN[statement.target](integrator)
+    else:
+        integrator.addComputePerDof(statement.target, f"{statement.expression}{lengths}; h = {native_steps!r}*dt")
 
 
 def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> None:
@@ -98,8 +125,8 @@ def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegra
     It is a plain CustomIntegrator, with the step of the scheme.
     """
     plain = openmm.CustomIntegrator
-    parts = int(integrator.getGlobalVariableByName(PARTS)) or 1
-    bare = plain(parts * plain.getStepSize(integrator))
+    native_steps = integrator.getGlobalVariableByName(PARTS) or 1
+    bare = plain(native_steps * plain.getStepSize(integrator))
     bare.setConstraintTolerance(integrator.getConstraintTolerance())
     bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
     bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())

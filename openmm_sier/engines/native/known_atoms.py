@@ -30,6 +30,9 @@ class KnownAtoms:
     Arrays are read-only, so that they can be kept. Within `kept` they are kept until `forget`, without which nobody may
     move atoms, and velocities are not written before `publish` or `forget`. At other times everything is read anew and
     written at once, since anybody may move atoms.
+
+    Attributes:
+        masses: of all particles, (N,), Da.
     """
 
     def __init__(self, context: openmm.Context, is_single: bool) -> None:
@@ -40,11 +43,11 @@ class KnownAtoms:
         """
         # The Context owns its integrator and so all this: a strong reference back would keep both alive.
         self._context = weakref.proxy(context)
-        self._masses = tables.masses(context.getSystem())
-        self._mass = float(self._masses.sum())
-        self._massless = np.flatnonzero(self._masses == 0)
+        self.masses = tables.masses(context.getSystem())
+        self._mass = float(self.masses.sum())
+        self._massless = np.flatnonzero(self.masses == 0)
         #: A mass for each component of the velocities, (N, 3): with one for each atom loops take twice as long.
-        self._masses_of_components = np.repeat(self._masses[:, None], 3, axis=1)
+        self._masses_of_components = np.repeat(self.masses[:, None], 3, axis=1)
         #: Spread of velocities at unit thermal energy, (N, 3); massless particles have none.
         masses = self._masses_of_components
         self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
@@ -120,7 +123,7 @@ class KnownAtoms:
         if missing:
             state = openmm.Context.getState(self._context, **dict.fromkeys(missing, True))
             for name in missing:
-                found[name] = np.empty((len(self._masses), 3))
+                found[name] = np.empty((len(self.masses), 3))
                 # Like getPositions(asNumpy=True), but without its overhead for names and units.
                 state._getVectorAsNumpy(KINDS[name], found[name])
                 found[name].flags.writeable = False
@@ -163,7 +166,7 @@ class KnownAtoms:
             kT: thermal energy, kJ/mol.
             noise: random numbers.
         """
-        drawn = noise.standard_normal((len(self._masses), 3))
+        drawn = noise.standard_normal((len(self.masses), 3))
         drawn *= self._spreads * math.sqrt((1 - kept**2) * kT)
         drawn += kept * self.velocities
         self.write_velocities(drawn)
@@ -194,7 +197,7 @@ class KnownAtoms:
         if self._centre is not None:
             return self._centre
         # A sum for each axis is several times as fast as one over rows.
-        centre = np.array([(self._masses * along).sum() for along in self.velocities.T]) / self._mass
+        centre = np.array([(self.masses * along).sum() for along in self.velocities.T]) / self._mass
         if self._is_keeping:
             self._centre = centre
         return centre

@@ -145,8 +145,16 @@ def write(
     parts = _divided(lines) if divides_step else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
-    fraction = scheme.inner_fraction(number) if fast else 1.0
-    return Program(scheme.name, parts, "", fraction, counts_heat, ends_constrained, slow_group, scheme.momentum_lag)
+    return Program(
+        scheme.name,
+        parts,
+        inner_fraction=scheme.inner_fraction(number) if fast else 1.0,
+        counts_heat=counts_heat,
+        ends_constrained=ends_constrained,
+        slow_group=slow_group,
+        momentum_lag=scheme.momentum_lag,
+        fast_groups=tuple(sorted(fast_groups)),
+    )
 
 
 def _leaves_constrained(line: Line) -> bool:

@@ -6,24 +6,32 @@ import openmm
 
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.native.program import write
-from openmm_sier.engines.program import Program
+from openmm_sier.engines.native.trials import stopped_mass, why_not
+from openmm_sier.engines.program import Program, Trials
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.forces import kind_of
 
 
 def general_program(flow: Flow) -> Program:
-    """Return a program that follows a flow in any System; one without parts if OpenMM cannot execute the flow."""
+    """Return a program that follows a flow in any System; one without parts if OpenMM cannot execute the flow.
+
+    Where the flow is followed in trials, it makes whole trials by itself. On the CPU and Reference platforms these are
+    right only in a System without virtual sites.
+    """
+    if flow.trial_steps:
+        return _written(flow, divides_step=False, trials=Trials(steps_alone=flow.trial_steps))
     return _written(flow)
 
 
-def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: bool, checks_positions: bool) -> Program:
+def program_for(flow: Flow, system: openmm.System, groups: int, on_gpu: bool, checks_positions: bool) -> Program:
     """Return the program that follows a flow in a System, and costs least there.
 
     Args:
         flow: what to follow.
         system: openmm.System.
         groups: the integration force groups, a bit mask.
-        counts_heat: whether to count the heat of a bath where the flow leaves that open.
+        on_gpu: whether a platform for GPUs executes it: then heat of a bath is not counted where the flow leaves that
+            open, and virtual sites follow their atoms within a native step.
         checks_positions: whether the engine looks at positions before each force.
 
     Returns:
@@ -31,12 +39,14 @@ def program_for(flow: Flow, system: openmm.System, groups: int, counts_heat: boo
     """
     slow = slow_groups(system, groups, flow.fast_groups)
     has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    in_trials = why_not(flow, system, on_gpu, checks_positions) is None
     return _written(
         flow,
         # By its name the force of a group is right only if no other slow force acts.
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
-        divides_step=has_virtual_sites or checks_positions,
-        counts_heat=counts_heat if flow.counts_heat is None else flow.counts_heat,
+        divides_step=not in_trials and (has_virtual_sites or checks_positions),
+        counts_heat=not on_gpu if flow.counts_heat is None else flow.counts_heat,
+        trials=Trials(stopped_mass(system)) if in_trials else None,
     )
 
 
@@ -49,11 +59,16 @@ def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> 
     return platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
 
 
-def _written(flow: Flow, **choices: Any) -> Program:
+def _written(flow: Flow, trials: Trials | None = None, **choices: Any) -> Program:
     """Write a program by `program.write`, or one without parts that says why not."""
     fast = groups_of(flow.fast_groups)
+    substeps = flow.substeps
+    if substeps is None and flow.trial_steps and not fast:
+        # A step of RATTLE is reversible and keeps the volume of phase space, whatever its error.
+        substeps = 1
     try:
-        return write(flow.scheme, flow.substeps, fast, flow.updates_context, flow.bath, **choices)
+        program = write(flow.scheme, substeps, fast, flow.updates_context, flow.bath, **choices)
+        return program._replace(trials=trials)
     except ValueError as error:
         return Program(flow.scheme.name, (), str(error))
 

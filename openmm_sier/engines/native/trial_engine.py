@@ -1,0 +1,101 @@
+"""The native engine where its program makes whole trials of hybrid Monte Carlo."""
+
+import math
+
+import numpy as np
+import openmm
+
+from openmm_sier.engines.interrupts import act_on_pending
+from openmm_sier.engines.native import trials
+from openmm_sier.engines.native.engine import NativeEngine
+from openmm_sier.engines.native.trials import Numbers
+from openmm_sier.engines.protocol import Clock, Task, TrajectoryError
+from openmm_sier.engines.trials import Outcome, Trial
+
+
+class TrialEngine(NativeEngine):
+    """Make trials, each of them one native step, so that no atom is read or written between two of them.
+
+    The kinetic energy of the end of a trial is known until velocities are changed.
+    """
+
+    makes_trials = True
+
+    def __init__(self, task: Task) -> None:
+        """
+        Raises:
+            openmm.OpenMMException: see `NativeEngine`; or OpenMM took another platform than the one for which the
+                program was written, on which virtual sites stay behind.
+        """
+        self._kinetic: float | None = None
+        super().__init__(task)
+        name = task.context.getPlatform().getName()
+        if self._has_sites and name in ("CPU", "Reference"):
+            raise openmm.OpenMMException(
+                f"OpenMM took the {name} platform, and trials were written for another one. Virtual sites do not "
+                "follow their atoms within a trial there: name the platform when the Context is made"
+            )
+
+    def make_trial(self, trial: Trial) -> Outcome:
+        before = self.kinetic_energy()
+        try:
+            numbers = self._executed(trial)
+        except openmm.OpenMMException as error:
+            self.ledger.heat += trial.kinetic - before
+            if not isinstance(error, TrajectoryError):
+                raise
+            return Outcome(self.potential_energy(), math.inf, False)
+        self._kinetic = numbers.kinetic
+        self.ledger.heat += trial.kinetic - before - numbers.stopped
+        first_error = numbers.first_error if math.isfinite(numbers.first_error) else math.inf
+        return Outcome(numbers.start, first_error, numbers.is_accepted)
+
+    def follow(self, steps: int, wants_energy: bool = False) -> None:
+        if not steps or self.flow.step == 0:
+            super().follow(steps, wants_energy)
+            return
+        start = self.clock
+        numbers = self._executed(trials.followed(self._integrator, steps))
+        if not numbers.is_accepted:
+            raise TrajectoryError("The energy at the end of a trajectory is not finite")
+        self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)
+        act_on_pending()
+
+    def _executed(self, trial: Trial) -> Numbers:
+        """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
+        self._settle()
+        scheme = self.flow.scheme
+        self.evaluations += int(scheme.reuses_force and not self._has_force)
+        self._potential = None
+        self._known.forget()
+        self._velocities_changed()
+        try:
+            numbers = trials.execute(self._integrator, trial)
+        except BaseException as error:
+            is_lost = isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
+            self._restore_start(reverse=is_lost)
+            if is_lost:
+                raise TrajectoryError(str(error)) from error
+            raise
+        self._has_force = numbers.is_accepted
+        self.evaluations += numbers.ends * trial.steps * scheme.force_evaluations
+        if self._has_sites and not numbers.is_accepted:
+            self._context.computeVirtualSites()
+        return numbers
+
+    def _restore_start(self, reverse: bool) -> None:
+        positions, velocities = trials.start_of(self._integrator)
+        is_massive = self._known.masses[:, None] > 0
+        self._known.write_positions(np.where(is_massive, positions, self._known.positions))
+        self._write_velocities(-velocities if reverse else velocities)
+        self._context.computeVirtualSites()
+
+    def kinetic_energy(self) -> float:
+        return super().kinetic_energy() if self._kinetic is None else self._kinetic
+
+    def _velocities_changed(self) -> None:
+        super()._velocities_changed()
+        self._kinetic = None
+
+    def _set_bath(self) -> None:
+        """Leave the variables of the program as they are: each trial has its own."""

@@ -1,0 +1,308 @@
+"""A trial of hybrid Monte Carlo as one native step, which OpenMM executes from the draw of momenta to the decision.
+
+Only numbers cross between host and device. The host sets the kinetic energy of the start and the largest energy error
+at which an end is accepted; it reads the error, the decision and the kinetic energy of the sample. Positions and
+velocities of the start are kept in per-atom variables, from which a rejection restores them. Momenta are OpenMM's
+random numbers.
+
+A program alone needs no host: the random number of the decision is OpenMM's too, and the kinetic energy is
+the one that was drawn.
+
+OpenMM looks at every path through the blocks of a program, twice in a row, and computes an energy with each force after
+which some path needs it. So the ending of the last step is written apart from those of the steps before it, whose
+forces come without energies. It computes statements between two others in one kernel, but not across the beginning or
+the end of a block: these are where constraints move atoms, which takes kernels of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.engines.native.program import THERMAL
+from openmm_sier.engines.program import CONSTRAIN_V, START_V, START_X, TRIAL_VECTORS, Program, Statement, Trials
+from openmm_sier.engines.trials import Trial
+from openmm_sier.engines.variables import PREFIX
+from openmm_sier.system import tables
+
+#: Global variables that the host sets beside `THERMAL`: steps to an end, extra chances, the share of momenta that is
+#: kept, the kinetic energy of the start, the largest error that is accepted, and the velocity that the centre of mass
+#: is given. A kinetic energy of zero leaves momenta as they are, and does not stop the centre of mass.
+STEPS, CHANCES, SHARE, WANTED, THRESHOLD = (
+    PREFIX + name for name in ("steps", "chances", "share", "wanted", "threshold")
+)
+CENTRE = tuple(f"{PREFIX}centre_{axis}" for axis in "xyz")
+
+#: Global variables that the program sets: potential and kinetic energy of the start, kinetic energy of the present
+#: state, energy error in kT of the present and of the first end, number of ends, whether the last one is accepted,
+#: whether the trajectory goes on, steps left to the end, and the kinetic energy that was taken from the centre of mass.
+START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED = (
+    PREFIX + name
+    for name in (
+        "start",
+        "start_kinetic",
+        "kinetic",
+        "end_error",
+        "first_error",
+        "ends",
+        "taken",
+        "goes_on",
+        "left",
+        "stopped",
+    )
+)
+
+#: All of them.
+GLOBALS = (
+    *(STEPS, CHANCES, SHARE, WANTED, THRESHOLD, *CENTRE),
+    *(START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED),
+)
+
+#: Global variables in which an ensemble counts trials, with the error of the first end of the last one in kT.
+TRIALS, ACCEPTED, ERROR = (PREFIX + name for name in ("trials", "accepted", "error"))
+
+#: An error above this counts as infinite, kT.
+INFINITE = 1e300
+
+#: The kinetic energy of atoms.
+KINETIC_ENERGY = "0.5*m*v*v"
+
+
+def energies(program: Program) -> tuple[str, ...]:
+    """Return the names of the potential energies that make up that of a program's forces.
+
+    Groups whose forces a program takes by name have energies by name too, which come with these forces.
+    """
+    if program.slow_group is None:
+        return ("energy",)
+    return tuple(f"energy{group}" for group in (*program.fast_groups, program.slow_group))
+
+
+#: A statement with the definitions of its lengths.
+Executed = tuple[Statement, str]
+
+
+def halves_of(program: Program) -> tuple[list[Executed], list[Executed]]:
+    """Return the statements of a step to the last that moves atoms, and those after it.
+
+    Velocities are constrained only at an end: until then constraints of positions take up what they have along them.
+    """
+    (part,) = program.parts
+    executed = [each for line in part for each in line.executed()]
+    if executed[-1][0].target == CONSTRAIN_V:
+        executed = executed[:-1]
+    middle = 1 + max(index for index, (statement, _) in enumerate(executed) if statement.moves)
+    return executed[:middle], executed[middle:]
+
+
+def ending_of(program: Program) -> list[Executed | str]:
+    """Return the second of the halves, with the name of each energy before the first force of the same group."""
+    _, after = halves_of(program)
+    ending: list[Executed | str] = [*after]
+    for energy in energies(program):
+        force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
+        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and force.search(each[0].expression))
+        ending.insert(next(places, len(ending)), energy)
+    # Statements without a force can be computed with those of the first force, after its energy.
+    first = next(i for i, each in enumerate(ending) if isinstance(each, str))
+    return [ending[first], *ending[:first], *ending[first + 1 :]]
+
+
+# --- the program ---
+
+
+class Writer:
+    """Add the computations of trials to an openmm.CustomIntegrator, which has their variables."""
+
+    def __init__(
+        self,
+        program: Program,
+        trials: Trials,
+        integrator: openmm.CustomIntegrator,
+        execute: Callable[[Statement, str], None],
+    ):
+        """
+        Args:
+            program: of one native step.
+            trials: describes them.
+            integrator: gets the computations.
+            execute: adds a statement of the program, with the definitions of its lengths.
+        """
+        self._program = program
+        self._trials = trials
+        self._integrator = integrator
+        self._execute = execute
+
+    def write(self) -> None:
+        """Add everything."""
+        to = self._integrator
+        self._draw()
+        to.addComputeGlobal(ENDS, "0")
+        to.addComputeGlobal(GOES_ON, "1")
+        to.beginWhileBlock(f"{GOES_ON} > 0.5")
+        self._trajectory()
+        self._decide()
+        to.endBlock()
+        self._go_back()
+        if self._trials.stopped_mass:
+            self._stop_centre()
+        if self._trials.steps_alone:
+            self._count()
+
+    def _draw(self) -> None:
+        """Draw momenta, scale them, and keep the start. All that can fail comes later."""
+        to = self._integrator
+        old = "v"
+        if self._trials.stopped_mass:
+            old = f"(v + vector({', '.join(CENTRE)}))"
+        to.addComputePerDof(START_X, "x")
+        to.addComputePerDof("v", f"{SHARE}*{old} + sqrt((1 - {SHARE}*{SHARE})*{THERMAL}/m)*gaussian")
+        to.addConstrainVelocities()
+        to.addComputeSum(START_KINETIC, KINETIC_ENERGY)
+        if self._trials.steps_alone:
+            to.addComputeGlobal(THRESHOLD, "-log(uniform)")
+        else:
+            to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
+            to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
+        to.addComputePerDof(START_V, "v")
+        self._energy_of(START)
+
+    def _energy_of(self, name: str) -> None:
+        first, *others = energies(self._program)
+        self._integrator.addComputeGlobal(name, first)
+        for each in others:
+            self._integrator.addComputeGlobal(name, f"{name} + {each}")
+
+    def _trajectory(self) -> None:
+        """Add the steps to an end, whose energies come with its last forces."""
+        to = self._integrator
+        before, after = halves_of(self._program)
+        self._execute_all(before)
+        to.addComputeGlobal(LEFT, f"{STEPS} - 1")
+        to.beginWhileBlock(f"{LEFT} > 0.5")
+        self._execute_all(after + before)
+        to.addComputeGlobal(LEFT, f"{LEFT} - 1")
+        to.endBlock()
+        to.addComputeGlobal(END_ERROR, f"-{START} - {START_KINETIC}")
+        for each in ending_of(self._program):
+            if isinstance(each, str):
+                to.addComputeGlobal(END_ERROR, f"{END_ERROR} + {each}")
+            else:
+                self._execute(*each)
+
+    def _execute_all(self, statements: list[Executed]) -> None:
+        for statement, lengths in statements:
+            self._execute(statement, lengths)
+
+    def _decide(self) -> None:
+        to = self._integrator
+        to.addConstrainVelocities()
+        to.addComputeSum(KINETIC, KINETIC_ENERGY)
+        to.addComputeGlobal(END_ERROR, f"({END_ERROR} + {KINETIC})/{THERMAL}")
+        to.addComputeGlobal(FIRST_ERROR, f"select({ENDS}, {FIRST_ERROR}, {END_ERROR})")
+        to.addComputeGlobal(ENDS, f"{ENDS} + 1")
+        # A comparison with NaN gives 0.
+        is_finite = f"step({INFINITE!r} - abs({END_ERROR}))"
+        to.addComputeGlobal(TAKEN, f"step({THRESHOLD} - {END_ERROR})*{is_finite}")
+        to.addComputeGlobal(GOES_ON, f"(1 - {TAKEN})*step({CHANCES} - {ENDS})*{is_finite}")
+
+    def _go_back(self) -> None:
+        """Restore the start of a trial that was rejected, with reversed velocities."""
+        to = self._integrator
+        to.beginIfBlock(f"{TAKEN} < 0.5")
+        to.addComputePerDof("x", START_X)
+        to.addComputePerDof("v", f"-{START_V}")
+        to.addComputeGlobal(KINETIC, START_KINETIC)
+        to.endBlock()
+
+    def _stop_centre(self) -> None:
+        """Stop the centre of mass where momenta were drawn.
+
+        The sums use no global variable: to use one that has changed, the platforms for GPUs upload all of them.
+        """
+        to, mass = self._integrator, self._trials.stopped_mass
+        for name, component in zip(CENTRE, ("_x", "_y", "_z"), strict=True):
+            # A sum is over three components, and all of this vector are the same.
+            to.addComputeSum(name, f"{1 / (3 * mass)!r}*m*{component}(v)")
+        to.addComputePerDof("v", f"v - select({WANTED}, 1, 0)*vector({', '.join(CENTRE)})")
+        squares = " + ".join(f"{name}*{name}" for name in CENTRE)
+        to.addComputeGlobal(STOPPED, f"select({WANTED}, {0.5 * mass!r}*({squares}), 0)")
+        to.addComputeGlobal(KINETIC, f"{KINETIC} - {STOPPED}")
+
+    def _count(self) -> None:
+        """Count the trial, as an ensemble does."""
+        to = self._integrator
+        to.addComputeGlobal(TRIALS, f"{TRIALS} + 1")
+        to.addComputeGlobal(ACCEPTED, f"{ACCEPTED} + {TAKEN}")
+        to.addComputeGlobal(ERROR, FIRST_ERROR)
+
+
+# --- its execution ---
+
+
+class Numbers(NamedTuple):
+    """Hold the numbers that a program leaves after a trial; see the global variables of this module."""
+
+    start: float
+    first_error: float
+    is_accepted: bool
+    ends: int
+    kinetic: float
+    stopped: float
+
+
+def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
+    """Let OpenMM make a trial."""
+    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
+    write = integrator.setGlobalVariableByName
+    for name, value in zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True):
+        write(name, value)
+    openmm.CustomIntegrator.step(integrator, 1)
+    start, error, taken, ends, kinetic, stopped = map(
+        integrator.getGlobalVariableByName, (START, FIRST_ERROR, TAKEN, ENDS, KINETIC, STOPPED)
+    )
+    return Numbers(start, error, taken > 0, int(ends), kinetic, stopped)
+
+
+def followed(integrator: openmm.CustomIntegrator, steps: int) -> Trial:
+    """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
+    thermal = integrator.getGlobalVariableByName(THERMAL)
+    return Trial(steps, 0, share=1.0, thermal=thermal, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
+
+
+def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
+    positions, velocities = (np.array(integrator.getPerDofVariableByName(name)) for name in TRIAL_VECTORS)
+    return positions, velocities
+
+
+# --- where trials are native ---
+
+
+def why_not(flow: Flow, system: openmm.System, places_sites: bool, checks_positions: bool) -> str | None:
+    """Tell why a trial cannot be one native step in a System; None if it can. Its steps are native in any case.
+
+    Args:
+        flow: of the trials.
+        system: openmm.System.
+        places_sites: whether the platform places virtual sites within a native step.
+        checks_positions: whether positions must be looked at before each force.
+    """
+    if not flow.trial_steps:
+        return "no trials are made"
+    if checks_positions:
+        return "the Reference platform computes forces of PME at positions that are not finite"
+    if not places_sites and any(map(system.isVirtualSite, range(system.getNumParticles()))):
+        return "virtual sites do not follow their atoms within a native step"
+    return None
+
+
+def stopped_mass(system: openmm.System) -> float:
+    """Return the mass in Da of the atoms whose centre a CMMotionRemover stops; 0 without one."""
+    is_stopped = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    return float(tables.masses(system).sum()) if is_stopped else 0.0

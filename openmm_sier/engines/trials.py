@@ -1,0 +1,41 @@
+"""A trial of hybrid Monte Carlo as an ensemble decides it and an engine makes it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Trial(NamedTuple):
+    """Hold the choices of one trial.
+
+    Attributes:
+        steps: number of steps of the scheme to each end of the trajectory.
+        chances: how many times the trajectory may go on where its end is rejected.
+        share: factor that momenta keep where they are drawn in part.
+        thermal: thermal energy kT, kJ/mol.
+        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol.
+        threshold: the largest energy error in kT at which an end is accepted.
+        centre: velocity that is given to the centre of mass before momenta are drawn, (3,), nm/ps.
+    """
+
+    steps: int
+    chances: int
+    share: float
+    thermal: float
+    kinetic: float
+    threshold: float
+    centre: np.ndarray
+
+
+class Outcome(NamedTuple):
+    """Hold the result of one trial.
+
+    Attributes:
+        energy: potential energy of the start, kJ/mol.
+        error: total energy at the first end less that at the start, in kT; infinite where it could not be reached.
+        is_accepted: whether an end was accepted.
+    """
+
+    energy: float
+    error: float
+    is_accepted: bool

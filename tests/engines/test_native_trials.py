@@ -1,0 +1,199 @@
+"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions, failures, and exact averages."""
+
+import math
+
+import numpy as np
+import openmm
+import pytest
+
+from openmm_sier import SIER2V2, SIERHMCIntegrator
+from openmm_sier.engines.native import trials
+from openmm_sier.ensembles import metropolis
+from tests.support import anharmonic
+from tests.support.samplers import counted, sampler
+from tests.support.seeded import seeded
+from tests.support.strangers import samples_as_stranger
+from tests.support.systems import assembled, field
+from tests.support.waters import cluster_system, context_at, energies, phase_point, settled
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    return settled("cluster-4", *cluster_system(4))[1:]
+
+
+def anharmonic_context(well_group=0, chances=0, steps=2, name="Reference", *others):
+    """A Context in which half of the first ends are rejected, after 20 trials."""
+    fast = {"fastForceGroups": {1}} if well_group else {}
+    integrator = SIERHMCIntegrator(
+        anharmonic.TEMPERATURE, 0.022, SIER2V2, steps, 2.0, engine="native", extraChances=chances, **fast
+    )
+    system = anharmonic.system(*others, well_group=well_group)
+    x = anharmonic.positions()
+    return context_at(system, seeded(integrator, 5), (x, np.zeros_like(x)), name, steps=20)
+
+
+# --- the decision ---
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, at_rest):
+    """A trial is repeated from a checkpoint with largest errors about those of its ends, and takes the first below."""
+    removers = [openmm.CMMotionRemover()] if at_rest else []
+    context = anharmonic_context(0, 2, 3, "Reference", *removers)
+    integrator = context.getIntegrator()
+    ends_seen = set()
+    for _ in range(12):
+        start, saved = phase_point(context), context.createCheckpoint()
+        accepted, forces, energy = integrator.accepted, integrator.forceEvaluations, conserved(context)
+
+        def outcome(largest, chances=2):
+            context.loadCheckpoint(saved)  # noqa: B023
+            monkeypatch.setattr(metropolis, "largest_error", lambda *_: largest)
+            integrator.setExtraChances(chances)
+            integrator.setGlobalVariableByName(metropolis.CHECKED_STEP, integrator.getSchemeStepSize()._value)
+            forces = integrator.forceEvaluations
+            integrator.step(1)
+            return integrator.accepted - accepted, (integrator.forceEvaluations - forces) // 6  # noqa: B023
+
+        errors = []
+        for chances in range(3):
+            assert outcome(-1e300, chances) == (0, chances + 1)
+            errors.append(integrator.getGlobalVariableByName(trials.END_ERROR))
+            assert integrator.lastEnergyError == errors[0]
+            assert np.array_equal(phase_point(context)[0], start[0])
+            # A rejection adds nothing to the energy less heat.
+            assert conserved(context) == pytest.approx(energy, abs=1e-9)
+        for largest in [*errors, min(errors) - 1e-6]:
+            end = next((i for i, error in enumerate(errors) if error <= largest), None)
+            ends_seen.add(end)
+            assert outcome(largest) == (end is not None, 3 if end is None else end + 1)
+            change = 0.0 if end is None else errors[end] * anharmonic.KT
+            # Sums of some hundred kJ/mol.
+            assert conserved(context) - energy == pytest.approx(change, abs=1e-9)
+    assert forces > 0
+    assert ends_seen == {0, 1, 2, None}
+
+
+def conserved(context):
+    return sum(energies(context)) - context.getIntegrator().getHeat()._value
+
+
+# --- restarts, changes and failures ---
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_a_checkpoint_is_continued_bit_for_bit(name):
+    context = anharmonic_context(1, 2, 3, name)
+    integrator, saved = context.getIntegrator(), context.createCheckpoint()
+    integrator.step(7)
+    expected = counted(context)
+    integrator.step(3)
+    context.loadCheckpoint(saved)
+    integrator.step(7)
+    for one, other in zip(counted(context), expected, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_trials_of_other_lengths_steps_and_temperatures():
+    """What a trial is made of may change between two, and the next one has it."""
+    context = anharmonic_context()
+    integrator = context.getIntegrator()
+    energies_of_atoms = []
+    integrator.setTemperature(600.0)
+    integrator.setStepsPerTrial(4)
+    integrator.setSchemeStepSize(0.01)
+    for _ in range(3):
+        integrator.step(1)
+        forces, time = integrator.forceEvaluations, context.getTime()._value
+        integrator.step(1)
+        assert (integrator.forceEvaluations - forces) // 2 == 4
+        assert context.getTime()._value - time == pytest.approx(0.04, rel=1e-10)
+    for _ in range(400):
+        integrator.step(1)
+        energies_of_atoms.append(energies(context)[1])
+    # 48 degrees of freedom. Each kinetic energy is nearly opposite to the one before, so that their mean is better than
+    # that of as many independent ones: six standard errors of these.
+    expected = 48 / 2 * 2 * anharmonic.KT
+    assert np.mean(energies_of_atoms) == pytest.approx(expected, rel=6 * math.sqrt(2 / 48 / 400))
+
+
+@pytest.mark.parametrize("name", ["Reference", "CPU"])
+def test_ends_that_are_not_finite_are_rejected(name):
+    """A particle in a well that ends at x = 0.3 nm. The start is restored, bit for bit, with reversed velocities."""
+    integrator = sampler(0.02, 3, seed=6, engine="native")
+    context = context_at(assembled([1.0], field("sqrt(0.09-x^2)-0.3", [0])), integrator, np.zeros((2, 1, 3)), name)
+    failed = 0
+    for _ in range(200):
+        start = phase_point(context)[0]
+        integrator.step(1)
+        assert integrator.lastEnergyError > -1e300
+        if math.isinf(integrator.lastEnergyError):
+            failed += 1
+            assert np.array_equal(phase_point(context)[0], start)
+    assert failed > 3
+    assert (context.getStepCount(), integrator.trials) == (200, 200)
+
+
+def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
+    """At a call after the first few; the run then goes on."""
+    fails_at = math.inf
+    calls = 0
+
+    def force(state):
+        nonlocal calls
+        calls += 1
+        if calls == fails_at:
+            raise ValueError("no force")
+        x = state.getPositions(asNumpy=True)._value
+        return 500.0 * (x**2).sum(), -1000.0 * x
+
+    integrator = sampler(0.01, 4, engine="native", frictionCoeff=3.0)
+    context = context_at(
+        assembled([10.0, 10.0, 0.0], openmm.PythonForce(force)), integrator, np.zeros((2, 3, 3)), steps=3
+    )
+    sample, before = phase_point(context)[0], counted(context)[3:5]
+    energy = conserved(context)
+    fails_at = calls + 3
+    with pytest.raises(openmm.OpenMMException, match="no force"):
+        integrator.step(5)
+    assert np.array_equal(phase_point(context)[0], sample)
+    assert (integrator.trials, counted(context)[3:5]) == (3, before)
+    # Momenta were drawn, and their heat is counted.
+    assert conserved(context) == pytest.approx(energy, abs=1e-9)
+    integrator.step(2)
+    assert integrator.trials == 5
+
+
+# --- exact averages ---
+
+
+@pytest.mark.parametrize("well_group", [0, 1])
+def test_averages_are_exact(well_group):
+    """Half of the first ends are rejected. With the wells in the drifts energies are those of two groups."""
+    context = anharmonic_context(well_group)
+    integrator = context.getIntegrator()
+    rows = []
+    integrator.resetStatistics()
+    for _ in range(4000):
+        integrator.step(1)
+        rows.append(anharmonic.observed(*phase_point(context)))
+    assert 0.4 < integrator.acceptanceRate < (1.0 if well_group else 0.6)
+    # Standard errors of 25 blocks: five right means exceed the limit with a probability of 1e-4, for one seed. Momenta
+    # that are not reversed make the last one 7.5, energies of the step's beginning make it 11 or 20.
+    assert (np.abs(anharmonic.distances(rows)) < 4.5).all()
+
+
+def test_stored_xml_samples_exactly_without_this_package(tmp_path):
+    """Every step is a trial, with OpenMM's random numbers; the second end is tried where the first is rejected."""
+    x = anharmonic.positions()
+    integrator = SIERHMCIntegrator(anharmonic.TEMPERATURE, 0.022, SIER2V2, 2, 2.0, extraChances=1)
+    system = anharmonic.system()
+    plain = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x))
+    state = plain.getState(positions=True)
+    rows, (made, accepted), time = samples_as_stranger(tmp_path, system, integrator, state, 4000)
+    assert made == 4020
+    assert 0.5 < accepted / made < 0.9
+    # Sums of 4000 numbers.
+    assert time == pytest.approx(4020 * 2 * 0.022, rel=1e-10)
+    assert (np.abs(anharmonic.distances([anharmonic.observed(*row) for row in rows])) < 4.5).all()
