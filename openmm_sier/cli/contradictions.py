@@ -9,7 +9,7 @@ from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.cli.pictures.endings import ENDINGS
 from openmm_sier.cli.results import FEWEST_ROWS
-from openmm_sier.observe.stock import BAROSTAT_INTERVAL
+from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
 
 if TYPE_CHECKING:
     from openmm_sier.cli.settings import RunSettings
