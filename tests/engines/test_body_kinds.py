@@ -174,9 +174,9 @@ def test_mirror_images_in_one_system(constrained):
         ([[0, 1, 2, 3], [3]], "name particle 3 twice"),
         ([[0, 1, 2, 3], []], "must have particles, but the list of body 1 is empty"),
         ([[0, 1, 2, 12]], "name particle 12, but the System has only 12 particles"),
-        ({"XYZ": "rigid"}, "name residue XYZ, which the topology does not have"),
+        ({"XYZ": "rigid"}, "no residue named XYZ"),
         *(
-            (wrong, r"by name give rigid=\{'NAME': 'rigid'\}.*, got " + re.escape(repr(wrong)))
+            (wrong, r"a mapping \{'residue name': 'rigid'\}.*, got " + re.escape(repr(wrong)))
             for wrong in ({"handed": "stiff"}, {"handed": True}, ["handed"], "handed")
         ),
     ],
