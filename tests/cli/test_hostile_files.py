@@ -141,7 +141,7 @@ def test_nothing_in_a_topology_is_executed(here, capsys, name):
     assert "evil.xml" in message
     if name in ("system", "collective variable", "alchemical"):
         assert "it has a 'PythonForce'" in message
-        assert "make the System in a script" in message
+        assert "Create the System in a script" in message
 
 
 def test_document_types_are_refused(here, capsys):

@@ -174,9 +174,9 @@ def test_mirror_images_in_one_system(constrained):
         ([[0, 1, 2, 3], [3]], "name particle 3 twice"),
         ([[0, 1, 2, 3], []], "must have particles, but the list of body 1 is empty"),
         ([[0, 1, 2, 12]], "name particle 12, but the System has only 12 particles"),
-        ({"XYZ": "rigid"}, "name residue XYZ, which the topology does not have"),
+        ({"XYZ": "rigid"}, "no residue named XYZ"),
         *(
-            (wrong, r"by name give rigid=\{'NAME': 'rigid'\}.*, got " + re.escape(repr(wrong)))
+            (wrong, r"a mapping \{'residue name': 'rigid'\}.*, got " + re.escape(repr(wrong)))
             for wrong in ({"handed": "stiff"}, {"handed": True}, ["handed"], "handed")
         ),
     ],
@@ -190,7 +190,7 @@ def test_bodies_that_cannot_be(rigid, message):
 def test_bodies_of_something_else():
     """Positions of other particles would give a geometry without a word, as long as the named ones are among them."""
     gas = Gas("handed")
-    with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\) .*, got \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\), one row per particle, got \(3, 3\)"):
         RigidBodies.from_system(gas.system, gas.topology, [[0, 1, 2]], gas.point[0][:3])
     with pytest.raises(TypeError, match=r"must be an openmm\.System, got a Topology"):
         RigidBodies.from_system(gas.topology)
