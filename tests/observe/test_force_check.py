@@ -110,7 +110,7 @@ def torque_error(context, positions, body):
     return np.linalg.norm(wrong) / 3**0.5
 
 
-@pytest.mark.parametrize("name", PLATFORMS)
+@pytest.mark.parametrize("name", representatives(PLATFORMS, "CPU"))
 def test_gay_berne_with_different_well_depths_is_found(name):
     """Its torques are wrong, on both platforms, as central differences show."""
     system, positions = gay_berne(0.7, 1.3)
