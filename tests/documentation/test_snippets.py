@@ -1,4 +1,4 @@
-"""The code that README, guides and how-tos show runs as it stands, with fewer steps."""
+"""The code that README, guides and how-tos show runs as it stands, but for the lengths of runs."""
 
 import ast
 import json
@@ -12,7 +12,9 @@ import mdtraj
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 
+from openmm_sier.integrators import tuning
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.matrices import representatives
 from tests.support.series import stresses
@@ -23,13 +25,30 @@ ROOT = Path(__file__).parent.parent.parent
 GUIDES = ["README.md", *(f"docs/guide/{name}.md" for name in ("getting-started", "restarts", "engines"))]
 PAGES = [*GUIDES, *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/guide/howto/*.md"))]
 
-#: Steps that are made instead of more. With hybrid Monte Carlo each is a trial of several.
+#: Steps and turns of loops that are made instead of more. With hybrid Monte Carlo a step is a trial of several.
 FEWER = 5
+
+#: What is shorter besides.
+SHORTER = {
+    "time=2)": "time=0.05)",
+    "lengths=[4, 8]": "lengths=[4]",
+    "stepsPerTrial=20": "stepsPerTrial=2",
+    "inside.sum() >= 10": "inside.any()",
+}
 
 
 def code(page):
     """The Python blocks of a page."""
     return re.findall(r"^```python\n(.*?)^```$", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+
+
+def shortened(block):
+    """A block of code with fewer steps."""
+    lengths = re.compile(r"(\.step\(|\bfor _ in range\((?=\d+\):\n +simulation\.step\())(\d+)\)")
+    block = lengths.sub(lambda found: f"{found[1]}{min(int(found[2]), FEWER)})", block)
+    for long, short in SHORTER.items():
+        block = block.replace(long, short)
+    return block
 
 
 class Calls(ast.NodeTransformer):
@@ -92,16 +111,21 @@ def test_a_call_in_vain_is_found():
 
 
 @pytest.fixture
-def one_thread():
-    """The CPU platform has one thread. When a page sets the variable for it, OpenMM has been imported."""
+def short_runs(monkeypatch):
+    """The CPU platform has one thread; nothing is minimized, which takes OpenMM most of the time, and hardly tuned.
+
+    When a page sets the variable for the number of threads, OpenMM has been imported.
+    """
     cpu = platform("CPU")
     usual = cpu.getPropertyDefaultValue("Threads")
     cpu.setPropertyDefaultValue("Threads", "1")
+    monkeypatch.setattr(app.Simulation, "minimizeEnergy", lambda self, tolerance=10, maxIterations=0: None)
+    monkeypatch.setattr(tuning, "ATTEMPTS", 1)
     yield
     cpu.setPropertyDefaultValue("Threads", usual)
 
 
-@pytest.mark.usefixtures("one_thread")
+@pytest.mark.usefixtures("short_runs")
 @pytest.mark.parametrize(
     "page", representatives([page for page in PAGES if code(page)], "README.md", "docs/guide/getting-started.md")
 )
@@ -110,36 +134,33 @@ def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
     (tmp_path / "systems").symlink_to(ROOT / "systems")
     names = {"__name__": "__main__"}
     for block in code(page):
-        fewer = re.sub(r"\.step\((\d+)\)", lambda found: f".step({min(int(found[1]), FEWER)})", block)
-        fewer = fewer.replace("for _ in range(20):", "for _ in range(2):")  # states that a report compares
         for module in ("physical_validation", "openmmtools"):
-            if f"from {module} import" in fewer or f"import {module}" in fewer:  # the last block of its page
+            if f"from {module} import" in block or f"import {module}" in block:  # the last block of its page
                 pytest.importorskip(module, reason="install the extra validation")
-        run(fewer, page, names)
+        run(shortened(block), page, names)
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("short_runs")
 def test_code_of_the_notebook_of_exact_averages_runs(monkeypatch):
-    """With 60 trials, of which one of 36 bins of the dihedral has two."""
+    """With five trials of two steps, and all bins of the dihedral that have a frame."""
     monkeypatch.chdir(ROOT / "docs" / "notebooks")
-    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
     pytest.importorskip("matplotlib").use("Agg")
     cells = json.loads(Path("exact-averages.ipynb").read_text())["cells"]
     blocks = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     names = {"__name__": "__main__"}
     for block in blocks:
-        fewer = block.replace("range(350)", "range(60)").replace("inside.sum() >= 10", "inside.sum() >= 2")
-        run(fewer, "exact-averages.ipynb", names)
-    assert names["integrator"].trials == 60
+        run(shortened(block), "exact-averages.ipynb", names)
+    assert names["integrator"].trials == FEWER
     assert np.isfinite(names["free"]).any()
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("short_runs")
 @pytest.mark.parametrize("of", ["systems of this project", "openmmtools"])
 def test_code_of_the_gallery_runs(of, monkeypatch):
     """With a few steps, and without pictures; the protein is the one section that needs openmmtools."""
     monkeypatch.chdir(ROOT / "docs" / "notebooks")
-    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
     pictures = types.ModuleType("pictures")
     shown = []
     pictures.panel = lambda simulation, title, steps=0: (simulation.step(FEWER), shown.append(title))
@@ -151,7 +172,7 @@ def test_code_of_the_gallery_runs(of, monkeypatch):
         pytest.importorskip("openmmtools", reason="install the extra validation")
     names = {"__name__": "__main__"}
     for section in (first, *(needs if of == "openmmtools" else [one for one in sections if one not in needs])):
-        run(re.sub(r"\.step\(\d+\)", f".step({FEWER})", section), "gallery.ipynb", names)
+        run(shortened(section), "gallery.ipynb", names)
     assert len(shown) == (1 if of == "openmmtools" else 6)
 
 
