@@ -1,5 +1,4 @@
-"""Exactness of hybrid Monte Carlo for models with known averages, at steps so long that half of the trials are
-rejected.
+"""Exactness of hybrid Monte Carlo for models with known averages, where half of the trials are rejected.
 
 Points in harmonic wells, momenta drawn anew and in part, and rigid dipoles in a field with the volume of an ideal gas
 of them, by `SIERHMCIntegrator` on the Reference platform: means and variances over many trials beside the exact values,

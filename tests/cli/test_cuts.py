@@ -78,8 +78,8 @@ def test_without_a_later_checkpoint_what_no_killed_run_leaves_is_kept(there, cap
     assert "Give the last checkpoint of the run to --restart" in message
     assert contents(Path()) == before
     notes = read_notes(Path("old.chk"))
-    for path, name in (("box.dcd", "trajectory"), ("p.csv", "tensors")):
-        os.truncate(path, notes[name].size)
+    for path, noted in (("box.dcd", notes.trajectory), ("p.csv", notes.tensors)):
+        os.truncate(path, noted.size)
     message = complaint(capsys, *AGAIN, "--restart", "old.chk", "--steps", FIRST + 5)
     assert f"box.csv goes on to {BEYOND * 0.004:g} ps" in message
     assert "would cut this file" in message

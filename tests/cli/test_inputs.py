@@ -380,7 +380,7 @@ def test_a_barostat_in_a_system_is_refused(capsys):
     [
         (lambda system: system.setParticleMass(4, -0.1), "The mass of particle 4 is -0.1 dalton"),
         (lambda system: system.setParticleMass(4, float("nan")), "The mass of particle 4 is nan dalton"),
-        (lambda system: system.addConstraint(4, 5, -0.1), "The constraint of particles 4 and 5 has a length of -0.1 nm"),
+        (lambda system: system.addConstraint(4, 5, -0.1), "The constraint of particles 4 and 5 has a length of -0.1"),
         (lambda system: system.addConstraint(4, 4, 0.1), "A constraint joins particles 4 and 4: they must be two"),
         (
             lambda system: system.addConstraint(4, 9999, 0.1),

@@ -190,7 +190,7 @@ def test_bodies_that_cannot_be(rigid, message):
 def test_bodies_of_something_else():
     """Positions of other particles would give a geometry without a word, as long as the named ones are among them."""
     gas = Gas("handed")
-    with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\), one row per particle, got \(3, 3\)"):
+    with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\).*, got \(3, 3\)"):
         RigidBodies.from_system(gas.system, gas.topology, [[0, 1, 2]], gas.point[0][:3])
     with pytest.raises(TypeError, match=r"must be an openmm\.System, got a Topology"):
         RigidBodies.from_system(gas.topology)
