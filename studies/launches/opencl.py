@@ -15,4 +15,6 @@ def environment() -> dict[str, str]:
         found = [str(library), *filter(None, [variables.get("LD_LIBRARY_PATH")])]
         variables["LD_LIBRARY_PATH"] = os.pathsep.join(found)
         variables.setdefault("OCL_ICD_FILENAMES", str(runtimes[-1]))
+        # Of a Context's time, which is that of compiling its kernels, half goes into vectorizing them.
+        variables.setdefault("CL_CONFIG_USE_VECTORIZER", "False")
     return variables

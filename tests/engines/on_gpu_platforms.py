@@ -1,6 +1,6 @@
 """What must hold on CUDA, HIP and OpenCL. `test_gpu_platforms` runs this module where there is one of them.
 
-Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 20 s on a CPU.
+Few Contexts are made here: OpenMM compiles some hundred kernels for each, which takes 6 s on a CPU.
 """
 
 import functools

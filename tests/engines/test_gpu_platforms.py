@@ -10,7 +10,7 @@ from tests.support import opencl
 
 SUITE = Path(__file__).with_name("on_gpu_platforms.py")
 
-#: Seconds after which the suite counts as hanging. Without a GPU a Context takes 20 s, in which kernels are compiled.
+#: Seconds after which the suite counts as hanging. Without a GPU a Context takes 6 s, in which kernels are compiled.
 LIMIT = 3000
 
 

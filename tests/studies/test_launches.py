@@ -9,7 +9,7 @@ from studies.launches.shim import Commands
 from studies.launches.study import LaunchesSettings, study
 from tests.support import opencl
 
-#: Seconds after which a case counts as hanging. It takes 20 s on a machine that has nothing else to do.
+#: Seconds after which a case counts as hanging. It takes 10 s on a machine that has nothing else to do.
 LIMIT = 1800
 
 #: For a box and a method: the launches of a step of which OpenMM must not need more, and those that follow from the
