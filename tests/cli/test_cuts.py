@@ -79,7 +79,7 @@ def test_without_a_later_checkpoint_what_no_killed_run_leaves_is_kept(there, cap
     assert contents(Path()) == before
     notes = read_notes(Path("old.chk"))
     for path, name in (("box.dcd", "trajectory"), ("p.csv", "tensors")):
-        os.truncate(path, notes[name].size)
+        os.truncate(path, notes.file(name).size)
     message = complaint(capsys, *AGAIN, "--restart", "old.chk", "--steps", FIRST + 5)
     assert f"box.csv goes on to {BEYOND * 0.004:g} ps" in message
     assert "would cut this file" in message
