@@ -27,9 +27,6 @@ PROGRAM = "from studies.launches import counting; counting.main()"
 #: Seconds after which a case counts as hanging.
 LIMIT = 3000
 
-#: Steps before those that are counted. The first trial of hybrid Monte Carlo is followed back, as no other is.
-FIRST = 2
-
 #: Calls of many steps.
 LONG_CALLS = 3
 
@@ -112,7 +109,7 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
     case, shim = cases.CASES[name], Shim()
     context = cases.context(box, case.integrator, precision, seed)
     step = context.getIntegrator().step
-    step(FIRST)
+    step(case.first)
 
     def calls(steps: int, number: int) -> tuple[dict[str, float], float]:
         times: list[float] = []
