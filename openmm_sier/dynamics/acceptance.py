@@ -7,8 +7,8 @@ phase-space volume. This holds for drifts and kicks, and for gradient kicks, whi
 positions alone.
 
 Where a CMMotionRemover requires zero total momentum, momenta are drawn with that of the centre of mass, and the motion
-of the centre of mass is removed after the decision. A removal within a trajectory would be irreversible wherever forces
-do not sum to zero.
+of the centre of mass is removed after the decision. The kinetic energy that is over-relaxed has that of the centre of
+mass, as it was drawn. A removal within a trajectory would be irreversible wherever forces do not sum to zero.
 
 Where many molecules contribute, energy errors are normally distributed. <exp(-error/kT)> = 1, which holds for every
 reversible map that preserves phase-space volume, then makes their mean half their variance in kT^2, and the acceptance

@@ -155,6 +155,8 @@ class Program(NamedTuple):
     def __str__(self) -> str:
         n = len(self.parts)
         lines = [f"{self.name}: one step h = {n} native step{'s' if n > 1 else ''} dt"]
+        if self.trials is not None:
+            lines = [f"{self.name}: one trial of steps h = 1 native step"]
         for k, part in enumerate(self.parts, 1):
             lines += [f"{k if i == 0 else '':>2} {line}" for i, line in enumerate(part)]
         for inner in dict.fromkeys(line.inner for part in self.parts for line in part if line.inner):

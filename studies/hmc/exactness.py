@@ -5,6 +5,7 @@ of them, by `SIERHMCIntegrator` on the Reference platform: means and variances o
 in units of their standard errors. Nearly all of the time goes to Python's calls, so fewer bodies would save nothing.
 
     python -m studies.hmc.exactness [--trials N] [--processes N]     100000 trials take 11 minutes of one core in all
+    python -m studies.hmc.exactness --engine native --platform OpenCL --out native
 """
 
 from __future__ import annotations
@@ -45,10 +46,14 @@ class ExactnessSettings(Settings):
     Attributes:
         trials: of each of the four models.
         processes: at a time; one for each core unless given.
+        engine: exact or native.
+        platform: of OpenMM.
     """
 
     trials: int = 100_000
     processes: int | None = None
+    engine: str = "exact"
+    platform: str = "Reference"
 
 
 def _row(model: str, name: str, values: Sequence[float], exact: float) -> dict[str, Any]:
@@ -58,7 +63,12 @@ def _row(model: str, name: str, values: Sequence[float], exact: float) -> dict[s
 
 
 def samples(
-    system: openmm.System, integrator: SIERHMCIntegrator, positions: np.ndarray, trials: int, steps: Sequence[int]
+    system: openmm.System,
+    integrator: SIERHMCIntegrator,
+    positions: np.ndarray,
+    trials: int,
+    steps: Sequence[int],
+    platform: str,
 ) -> Iterator[openmm.State]:
     """States after each of so many trials, which have these numbers of steps by turns.
 
@@ -67,7 +77,10 @@ def samples(
     """
     # Steps are so long on purpose.
     warnings.filterwarnings("ignore", "A step of .* fs is long")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatformByName("Reference"))
+    chosen = openmm.Platform.getPlatformByName(platform)
+    # The sums of a decision need more than single precision, the default of platforms for GPUs.
+    properties = {"Precision": "mixed"} if "Precision" in chosen.getPropertyNames() else {}
+    context = openmm.Context(system, integrator, chosen, properties)
     context.setPositions(positions)
     for each in islice(cycle(steps), trials):
         integrator.setStepsPerTrial(each)
@@ -75,7 +88,7 @@ def samples(
         yield context.getState(positions=True, velocities=True)
 
 
-def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[dict[str, Any]]:
+def wells(settings: ExactnessSettings, h: float, steps: tuple[int, ...], kept: float) -> list[dict[str, Any]]:
     """Points of 1 dalton in wells of several frequencies; `kept` is the factor that momenta keep in a trial."""
     system, well = openmm.System(), openmm.CustomExternalForce("0.5*k*(x^2 + y^2 + z^2)")
     well.addPerParticleParameter("k")
@@ -84,10 +97,12 @@ def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[di
         well.addParticle(system.addParticle(1.0), [spring])
     system.addForce(well)
     friction = -math.log(kept) / h if kept else None
-    integrator = SIERHMCIntegrator(TEMPERATURE, h, SIER2, frictionCoeff=friction, extraChances=2)
+    integrator = SIERHMCIntegrator(
+        TEMPERATURE, h, SIER2, frictionCoeff=friction, extraChances=2, engine=settings.engine
+    )
     integrator.setRandomNumberSeed(17)
     squares, fourths, kinetic, products = [], [], [], []
-    for state in samples(system, integrator, np.zeros((6, 3)), trials, steps):
+    for state in samples(system, integrator, np.zeros((6, 3)), settings.trials, steps, settings.platform):
         q, p = md(state.getPositions(asNumpy=True)), md(state.getVelocities(asNumpy=True))
         energies = springs[:, None] * q**2 / KT
         squares.append(energies.mean())
@@ -103,7 +118,7 @@ def wells(trials: int, h: float, steps: tuple[int, ...], kept: float) -> list[di
     ]
 
 
-def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
+def dipoles(settings: ExactnessSettings, field: float, h: float) -> list[dict[str, Any]]:
     """Rigid asymmetric molecules in a field in kT, at constant pressure.
 
     The dipole, along an axis that is none of their own, is from the third atom to the second.
@@ -124,14 +139,23 @@ def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
     box.setUsesPeriodicBoundaryConditions(True)
     system.addForce(box)
     system.setDefaultPeriodicBoxVectors(*np.eye(3) * n ** (1 / 3))
-    # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume.
+    # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume. A
+    # step of RATTLE must be short enough for the constraints.
+    map_of_engine = {"rotation": mrdl} if settings.engine == "exact" else {"substeps": 8}
     integrator = SIERHMCIntegrator(
-        TEMPERATURE, h, SIER4G, pressure=KT / BAR, barostatInterval=1, rotation=mrdl, engine="exact", extraChances=2
+        TEMPERATURE,
+        h,
+        SIER4G,
+        pressure=KT / BAR,
+        barostatInterval=1,
+        engine=settings.engine,
+        extraChances=2,
+        **map_of_engine,
     )
     integrator.setRandomNumberSeed(round(field))
     cosines, squares, volumes = [], [], []
     mean = 1 / math.tanh(field) - 1 / field
-    for state in samples(system, integrator, np.tile(sites, (n, 1)), trials, (1,)):
+    for state in samples(system, integrator, np.tile(sites, (n, 1)), settings.trials, (1,), settings.platform):
         z = md(state.getPositions(asNumpy=True))[:, 2]
         observed = (z[1::3] - z[2::3]) / length
         cosines.append(observed.mean())
@@ -148,13 +172,12 @@ def dipoles(trials: int, field: float, h: float) -> list[dict[str, Any]]:
 
 def study(settings: ExactnessSettings, report: Report = SILENT) -> Record:
     """All models, each in a process of its own; writes exactness.json."""
-    trials = settings.trials
     with ProcessPoolExecutor(settings.processes) as pool:
         found = [
-            pool.submit(dipoles, trials, 3.0, 0.125),
-            pool.submit(dipoles, trials, 10.0, 0.083),
-            pool.submit(wells, trials, 0.02, (2, 3, 4), 0.0),
-            pool.submit(wells, trials, 0.016, (1,), 0.9),
+            pool.submit(dipoles, settings, 3.0, 0.125),
+            pool.submit(dipoles, settings, 10.0, 0.083),
+            pool.submit(wells, settings, 0.02, (2, 3, 4), 0.0),
+            pool.submit(wells, settings, 0.016, (1,), 0.9),
         ]
         rows = pd.DataFrame([row for each in found for row in each.result()])
     for model, mine in rows.groupby("model", sort=False):

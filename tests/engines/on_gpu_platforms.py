@@ -11,13 +11,22 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator, with_frames
+from openmm_sier import (
+    SIER2V2,
+    SIER4G,
+    SIER4P,
+    SIERHMCIntegrator,
+    SIERIntegrator,
+    SIERLangevinIntegrator,
+    with_frames,
+)
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.program import KEPT
 from openmm_sier.inputs.equilibration import make_context
-from tests.support import opencl
+from openmm_sier.ensembles import metropolis
+from tests.support import anharmonic, opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
 from tests.support.framed import moved, polar, system_of
@@ -163,6 +172,42 @@ def test_solutes_in_mixed_precision(gpu):
     # OpenMM keeps the lengths in single precision, 2^-25 of 0.109 nm. About these they are good to 1e-9 of it.
     assert np.abs(errors).max() < 4e-9
     assert np.ptp(errors) < 2e-10
+
+
+def test_trials_sample_exactly(gpu):
+    """Half of the first ends are rejected; see `anharmonic`."""
+    integrator = seeded(SIERHMCIntegrator(anharmonic.TEMPERATURE, 0.022, SIER2V2, 2, 2.0, extraChances=0), 5)
+    x = anharmonic.positions()
+    context = gpu_context(gpu, "mixed", anharmonic.system(), integrator, (x, np.zeros_like(x)))
+    integrator.step(20)
+    assert integrator.binding.engine.makes_trials
+    integrator.resetStatistics()
+    rows = []
+    for _ in range(2000):
+        integrator.step(1)
+        rows.append(anharmonic.observed(*phase_point(context)))
+    assert 0.4 < integrator.acceptanceRate < 0.6
+    # Standard errors of 25 blocks, as in `test_whole_trials.py`.
+    assert (np.abs(anharmonic.distances(rows)) < 4.5).all()
+
+
+def test_virtual_sites_follow_their_atoms_in_trials(gpu, cluster, monkeypatch):
+    """Energies of the Context, whose sites are placed, change by the errors of the ends that are accepted."""
+    system, point = cluster
+    integrator = seeded(SIERHMCIntegrator(300, 0.009, stepsPerTrial=4, extraChances=0), 5)
+    context = gpu_context(gpu, "mixed", system, integrator, point)
+    integrator.step(2)
+    for is_accepted in (True, False, True):
+        monkeypatch.setattr(metropolis, "largest_error", lambda *_, yes=is_accepted: 1e300 if yes else -1e300)
+        start, accepted = phase_point(context)[0], integrator.accepted
+        before = sum(energies(context)) - integrator.getHeat()._value
+        integrator.step(1)
+        assert integrator.accepted - accepted == is_accepted
+        change = integrator.lastEnergyError * GAS_CONSTANT * 300 if is_accepted else 0.0
+        # Forces and energies of mixed precision are good to 1e-6 of some 100 kJ/mol. Sites that stay behind change the
+        # energy by several kJ/mol.
+        assert sum(energies(context)) - integrator.getHeat()._value - before == pytest.approx(change, abs=1e-3)
+        assert np.array_equal(phase_point(context)[0], start) is not is_accepted
 
 
 def test_command_runs_and_restarts(gpu, tmp_path, monkeypatch, capsys):

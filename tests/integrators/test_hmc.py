@@ -168,7 +168,7 @@ class Decision:
 def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     """Each of its ends is accepted or not by the same random number, on its own energy; forces are counted.
 
-    In turn the first, the second, the third end and none is accepted, whatever its energy. `test_native_trials.py` has
+    In turn the first, the second, the third end and none is accepted, whatever its energy. `test_whole_trials.py` has
     a test of trials that OpenMM makes as a whole.
     """
     integrator = sampler(0.010, extraChances=2, scheme=SIER2)

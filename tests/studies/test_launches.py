@@ -107,3 +107,21 @@ def test_launches_of_a_step(rows_of_step, box, method):
     forces = 3 if method == "sier4g" else 1
     assert forces <= step["waits"] < forces + 0.2
     assert step["method"] == cases.CASES[method].integrator.name
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(LIMIT)
+def test_a_trial_sends_numbers_alone(rows_of_step):
+    """Sixteen forces, each with four bytes of flags of its neighbour list, and one more after a trial that is rejected.
+
+    Reads that block are those of three sums for the centre of mass, two kinetic energies and one potential energy, and
+    another one after a rejection.
+    """
+    step, kernels = rows_of_step("tip3p-512", "hmc")
+    assert step["launches"] <= 400 + 27
+    assert step["writes_bytes"] + step["reads_bytes"] - 4 * 16 <= 1000
+    assert 6 <= step["blocking_reads"] <= 7
+    assert step["blocking_writes"] == 3
+    assert step["copies"] == 0
+    # Two for each drift: constraints, and the positions that follow from them.
+    assert kernels["constraints, positions"] == 32
