@@ -112,12 +112,8 @@ class Metropolis(ConstantTemperature):
 
     def advance(self, engine: Engine, steps: int) -> None:
         for _ in range(steps):
-            sample = engine.remember()
-            try:
+            with engine.transaction():
                 self._trial(engine)
-            except BaseException:
-                engine.undo(sample)
-                raise
 
     def _trial(self, engine: Engine) -> None:
         ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step

@@ -18,10 +18,15 @@ def simulation_of(topology, system, integrator, name="Reference", point=None):
 
 def everything(context):
     """Positions, velocities, box, time, step count and what bath, moves and trials count."""
-    integrator = context.getIntegrator()
-    names = (integrator.getGlobalVariableName(i) for i in range(integrator.getNumGlobalVariables()))
-    counted = {name: integrator.getGlobalVariableByName(name) for name in names}
-    return (*phase_point(context), *clock_and_box(context), *counted.values())
+    ledger = context.getIntegrator().binding.stored.ledger
+    return (
+        *phase_point(context),
+        *clock_and_box(context),
+        ledger.heat,
+        ledger.draws,
+        ledger.seed,
+        *ledger.counts.values(),
+    )
 
 
 def assert_same(one, two):
