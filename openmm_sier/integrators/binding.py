@@ -24,7 +24,6 @@ from openmm_sier.engines.overlaps import tell_of_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
-from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import tell_of_pme

@@ -10,7 +10,6 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
