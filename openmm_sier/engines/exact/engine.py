@@ -182,7 +182,9 @@ class ExactEngine(Engine):
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
         now, point, are_set = Snapshot.of(self._context), self._point, self._are_atoms_set
-        moved = point is None or (are_set and not self._has(now.positions, self.forces.positions))
+        # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
+        is_placed = point is not None and self.forces.is_at(point.q, point.A)
+        moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
         if moved:
             self.start_anew()
             self.refuse_cut_molecules(now)
