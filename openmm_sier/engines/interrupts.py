@@ -23,29 +23,49 @@ def handlers_in_use() -> dict[int, Any]:
     return {number: _signal.getsignal(number) for number in SIGNALS}
 
 
-@contextmanager
-def deferred() -> Iterator[None]:
-    """Let signals wait until `act_on_pending` or the end of the block.
+def defer() -> dict[int, Any] | None:
+    """Let signals wait until `act_on_pending` or `release`.
 
-    Only signals with a handler in Python wait, and in another thread than the main one nothing has to. Of nested blocks
-    the outermost defers.
+    Only signals with a handler in Python wait, and in another thread than the main one nothing has to.
+
+    Returns:
+        The handlers, for `release`; None where signals wait already, or need not.
     """
-    found = handlers_in_use()
-    if _handlers or not found:
-        yield
-        return
+    handlers = handlers_in_use()
+    if _handlers or not handlers:
+        return None
     try:
-        for number, handler in found.items():
+        for number, handler in handlers.items():
             if callable(handler):
                 _handlers[number] = handler
                 _signal.signal(number, _wait)
+    except BaseException:
+        release(handlers)
+        raise
+    return handlers
+
+
+def release(handlers: dict[int, Any] | None) -> None:
+    """Put back handlers that `defer` returned, and call those of signals that came since."""
+    if handlers is None:
+        return
+    # A handler that is back may raise at once. That of Ctrl-C comes last, and has no entry any more: what is left of an
+    # entry would make the next block take itself for a nested one.
+    while _handlers:
+        _signal.signal(*_handlers.popitem())
+    if _pending:
+        _call_handlers(handlers)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Let signals wait until `act_on_pending` or the end of the block; of nested blocks the outermost defers."""
+    handlers = None
+    try:
+        handlers = defer()
         yield
     finally:
-        # A handler that is back may raise at once. That of Ctrl-C comes last, and has no entry any more: what is left
-        # of an entry would make the next block take itself for a nested one.
-        while _handlers:
-            _signal.signal(*_handlers.popitem())
-        _call_handlers(found)
+        release(handlers)
 
 
 def act_on_pending() -> None:

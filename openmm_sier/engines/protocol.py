@@ -16,13 +16,12 @@ from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Mark
+from openmm_sier.dynamics.ledger import Ledger, Mark
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.snapshot import Snapshot, box_of
 from openmm_sier.engines.trials import Outcome, Trial
-from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 from openmm_sier.system.arguments import Bodies
@@ -58,14 +57,14 @@ class Task(NamedTuple):
     Attributes:
         context: openmm.Context, which has the integrator.
         flow: what will be followed.
-        stored: the ledger of the integrator.
+        ledger: of the integrator.
         bodies: the rigid bodies as users give them, see `find_bodies.known_or_planned`.
         program: what OpenMM executes, which is written for the flow.
     """
 
     context: openmm.Context
     flow: Flow
-    stored: StoredLedger
+    ledger: Ledger
     bodies: Bodies
     program: Program
 
@@ -83,7 +82,7 @@ class Engine(ABC):
         makes_trials: whether `make_trial` makes whole trials of hybrid Monte Carlo.
         flow: what is followed.
         ledger: heat, random numbers and counts.
-        stored: the ledger's place between calls of `step`.
+        is_current: whether nobody has changed anything since the last step, so that `begin` need not be called.
         moving: the bodies whose phase point the engine has: rigid and point bodies, or the massive atoms alone. Each
             engine sets it.
         evaluations: number of force evaluations so far.
@@ -94,6 +93,7 @@ class Engine(ABC):
     repeats_noise: ClassVar[bool] = False
     makes_trials: ClassVar[bool] = False
     moving: BodySet
+    is_current: bool = False
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
 
@@ -102,8 +102,7 @@ class Engine(ABC):
         # The Context owns its integrator, and that its engine: a strong reference back would keep all of them alive.
         self._context_ref = weakref.ref(task.context)
         self.flow = task.flow
-        self.stored = task.stored
-        self.ledger = task.stored.ledger
+        self.ledger = task.ledger
         #: Of the System; None before they are needed, and after its Forces have changed.
         self._bonds: Bonds | None = None
 
@@ -191,33 +190,16 @@ class Engine(ABC):
 
     # --- one call of the integrator's step ---
 
-    @contextmanager
-    def following(self, flow: Flow) -> Iterator[None]:
-        """Take over what was changed in the Context from outside, and follow a flow within the block.
-
-        However the block ends, the Context is left at the last completed step, and the ledger is stored.
+    def begin(self, flow: Flow) -> None:
+        """Take over what was changed in the Context from outside, before steps of a flow.
 
         Raises:
             openmm.OpenMMException: the flow cannot be followed. Nothing has been changed then.
         """
-        self.stored.read()
         self.flow = flow
         self.take_over()
         self.check_step(flow, self._groups, self._context)
-        with self.recovering():
-            yield
-            self.publish()
-            self.stored.write()
-
-    @contextmanager
-    def recovering(self) -> Iterator[None]:
-        """Leave Context and stored ledger at the last completed step if the block raises an error."""
-        try:
-            yield
-        except BaseException:
-            self.recover()
-            self.stored.write()
-            raise
+        self.is_current = True
 
     def recover(self) -> None:
         """Write the last completed step to the Context after an error, as far as the engine still has it."""
@@ -305,16 +287,22 @@ class Engine(ABC):
         self.clock = memory.clock
         self.ledger.go_back(memory.mark)
 
-    def undo(self, memory: Memory) -> None:
-        """Restore what was remembered, after an error, so that later steps depend on nothing that was tried since."""
-        self.start_anew()
-        self.go_back(memory)
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Undo all that the block did and counted if it raises an error; later steps depend on nothing of it."""
+        before, counts = self.remember(), dict(self.ledger.counts)
+        try:
+            yield
+        except BaseException:
+            self.start_anew()
+            self.go_back(before)
+            self.ledger.counts = counts
+            raise
 
     # --- what users ask ---
 
     def heat(self) -> float:
         """Return the energy that was given to the bodies by baths and moves, and not by forces, kJ/mol."""
-        self.stored.read()
         return self.ledger.heat
 
     @property
@@ -393,17 +381,26 @@ class Engine(ABC):
         """Return the actions that users ask of OpenMM in the Context."""
         return Actions(self._context, self.trial)
 
-    # --- news from outside; an engine may find some of it out by itself ---
+    # --- changes by users, and what a restart needs ---
 
-    def atoms_moved(self) -> None:  # noqa: B027
+    def atoms_moved(self) -> None:
         """Take note that positions or velocities were set."""
+        self.is_current = False
 
-    def box_changed(self) -> None:  # noqa: B027
+    def box_changed(self) -> None:
         """Take note that the box was set."""
+        self.is_current = False
 
     def forces_changed(self) -> None:
         """Take note that the potential was changed."""
+        self.is_current = False
         self._bonds = None
+
+    def store(self) -> None:  # noqa: B027
+        """Write what checkpoints, States and XML carry to the variables of the integrator."""
+
+    def variables_loaded(self) -> None:  # noqa: B027
+        """Take note that a checkpoint or State has brought the variables of the integrator with it."""
 
     def groups_changed(self) -> None:
         """Take note that the integration force groups were changed."""

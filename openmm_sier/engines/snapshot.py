@@ -1,4 +1,4 @@
-"""The contents of a Context at one moment, so that changes from outside can be recognized later."""
+"""The contents of a Context at one moment."""
 
 from __future__ import annotations
 
@@ -30,6 +30,18 @@ def holds_doubles(context: openmm.Context) -> bool:
     return context.getPlatform().getName() in ("CPU", "Reference") and not has_sites
 
 
+class Environment(NamedTuple):
+    """Hold what forces depend on besides positions: periodic box vectors, nm, and parameters by name."""
+
+    box: Sequence[openmm.Vec3]
+    parameters: dict[str, float]
+
+    @classmethod
+    def of(cls, state: openmm.State) -> Environment:
+        """Return those of a State with parameters."""
+        return cls(box_of(state), dict(state.getParameters()))
+
+
 class Snapshot(NamedTuple):
     """Hold positions, velocities, clock, box and parameters of a Context.
 
@@ -37,16 +49,19 @@ class Snapshot(NamedTuple):
         positions, velocities: (N, 3), nm and nm/ps.
         time: ps.
         steps: the step count.
-        box: periodic box vectors, nm.
-        parameters: by name.
+        environment: box and parameters. Changes of a Force itself leave no trace here.
     """
 
     positions: np.ndarray
     velocities: np.ndarray
     time: float
     steps: int
-    box: Sequence[openmm.Vec3]
-    parameters: dict[str, float]
+    environment: Environment
+
+    @property
+    def box(self) -> Sequence[openmm.Vec3]:
+        """Return the periodic box vectors, nm."""
+        return self.environment.box
 
     @classmethod
     def of(cls, context: openmm.Context) -> Snapshot:
@@ -65,19 +80,4 @@ class Snapshot(NamedTuple):
         if not positions[:1].any() and not positions.any():
             # No positions were set, or all particles are at the origin. OpenMM raises an error in the first case only.
             openmm.Context.getState(context, energy=True, groups=0)
-        parameters = dict(state.getParameters())
-        return cls(positions, velocities, time_of(state), state.getStepCount(), box_of(state), parameters)
-
-    def with_atoms(self, positions: np.ndarray, velocities: np.ndarray) -> Snapshot:
-        """Return a snapshot in which atoms have other positions and velocities, and all else is the same."""
-        return self._replace(positions=positions.copy(), velocities=velocities.copy())
-
-    def same_positions(self, other: Snapshot | None) -> bool:
-        return other is not None and np.array_equal(self.positions, other.positions)
-
-    def same_velocities(self, other: Snapshot | None) -> bool:
-        return other is not None and np.array_equal(self.velocities, other.velocities)
-
-    def same_environment(self, other: Snapshot | None) -> bool:
-        """Tell whether box and parameters are the same. Changes of a Force itself leave no trace here."""
-        return other is not None and (self.box, self.parameters) == (other.box, other.parameters)
+        return cls(positions, velocities, time_of(state), state.getStepCount(), Environment.of(state))

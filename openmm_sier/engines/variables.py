@@ -22,10 +22,9 @@ SITES = PREFIX + "sites"
 
 
 class StoredLedger:
-    """A ledger, and the global variables of an integrator that hold it between calls of `step`.
+    """A ledger, and the global variables of an integrator by which checkpoints, States and XML carry it.
 
-    Checkpoints and States carry the variables, and users may set them. So the ledger is read at the start of a call,
-    and written at its end.
+    They are written before one of these is made, and read after it was loaded. At other times they do not matter.
 
     Attributes:
         ledger: the ledger.
@@ -37,38 +36,19 @@ class StoredLedger:
         self._integrator = weakref.ref(integrator)
         self.ledger = ledger
         self.names = HEAT, DRAWS, SEED, *ledger.counts
-        self._known: dict[str, float] = {}
-
-    def read(self) -> None:
-        """Take what the variables have, unless somebody wrote those of another integrator over them.
-
-        openmmtools' ContextCache does so, and noise must not be used twice. What was known before is then written back.
-        """
-        there = self._values()
-        if self.ledger.seed and there[SEED] == 0:
-            self._known = there
-            self.write()
-        else:
-            self._take(there)
 
     def load(self) -> None:
-        """Take what the variables have."""
-        self._take(self._values())
-
-    def _take(self, there: dict[str, float]) -> None:
-        self._known, ledger = there, self.ledger
-        ledger.heat, ledger.draws, ledger.seed = there[HEAT], int(there[DRAWS]), int(there[SEED])
-        ledger.counts = {name: there[name] for name in ledger.counts}
+        """Set the ledger to the variables."""
+        get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
+        ledger = self.ledger
+        ledger.heat = get(HEAT)
+        ledger.draws = int(get(DRAWS))
+        ledger.seed = int(get(SEED))
+        ledger.counts = {name: get(name) for name in ledger.counts}
 
     def write(self) -> None:
-        """Set the variables that differ from the ledger since it was read."""
+        """Set the variables to the ledger."""
         ledger, integrator = self.ledger, self._integrator()
         values = {HEAT: ledger.heat, DRAWS: float(ledger.draws), SEED: float(ledger.seed), **ledger.counts}
         for name, value in values.items():
-            if self._known.get(name) != value:
-                integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]
-        self._known = values
-
-    def _values(self) -> dict[str, float]:
-        get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
-        return {name: get(name) for name in self.names}
+            integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]

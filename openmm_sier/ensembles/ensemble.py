@@ -96,8 +96,27 @@ class Ensemble:
         """Return the moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
+    def run(self, engine: Engine, steps: int) -> None:
+        """Advance by steps of the integrator, with the moves where they are due."""
+        moves = self.moves
+        if not moves:
+            self.advance(engine, steps)
+            return
+        while steps:
+            made = engine.clock.steps
+            free = min(steps, *(move.every - 1 - made % move.every for move in moves))
+            if free:
+                self.advance(engine, free)
+            else:
+                with engine.transaction():
+                    for move in moves:
+                        if (made + 1) % move.every == 0:
+                            move.act(engine)
+                    self.advance(engine, 1)
+            steps -= free or 1
+
     def advance(self, engine: Engine, steps: int) -> None:
-        """Advance by steps of the integrator. After an error the engine is at the last completed step."""
+        """Advance by steps of the integrator, none of which has moves before it."""
         engine.follow(steps)
 
 
@@ -153,8 +172,7 @@ class ConstantTemperature(Ensemble):
         the next move.
 
         Raises:
-            openmm.OpenMMException: the box became too small for the cut-off, or OpenMM found no energy. The engine is
-                back where it was.
+            openmm.OpenMMException: the box became too small for the cut-off, or OpenMM found no energy.
         """
         ledger, before = engine.ledger, engine.potential_energy()
         sample, volume, size = engine.remember(), engine.volume(), _move_size(engine)
@@ -162,16 +180,15 @@ class ConstantTemperature(Ensemble):
         try:
             engine.scale(move.factor)
             gain = engine.potential_energy() - before
-        except BaseException as error:
-            engine.undo(sample)
-            if isinstance(error, openmm.OpenMMException) and not isinstance(error, TrajectoryError):
-                # Other errors, such as positions that are not finite, have nothing to do with the size of the box.
-                remedy = "Take a larger box or a shorter cut-off. " if "periodic box size" in str(error) else ""
-                raise openmm.OpenMMException(
-                    f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "
-                    f"{str(error).rstrip('.')}. {remedy}The Context is left at the last completed step"
-                ) from error
+        except TrajectoryError:
+            # Positions that are not finite have nothing to do with the size of the box.
             raise
+        except openmm.OpenMMException as error:
+            remedy = "Take a larger box or a shorter cut-off. " if "periodic box size" in str(error) else ""
+            raise openmm.OpenMMException(
+                f"Step {engine.clock.steps + 1} could not try a volume of {move.factor**3 * volume:.4f} nm^3: "
+                f"{str(error).rstrip('.')}. {remedy}The Context is left at the last completed step"
+            ) from error
         probability = move.probability(gain, pressure, volume, GAS_CONSTANT * self.temperature)
         if move.is_accepted(probability):
             ledger.heat += gain

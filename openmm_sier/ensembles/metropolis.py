@@ -130,12 +130,8 @@ class Metropolis(ConstantTemperature):
                 self._trial(engine)
                 act_on_pending()
                 continue
-            sample = engine.remember()
-            try:
+            with engine.transaction():
                 self._trial(engine)
-            except BaseException:
-                engine.undo(sample)
-                raise
 
     def _is_native(self, engine: Engine) -> bool:
         """Tell whether the engine makes trials as a whole. Where nothing moves it need not."""

@@ -24,7 +24,6 @@ from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Engine, Task
 from openmm_sier.engines.variables import StoredLedger
-from openmm_sier.ensembles.ensemble import Ensemble
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
@@ -39,9 +38,9 @@ class Binding:
 
     A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
     is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step` advances it.
-    `SIERContext` and `hooks` tell what happens to the Context from outside by `moved`, `box_changed`, `forces_changed`,
-    `groups_changed`, `take_over`, `take_over_state` and `start_anew`, which do nothing without an engine. `change`
-    replaces settings at any time.
+    `SIERContext` and `hooks` tell what users change in the Context, by the methods at the end of the class: a call of
+    `step` reads and checks nothing unless there was such a change since the last one. `store` writes what checkpoints,
+    States and XML carry. `change` replaces settings at any time.
 
     Attributes:
         settings: all that the integrator was asked for.
@@ -83,10 +82,12 @@ class Binding:
         """Return the engine.
 
         Raises:
-            openmm.OpenMMException: there is no Context.
+            openmm.OpenMMException: there is no Context, or no longer.
         """
         if self._engine is None:
             raise openmm.OpenMMException("This integrator has no Context: create a Context or Simulation with it first")
+        if self._context() is None:
+            raise openmm.OpenMMException("The Context of this integrator no longer exists")
         return self._engine
 
     @property
@@ -112,7 +113,9 @@ class Binding:
 
     def change(self, **changes: Any) -> None:
         """Replace settings, by the names of their fields."""
-        self.settings, self._flow = replace(self.settings, **changes), None
+        self.settings = replace(self.settings, **changes)
+        self._flow = None
+        self._changed()
         integrator = self._integrator
         openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
         settings.store(integrator, self.settings)
@@ -147,6 +150,14 @@ class Binding:
         for name, value in self.ensemble.variables(flow).items():
             self._integrator.setGlobalVariableByName(name, value)
         installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
+        self._changed()
+
+    def store(self) -> None:
+        """Write all that checkpoints, States and XML carry to the variables of the integrator."""
+        self.stored.write()
+        self._set_program_variables()
+        if self._engine is not None:
+            self._engine.store()
 
     # --- a Context ---
 
@@ -222,7 +233,6 @@ class Binding:
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
         ledger = self.stored.ledger
-        self.stored.load()
         if not keeps_ledger:
             ledger.clear()
         system, given = context.getSystem(), self.settings
@@ -231,13 +241,12 @@ class Binding:
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self.watch = RunawayWatch(system)
-        engine = engine_for(given.engine, Task(context, self.flow(), self.stored, given.bodies, self.program))
+        engine = engine_for(given.engine, Task(context, self.flow(), ledger, given.bodies, self.program))
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
         if self.ensemble.is_random and not ledger.seed:
             ledger.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
-        self.stored.write()
         self._set_program_variables()
         bound_systems.add(context)
 
@@ -249,29 +258,54 @@ class Binding:
         Raises:
             openmm.OpenMMException: another thread is stepping the Context.
         """
-        engine, context, ensemble = self.engine, self._context(), self.ensemble
-        if context is None:
-            raise openmm.OpenMMException("The Context of this integrator no longer exists")
-        length, bath = self.settings.step * ensemble.steps, getattr(ensemble, "temperature", 0.0)
-        self._compare_temperatures(context, bath)
-        with self._alone():
-            self.watch.begin(context)
-            with interrupts.deferred(), engine.following(self.flow()):
-                _advance(engine, ensemble, steps)
-            self.watch.look(context, steps, length, bath)
+        ensemble = self.settings.ensemble
+        with self._session() as engine:
+            ensemble.run(engine, steps)
+            engine.publish()
+        self.watch.look(self._context(), steps, self.settings.step * ensemble.steps, self._bath)
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Refuse to let two threads step one Context."""
+    def _session(self) -> Iterator[Engine]:
+        """Let one thread make steps with the engine, while signals wait for the end of a step.
+
+        The engine is up to date with the Context first. An error leaves the Context at the last completed step.
+        """
+        engine = self.engine
         # To wait would hang a process that was forked while another thread had the lock.
         if not self._stepping.acquire(blocking=False):
             raise openmm.OpenMMException(
                 "Another thread is stepping this Context: give each thread a Context of its own"
             )
+        handlers = None
         try:
-            yield
+            handlers = interrupts.defer()
+            if not engine.is_current:
+                self._begin(engine)
+            try:
+                yield engine
+            except BaseException:
+                engine.is_current = False
+                engine.recover()
+                raise
         finally:
             self._stepping.release()
+            interrupts.release(handlers)
+
+    def _begin(self, engine: Engine) -> None:
+        """Take over all changes since the last step.
+
+        Raises:
+            openmm.OpenMMException: no step can be made from there. Nothing has been changed then.
+        """
+        context = self._context()
+        self._compare_temperatures(context, self._bath)
+        self.watch.begin(context)
+        engine.begin(self.flow())
+
+    @property
+    def _bath(self) -> float:
+        """Return the temperature of the ensemble, K; 0 without one."""
+        return getattr(self.settings.ensemble, "temperature", 0.0)
 
     def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
@@ -287,10 +321,15 @@ class Binding:
         """
         self.engine.refuse_long_step(self.flow())
 
-    # --- news from outside ---
+    # --- changes by users ---
+
+    def _changed(self) -> None:
+        """Make the next step take over all changes."""
+        if self._engine is not None:
+            self._engine.is_current = False
 
     def moved(self) -> None:
-        """Take note that positions or velocities were set, which the native engine would not notice by itself."""
+        """Take note that positions or velocities were set."""
         if self._engine is not None:
             self.watch.forget()
             self._engine.atoms_moved()
@@ -315,8 +354,18 @@ class Binding:
             by_openmm()
         elif velocities:
             self._engine.actions.satisfy_velocities(by_openmm)
+            self._engine.atoms_moved()
         else:
             self._engine.actions.satisfy_positions(by_openmm)
+            self._engine.atoms_moved()
+
+    def clock_changed(self) -> None:
+        """Take note that the time or the step count was set."""
+        self._changed()
+
+    def parameters_changed(self) -> None:
+        """Take note that a parameter of the Context was set."""
+        self._changed()
 
     def box_changed(self) -> None:
         """Take note that the box was set."""
@@ -349,8 +398,9 @@ class Binding:
             work = np.array(integrator.getPerDofVariableByName(WORK))
             self.stored.ledger.heat += float(work.sum())
             integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
-        self.stored.write()
         self._set_program_variables()
+        if self._engine is not None:
+            self._engine.variables_loaded()
         self.moved()
 
     def take_over_state(self, set_state: Callable[[], None], has_parameters: bool) -> None:
@@ -364,51 +414,24 @@ class Binding:
                 differently than in the run that wrote the State.
         """
         ledger = self.stored.ledger
-        self.stored.load()
         seed, draws = ledger.seed, ledger.draws
-        set_state()
-        self.box_changed()
-        self.stored.load()
-        ledger.seed, ledger.draws = seed, max(draws, ledger.draws)
-        self.stored.write()
+        self.store()
+        try:
+            set_state()
+        finally:
+            # OpenMM sets a State in parts.
+            self.box_changed()
+            self.moved()
         self.take_over()
+        ledger.seed = seed
+        ledger.draws = max(draws, ledger.draws)
         engine = self._engine
         is_lost = has_parameters and engine is not None and not engine.repeats_noise
-        draws = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
-        if is_lost and draws and not self._told_of_noise:
+        has_noise = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
+        if is_lost and has_noise and not self._told_of_noise:
             self._told_of_noise = True
             warn(
                 "With the native engine a State does not hold the noise of Langevin dynamics and of trials, which is "
                 "OpenMM's: the run continues in the same ensemble, but on another trajectory. To continue the same "
                 "trajectory, load a checkpoint"
             )
-
-
-def _advance(engine: Engine, ensemble: Ensemble, steps: int) -> None:
-    """Advance by steps of the integrator: let the ensemble make its moves where they are due, and steps."""
-    moves = ensemble.moves
-    while steps:
-        made = engine.clock.steps
-        free = min([steps, *(move.every - 1 - made % move.every for move in moves)])
-        if free:
-            ensemble.advance(engine, free)
-        else:
-            with _undone_together(engine):
-                for move in moves:
-                    if (made + 1) % move.every == 0:
-                        move.act(engine)
-                ensemble.advance(engine, 1)
-        steps -= free or 1
-
-
-@contextmanager
-def _undone_together(engine: Engine) -> Iterator[None]:
-    """Undo all that the block did and counted if it does not complete its step."""
-    before, counts = engine.remember(), dict(engine.ledger.counts)
-    try:
-        yield
-    except BaseException:
-        if engine.clock.steps == before.clock.steps:
-            engine.undo(before)
-            engine.ledger.counts = counts
-        raise

@@ -18,13 +18,14 @@ class SIERContext(openmm.Context):
     - `reinitialize` binds the integrator again.
     - `setState` accepts a State of any other integrator, and brings back no noise that was used. OpenMM sets half of
       such a State and fails, and replicas that start from one State would repeat each other.
-    - `setPositions`, `setVelocities`, `setVelocitiesToTemperature`, `setPeriodicBoxVectors` and `loadCheckpoint` tell
-      the integrator. Without it the native engine would go on with earlier forces and constraints, and a hot start
-      would count as a runaway. A comparison in each call of `step` would read all atoms from a GPU.
+    - All methods that change something tell the integrator. Without it the engines would go on with earlier bodies,
+      forces and constraints, and a hot start would count as a runaway. A comparison in each call of `step` would read
+      all atoms from a GPU.
     - `setVelocitiesToTemperature`, `applyConstraints` and `applyVelocityConstraints` are this package's where OpenMM's
       solvers cannot satisfy the constraints.
-    - `createCheckpoint` and, with the integrator's parameters, `getState` make the run go on exactly as a restart from
-      their result does. Forces on one thread of the CPU platform depend on a list of neighbours that no file holds.
+    - `createCheckpoint` and, with the integrator's parameters, `getState` let the integrator write what a restart needs
+      to its variables, and the run goes on exactly as a restart from their result does. Forces on one thread of the CPU
+      platform depend on a list of neighbours that no file holds.
 
     They are for users. Engines call those of openmm.Context.
     """
@@ -35,6 +36,7 @@ class SIERContext(openmm.Context):
         return self.getIntegrator().binding
 
     def reinitialize(self, preserveState: bool = False) -> None:
+        self.binding.store()
         super().reinitialize(preserveState)
         self.binding.bind(self, keeps_ledger=preserveState)
 
@@ -42,12 +44,17 @@ class SIERContext(openmm.Context):
 
     @functools.wraps(openmm.Context.getState)
     def getState(self, *args: Any, **kwargs: Any) -> openmm.State:
+        # By position it is the seventh argument, and by its deprecated name the last.
+        by_name = kwargs.get("integratorParameters") or kwargs.get("getIntegratorParameters")
+        if not (by_name or any(args[6:7] + args[15:])):
+            return super().getState(*args, **kwargs)
+        self.binding.store()
         state = super().getState(*args, **kwargs)
-        if _has_parameters(state):
-            self.binding.start_anew()
+        self.binding.start_anew()
         return state
 
     def createCheckpoint(self) -> bytes:
+        self.binding.store()
         checkpoint = super().createCheckpoint()
         self.binding.start_anew()
         return checkpoint
@@ -91,6 +98,18 @@ class SIERContext(openmm.Context):
     def setVelocities(self, velocities: Any) -> None:
         super().setVelocities(velocities)
         self.binding.moved()
+
+    def setParameter(self, name: str, value: float) -> None:
+        super().setParameter(name, value)
+        self.binding.parameters_changed()
+
+    def setTime(self, time: float | unit.Quantity) -> None:
+        super().setTime(time)
+        self.binding.clock_changed()
+
+    def setStepCount(self, count: int) -> None:
+        super().setStepCount(count)
+        self.binding.clock_changed()
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
         super().setPeriodicBoxVectors(a, b, c)

@@ -112,7 +112,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         before = self.binding.ensemble.steps_per_trial
         self._change_ensemble(steps_per_trial=steps)
         if self.binding.ensemble.steps_per_trial > before:
-            self.setGlobalVariableByName(CHECKED_STEP, 0)
+            self._counts[CHECKED_STEP] = 0.0
 
     def getExtraChances(self) -> int | None:
         """Return how many times a trajectory may go on; None if that depends on the length of trials."""
@@ -121,7 +121,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     def setExtraChances(self, chances: int | None) -> None:
         """Set how many times a trajectory whose end would be rejected goes on; None takes the usual number."""
         self._change_ensemble(extra_chances=chances)
-        self.setGlobalVariableByName(CHECKED_STEP, 0)
+        self._counts[CHECKED_STEP] = 0.0
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """Return the step of the scheme, a quantity in ps."""
@@ -141,14 +141,19 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self._change_ensemble(friction=coeff)
 
     @property
+    def _counts(self) -> dict[str, float]:
+        """Return the numbers of the ledger, by name."""
+        return self.binding.stored.ledger.counts
+
+    @property
     def trials(self) -> int:
         """Return the number of completed trials."""
-        return int(self.getGlobalVariableByName(TRIALS))
+        return int(self._counts[TRIALS])
 
     @property
     def accepted(self) -> int:
         """Return the number of accepted trials."""
-        return int(self.getGlobalVariableByName(ACCEPTED))
+        return int(self._counts[ACCEPTED])
 
     @property
     def acceptanceRate(self) -> float:
@@ -162,7 +167,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         It is infinite if the trajectory failed, and says nothing of later ends, see `extraChances`. NaN before the
         first trial and after `resetStatistics`.
         """
-        return self.getGlobalVariableByName(ERROR) if self.trials else math.nan
+        return self._counts[ERROR] if self.trials else math.nan
 
     @property
     def reversalError(self) -> float:
@@ -170,7 +175,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
         NaN before the first trial, and after the trials were made longer.
         """
-        return self.getGlobalVariableByName(REVERSAL) if self.getGlobalVariableByName(CHECKED_STEP) else math.nan
+        return self._counts[REVERSAL] if self._counts[CHECKED_STEP] else math.nan
 
     def reported(self) -> dict[str, float]:
         """Return two more columns for `ConservationReporter`: the fraction accepted, and the last energy error."""
@@ -179,4 +184,4 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     def resetStatistics(self) -> None:
         """Count trials from zero again."""
         for name in (TRIALS, ACCEPTED):
-            self.setGlobalVariableByName(name, 0)
+            self._counts[name] = 0.0

@@ -24,6 +24,7 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     Its program is right in any System, unlike that of a Context, which is written for one.
     """
     binding = integrator.binding
+    binding.store()
     copied, program = installation.without_program(integrator), binding.general_program()
     installation.install(program, copied)
     for name, value in binding.ensemble.variables(binding.flow()).items():
@@ -34,6 +35,7 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
 
 def pickled(integrator: Any) -> str:
     """Return the XML of what `unpickled` needs from OpenMM, which gets its program with a Context."""
+    integrator.binding.store()
     return openmm.XmlSerializer.serialize(installation.without_program(integrator))
 
 
@@ -80,6 +82,7 @@ def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     installation.uninstall(plain)
     plain.__class__ = cls
     plain.binding = Binding(plain, found)
+    plain.binding.stored.load()
     # The step may have been set where this package was not imported.
     same = math.isclose(step, found.step, rel_tol=1e-12)
     plain.binding.change(step=found.step if same else step)

@@ -91,9 +91,7 @@ def test_links_of_pages_that_sphinx_does_not_build():
 
 
 def test_names_that_are_wrong_are_found():
-    assert missing_files("`tests/engines/test_nothing.py` and `tests/conftest.py`") == [
-        "tests/engines/test_nothing.py"
-    ]
+    assert missing_files("`tests/engines/test_nothing.py` and `tests/conftest.py`") == ["tests/engines/test_nothing.py"]
     tested = "`pytest tests/conftest.py::test_nothing tests/documentation/test_names.py::is_there tests/none`"
     assert missing_tests(tested) == ["tests/conftest.py::test_nothing", "tests/none"]
     wrong = "`openmm_sier.context.reporters`, `openmm_sier.hooks.install` and python -m studies.hmc.solid"

@@ -24,8 +24,8 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.program import KEPT
-from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.ensembles import metropolis
+from openmm_sier.inputs.equilibration import make_context
 from tests.support import anharmonic, opencl
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane

@@ -2,7 +2,7 @@
 
 import gc
 import threading
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import openmm
@@ -19,6 +19,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
+from openmm_sier.engines import interrupts
 from tests.support.faults import Fault, lines_run
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
@@ -68,13 +69,14 @@ def interrupt_at_any_line(box, make, error):
     trajectory = Trajectory(system, make, point)
     integrator = make()
     context = context_at(system, integrator, point, steps=1)
-    total = lines_run(lambda: integrator.step(2))
-    assert total > 50
     reached = set()
-    for line in range(1, total + 1):
+    for line in count(1):
         before = assert_at(context, trajectory)
-        lines_run(lambda: integrator.step(2), line, error)
+        total = lines_run(lambda: integrator.step(2), line, error)
         reached.add(assert_at(context, trajectory) - before)
+        if total < line:
+            break
+    assert total > 50
     # The undisturbed run goes on.
     integrator.step(5)
     assert_at(context, trajectory)
@@ -130,14 +132,14 @@ def test_a_fault_at_any_line_with_a_barostat(box):
     context = context_at(system, integrator, point, "CPU")
     volume = context.getState().getPeriodicBoxVolume()
     integrator.step(1)
-    total = lines_run(lambda: integrator.step(1))
     moved = 0
-    for line in range(1, total + 1):
+    for line in count(1):
         before, step = everything(context), context.getStepCount()
-        lines_run(lambda: integrator.step(1), line)
+        total = lines_run(lambda: integrator.step(1), line)
+        if total < line:
+            break
         if context.getStepCount() == step:
-            # A fault while OpenMM acts leaves a variable of the program that the next step sets anew.
-            assert_same(everything(context)[:5], before[:5])
+            assert_same(everything(context), before)
         else:
             moved += 1
             assert context.getTime()._value == pytest.approx(0.001 * (step + 1))
@@ -150,21 +152,19 @@ def test_a_fault_at_any_line_with_a_barostat(box):
 
 
 @pytest.mark.parametrize("acts", [[openmm.MonteCarloBarostat], [openmm.MonteCarloBarostat, openmm.AndersenThermostat]])
-def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts):
+def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts, monkeypatch):
     # At 10^5 bar each move to a smaller box is accepted.
     made = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
     system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
     integrator = seeded(SIERIntegrator(0.001, "SIER2"))
     context = context_at(system, integrator, box[2], "CPU", steps=1)
-    engine = integrator.binding.engine
     seen = []
 
-    def fail(_, __):
+    def fail():
         seen.append(context.getState().getPeriodicBoxVectors())
         raise Fault
 
-    # What is noted of the bath comes after the step.
-    engine.__class__ = type("Failing", (type(engine),), {"_last": property(lambda _: None, fail)})
+    monkeypatch.setattr(interrupts, "act_on_pending", fail)
     boxes = [context.getState().getPeriodicBoxVectors()]
     for step in range(2, 12):
         with pytest.raises(Fault):
@@ -345,7 +345,7 @@ def test_changed_masses_act_after_reinitialization(cluster, preserve):
 def test_another_thread_is_refused(cluster, monkeypatch):
     _, system, point = cluster
     integrator, said = SIERIntegrator(0.001, "SIER2"), []
-    context = context_at(system, integrator, point, steps=0)
+    context = context_at(system, integrator, point)
 
     def begin(*_):
         def step():

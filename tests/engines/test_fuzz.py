@@ -28,7 +28,6 @@ from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.schemes import BATH
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines.variables import DRAWS
 from tests.support.faults import Fault, lines_run
 from tests.support.matrices import representatives
 from tests.support.molecules import GEOMETRIES
@@ -303,7 +302,7 @@ class Calls(RuleBasedStateMachine):
     def phase_point_is_that_of_the_replay(self):
         state = self.integrator.getBodyState()
         self.compare(atoms_at(self.integrator.bodies, state), self.replay.atoms())
-        assert self.integrator.getGlobalVariableByName(DRAWS) == self.replay.ledger.draws
+        assert self.integrator.binding.stored.ledger.draws == self.replay.ledger.draws
         assert self.integrator.countedHeat == pytest.approx(self.replay.ledger.heat, abs=1e-8)
 
     def atoms_are_those_of_the_replay(self):

@@ -3,7 +3,8 @@
 import openmm
 import pytest
 
-from openmm_sier import SIERLangevinIntegrator
+from openmm_sier import SIERIntegrator, SIERLangevinIntegrator
+from tests.support.samplers import states_asked
 from tests.support.seeded import seeded
 from tests.support.waters import cluster_system, context_at, phase_point
 
@@ -23,6 +24,37 @@ def test_computations_of_others_are_refused():
     integrator.addComputePerDof("v", "0.5*v")
     with pytest.raises(openmm.OpenMMException, match=r"computations and has \d+ now. .* cannot add"):
         openmm.Context(system, integrator)
+
+
+@pytest.mark.parametrize(("engine", "written"), [("exact", 1), ("native", 0)])
+def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, written, monkeypatch):
+    """Nor does it touch a variable of the integrator: those are written for checkpoints, States and XML."""
+    _, system, point = cluster
+    integrator = SIERIntegrator(0.002, "SIER2", engine=engine)
+    context = context_at(system, integrator, point, steps=10)
+    asked, called = states_asked(monkeypatch), []
+
+    def noted(name):
+        function = getattr(openmm.openmm._openmm, name)
+
+        def wrapper(*args):
+            called.append(name)
+            return function(*args)
+
+        return wrapper
+
+    for name in dir(openmm.openmm._openmm):
+        if name.startswith("Context_set") or (name.startswith("CustomIntegrator_") and "Variable" in name):
+            monkeypatch.setattr(openmm.openmm._openmm, name, noted(name))
+    # The watch for runaways reads velocities now and then.
+    monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
+    integrator.step(10)
+    assert not any(kinds & (openmm.State.Positions | openmm.State.Velocities) for kinds in asked)
+    assert called.count("Context_setVelocities") == written
+    assert called.count("Context_setPositions") == 10 * written
+    assert not [name for name in called if "Variable" in name]
+    context.createCheckpoint()
+    assert "CustomIntegrator_setGlobalVariableByName" in called
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])

@@ -206,13 +206,13 @@ def test_a_restart_goes_on_with_the_size_of_moves(tmp_path, monkeypatch, engine,
     load = after_ten_steps(whole, way, tmp_path / "saved")
     continued = simulation_of(None, system, moved_every_step(engine), point=(positions, 0 * positions))
     getattr(continued, load)(str(tmp_path / "saved"))
-    at_restart = whole.integrator.getGlobalVariableByName(SIZE)
+    at_restart = whole.integrator.binding.stored.ledger.counts[SIZE]
     assert at_restart < LARGEST_SIZE
     for steps in (1, 19):
         whole.step(steps)
         continued.step(steps)
         assert_same(everything(continued.context), everything(whole.context))
-    assert whole.integrator.getGlobalVariableByName(SIZE) != at_restart
+    assert whole.integrator.binding.stored.ledger.counts[SIZE] != at_restart
 
 
 @both_engines
@@ -233,7 +233,7 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     assert_same(everything(context), before)
     made.binding.engine.follow = follow
     made.step(1)
-    assert made.getGlobalVariableByName(MOVES) == 10
+    assert made.binding.stored.ledger.counts[MOVES] == 10
 
 
 @both_engines

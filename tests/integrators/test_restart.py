@@ -22,7 +22,6 @@ from openmm_sier import (
     SIERThermostatIntegrator,
     prepare_system,
 )
-from openmm_sier.engines.variables import DRAWS
 from openmm_sier.ensembles import VelocityRescaling
 from tests.support.containers import contained
 from tests.support.integrators import constrained_velocity_verlet
@@ -245,7 +244,7 @@ def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster
     integrator.step(3)
     context.setState(start)
     context.reinitialize(preserveState=True)
-    assert integrator.getGlobalVariableByName(DRAWS) == 3
+    assert integrator.binding.stored.ledger.draws == 3
 
 
 def test_reinitialization_without_its_state_starts_anew(cluster):
@@ -275,7 +274,7 @@ def test_noise_after_a_state_is_of_its_own(cluster):
         context.setState(saved)
         integrator.step(5)
         ends.append(integrator.getBodyState())
-        draws.append(integrator.getGlobalVariableByName(DRAWS))
+        draws.append(integrator.binding.stored.ledger.draws)
     assert draws == [10, 15, 20]
     for seed in (1, 2, 0, 0):
         other = seeded(langevin(SIER2), seed)

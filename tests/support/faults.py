@@ -8,8 +8,7 @@ from openmm_sier.engines import interrupts
 
 PACKAGE = str(pathlib.Path(openmm_sier.__file__).parent)
 
-#: What replaces the handlers of signals. No signal is acted on while it does, and after any other fault there signals
-#: would wait for ever, also in the tests that follow (`tests/engines/test_interrupts.py` has its own).
+#: What replaces the handlers of signals, which `tests/engines/test_interrupts.py` interrupts.
 HANDLERS = interrupts.__file__
 
 
@@ -18,7 +17,11 @@ class Fault(Exception):
 
 
 def lines_run(action, fault_at=None, error=Fault):
-    """Number of lines of the package that an action runs; an error is raised at one of them, counted from 1."""
+    """Number of lines of the package that an action runs; an error is raised at one of them, counted from 1.
+
+    Signals wait meanwhile: after an error at the line that puts their handlers back, they would wait for ever, also in
+    the tests that follow.
+    """
     count = 0
 
     def trace(frame, event, _argument):
@@ -33,9 +36,10 @@ def lines_run(action, fault_at=None, error=Fault):
         return trace
 
     before = sys.gettrace()
-    sys.settrace(trace)
     try:
-        action()
+        with interrupts.deferred():
+            sys.settrace(trace)
+            action()
     except error:
         if fault_at is None or count < fault_at:
             raise

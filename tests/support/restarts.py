@@ -4,7 +4,6 @@ import numpy as np
 import openmm
 from openmm import app
 
-from openmm_sier.engines.native import trials
 from tests.support.waters import phase_point, platform
 
 
@@ -18,14 +17,16 @@ def simulation_of(topology, system, integrator, name="Reference", point=None):
 
 
 def everything(context):
-    """Positions, velocities, box, time, step count and what bath, moves and trials count.
-
-    Numbers with which OpenMM makes a trial are not counted: the next one has others.
-    """
-    integrator = context.getIntegrator()
-    names = (integrator.getGlobalVariableName(i) for i in range(integrator.getNumGlobalVariables()))
-    counted = {name: integrator.getGlobalVariableByName(name) for name in names if name not in trials.GLOBALS}
-    return (*phase_point(context), *clock_and_box(context), *counted.values())
+    """Positions, velocities, box, time, step count and what bath, moves and trials count."""
+    ledger = context.getIntegrator().binding.stored.ledger
+    return (
+        *phase_point(context),
+        *clock_and_box(context),
+        ledger.heat,
+        ledger.draws,
+        ledger.seed,
+        *ledger.counts.values(),
+    )
 
 
 def assert_same(one, two):

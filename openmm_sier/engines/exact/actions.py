@@ -97,7 +97,9 @@ class BodyActions(Actions):
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         with interrupts.deferred():
-            engine.stored.read()
             start, forces = engine.state(), engine.forces.of_all_groups
-            with engine.recovering():
+            try:
                 minimize_bodies(self._context, engine.bodies, forces, start, tolerance, iterations, reporter)
+            except BaseException:
+                engine.recover()
+                raise

@@ -1,8 +1,8 @@
 """The exact engine: the Context holds the atoms, the engine the bodies, which it rotates exactly.
 
-A call of `step` takes over the atoms (`reading`), moves the bodies (`motion`) by forces that the Context computes
-(`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the bodies in checkpoints
-(`packing`).
+A call of `step` takes over the atoms (`reading`) if a user has set them, moves the bodies (`motion`) by forces that the
+Context computes (`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the bodies in
+checkpoints (`packing`).
 """
 
 from collections.abc import Callable
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.barostat import MoleculeCentres
@@ -26,10 +25,10 @@ from openmm_sier.engines.exact.forces import BodyForces, blown_up
 from openmm_sier.engines.exact.motion import Motion
 from openmm_sier.engines.exact.moving_bodies import MovingBodies
 from openmm_sier.engines.exact.packing import sites_of_atoms
-from openmm_sier.engines.exact.reading import Fitting, stored_point, with_velocities
+from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Clock, Engine, Task, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot, holds_doubles
+from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
+from openmm_sier.engines.snapshot import Environment, Snapshot, holds_doubles
 from openmm_sier.engines.variables import SITES, STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
@@ -61,11 +60,15 @@ class ExactEngine(Engine):
         self._moves_volume = False
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
-        self._is_box_new = False
         self._point: BodyState | None = None
-        #: The Context as it was when it held the phase point: one that differs was changed from outside.
-        self._agreed: Snapshot | None = None
+        #: Whether a user may have set positions or velocities since they were read.
+        self._are_atoms_set = True
+        #: Box and parameters for which forces were computed.
+        self._environment: Environment | None = None
         self._published: tuple[BodyState, Clock] | None = None
+        #: Whether the variables of the integrator hold an older phase point than the last one.
+        self._is_unstored = False
+        self._stepper: operators.Stepper | None = None
         #: The end of the last step, and what the bath within it made.
         self._last: tuple[BodyState, BodyState] | None = None
         self._evaluations_before = 0
@@ -147,11 +150,13 @@ class ExactEngine(Engine):
         self._point = operation(self.point)
 
     def state(self) -> BodyState:
-        self.take_over()
+        if not self.is_current:
+            self.take_over()
         return self.point
 
     def potential_energy(self) -> float:
-        self._forget_past()
+        if self._starts_anew:
+            self._forget_past()
         return self.forces.energy(self.point)
 
     def temperatures(self, conserved: bool) -> Temperatures:
@@ -168,7 +173,7 @@ class ExactEngine(Engine):
     # --- one call of the integrator's step ---
 
     def take_over(self) -> None:
-        """Find the phase point and the clock of a Context in which anything may have been changed from outside.
+        """Find the phase point and the clock of a Context in which a user may have changed anything.
 
         What is found depends on nothing but what the Context holds, so that a restart from a checkpoint is
         bit-identical.
@@ -176,79 +181,97 @@ class ExactEngine(Engine):
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now, before, point = Snapshot.of(self._context), self._agreed, self._point
-        moved = point is None or not now.same_positions(before)
+        now, point, are_set = Snapshot.of(self._context), self._point, self._are_atoms_set
+        # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
+        is_placed = point is not None and self.forces.is_at(point.q, point.A)
+        moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
         if moved:
             self.start_anew()
             self.refuse_cut_molecules(now)
             self._settle(now)
-        if point is None or moved or not now.same_velocities(before):
+        is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
+        if is_other:
             point = self._found(now, moved)
-            self.forces.velocities[:] = now.velocities
-        self._agree(now, moved)
-        self.forces.select(self._groups, self.flow.fast_groups)
         self._point, self.clock = point, Clock(now.time, now.steps)
+        # What tells of a change comes after the change, so that an interrupted one is made again.
+        if moved:
+            self.forces.take_positions(now)
+        if is_other:
+            self.forces.velocities[:] = now.velocities
+        self._take_environment(now)
+        self.forces.select(self._groups, self.flow.fast_groups)
+        self._are_atoms_set = False
+
+    def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
+        """Tell whether vectors of the Context are, bit for bit, those that were written to it last."""
+        return self._keeps_numbers and np.array_equal(vectors, written)
 
     def _found(self, now: Snapshot, moved: bool) -> BodyState:
         """Return the phase point of bodies that moved, or whose velocities were changed."""
         bodies, point = self.moving, self._point
-        stored = stored_point(self._context, self._made.packing, now, moved)
-        if stored is not None:
-            return stored
+        stored = point if self._is_unstored else stored_point(self._context, self._made.packing)
+        agreed = None if stored is None else agreeing(bodies, stored, now, moved)
+        if agreed is not None:
+            return agreed
         if point is None or moved:
             q, A = self._fitting(bodies, now)
             point = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
         return with_velocities(bodies, point, now)
 
-    def _agree(self, now: Snapshot, moved: bool) -> None:
-        """Take over positions, box and parameters of a Context where they differ."""
-        if moved:
-            self.forces.take_positions(now)
-        if not now.same_environment(self._agreed):
+    def _take_environment(self, now: Snapshot) -> None:
+        """Take over box and parameters of a Context where they differ."""
+        if now.environment != self._environment:
             self._made.forget_forces()
-        self._agreed = now
+            self._environment = now.environment
+
+    def begin(self, flow: Flow) -> None:
+        super().begin(flow)
+        self._stepper = self._new_stepper()
+
+    def _new_stepper(self) -> operators.Stepper:
+        """Return what makes a step of the flow."""
+        return self._made.motion.stepper(self.flow, self.inner_step(self.flow))
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
         flow = self.flow
-        step = self._made.motion.stepper(flow, self.inner_step(flow))
-        ends_with_kick = flow.scheme.stages[-1].operator == KICK
-        if steps:
+        if self._stepper is None:
+            self._stepper = self._new_stepper()
+        if steps and self._starts_anew:
             self._forget_past()
+        ends_with_kick = flow.scheme.stages[-1].operator == KICK
         for remaining in range(steps, 0, -1):
             if wants_energy and remaining == 1 and ends_with_kick:
                 # The last force of the step is that at its end.
                 forces = self.forces
                 forces.take_energy(with_evaluation=forces.evaluations + flow.scheme.force_evaluations)
             if flow.updates_context and self.updates.act:
-                self._step_after_updates(step)
+                with self.transaction():
+                    self._complete(self._updated())
             else:
                 # The Context is written to only when the steps are over.
-                self._complete(self.point, step)
+                self._complete(self.point)
             interrupts.act_on_pending()
 
-    def _step_after_updates(self, step: operators.Stepper) -> None:
-        """Make one step, after the System's barostats and thermostats have acted."""
-        start, before = self._point, openmm.Context.getState(self._context, positions=True)
-        try:
-            point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
-            self._complete(point, step)
-        except BaseException:
-            # An error may come when the step is complete.
-            if self._point is start:
-                openmm.Context.setPeriodicBoxVectors(self._context, *before.getPeriodicBoxVectors())
-                # A barostat also moves atoms of no body.
-                self.forces.positions[:] = before.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-            raise
+    def remember(self) -> Memory:
+        memory = super().remember()
+        # OpenMM's barostats also move atoms of no body.
+        return memory._replace(more=self.forces.positions.copy()) if self.updates.act else memory
 
-    def _complete(self, point: BodyState, step: operators.Stepper) -> None:
+    def go_back(self, memory: Memory, reverse: bool = False) -> None:
+        if memory.more is not None:
+            self.forces.positions[:] = memory.more
+            self.forces.forget_place()
+        super().go_back(memory, reverse)
+
+    def _complete(self, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
         flow, (time, steps), mark = self.flow, self.clock, self.ledger.mark()
         self.forces.step = steps + 1
         try:
             if flow.updates_context and self.updates.stops_centre(steps):
                 point = self._stopped(point)
-            point = step(point)
-            # In one line, so that an error finds the clock, the bodies and the ledger in agreement.
+            assert self._stepper is not None
+            point = self._stepper(point)
             self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         except BaseException as error:
             self.ledger.go_back(mark)
@@ -269,23 +292,29 @@ class ExactEngine(Engine):
         self.ledger.heat += self.moving.energy_of_shift(velocity, -velocity)
         return self.moving.shifted(point, -velocity)
 
-    def _with_new_atoms(self) -> BodyState:
-        """Let barostats and thermostats act, and return the phase point after that.
+    def _updated(self) -> BodyState:
+        """Let barostats and thermostats of the System act, and return the phase point after that.
 
         Raises:
             RigidityError: the positions do not form the bodies any more.
         """
+        return self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
+
+    def _with_new_atoms(self) -> BodyState:
         self.publish()
+        before = Snapshot.of(self._context)
         self.updates.let_act(self.flow.step)
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
-        self._context.setTime(self.clock.time + self.flow.step)
-        bodies, point, now, before = self.moving, self.point, Snapshot.of(self._context), self._agreed
-        moved = not now.same_positions(before)
+        openmm.Context.setTime(self._context, self.clock.time + self.flow.step)
+        bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
+        moved = not np.array_equal(now.positions, before.positions)
         q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
         found = replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
-        if not (now.same_velocities(before) and np.array_equal(A, point.A)):
+        if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
             found = with_velocities(bodies, found, now)
-        self._agree(now, moved)
+        if moved:
+            self.forces.take_positions(now)
+        self._take_environment(now)
         return found
 
     def _with_new_box(self) -> BodyState:
@@ -296,15 +325,15 @@ class ExactEngine(Engine):
         self.updates.let_act(self.flow.step)
         if self._box() == before:
             return point
-        self._is_box_new = True
         now = Snapshot.of(self._context)
         q, A = self._fitting(bodies, now, point)
         self.forces.take_positions(now)
         self._made.forget_forces()
+        self._environment = now.environment
         return replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
 
     def publish(self) -> None:
-        """Write the phase point and the clock to the Context, and to the variables that travel in checkpoints."""
+        """Write the phase point and the clock to the Context."""
         point, clock, context, forces = self.point, self.clock, self._context, self.forces
         if self._published is not None and forces.is_at(point.q, point.A):
             published, when = self._published
@@ -312,16 +341,22 @@ class ExactEngine(Engine):
                 return
         forces.place(point.q, point.A)
         openmm.Context.setVelocities(context, self.moving.move(point, forces.velocities))
-        integrator = self._integrator
-        for name, values in zip(STATE_VARIABLES, self._made.packing.pack(point), strict=True):
-            integrator.setPerDofVariableByName(name, values)
-        context.setTime(clock.time)
-        context.setStepCount(clock.steps)
+        openmm.Context.setTime(context, clock.time)
+        openmm.Context.setStepCount(context, clock.steps)
+        self._is_unstored = True
         self._published = point, clock
-        if self._keeps_numbers and self._agreed is not None and not self._is_box_new:
-            self._agreed = self._agreed.with_atoms(forces.positions, forces.velocities)
-        else:
-            self._agreed, self._is_box_new = Snapshot.of(context), False
+
+    def store(self) -> None:
+        """Write the phase point to the per-atom variables."""
+        if not self._is_unstored:
+            return
+        integrator = self._integrator
+        for name, values in zip(STATE_VARIABLES, self._made.packing.pack(self.point), strict=True):
+            integrator.setPerDofVariableByName(name, values)
+        self._is_unstored = False
+
+    def variables_loaded(self) -> None:
+        self._is_unstored = False
 
     def recover(self) -> None:
         if self._point is None or self._parts is None:
@@ -336,7 +371,8 @@ class ExactEngine(Engine):
 
     def _set_box(self, box: Any) -> None:
         super()._set_box(box)
-        self._is_box_new = True
+        if self._environment is not None:
+            self._environment = self._environment._replace(box=self._box())
         self._made.motion.follow(self._context)
 
     def prepare_for_volume_moves(self) -> None:
@@ -348,10 +384,15 @@ class ExactEngine(Engine):
         if self._parts is not None:
             super().refuse_long_step(flow)
 
-    # --- news from outside ---
+    # --- changes by users, and what a restart needs ---
+
+    def atoms_moved(self) -> None:
+        super().atoms_moved()
+        self._are_atoms_set = True
 
     def forces_changed(self) -> None:
         super().forces_changed()
+        self._stepper = None
         if self._parts is not None:
             self._parts.forces_changed()
 
@@ -360,8 +401,7 @@ class ExactEngine(Engine):
         self._starts_anew = self._remembers_list
 
     def _forget_past(self) -> None:
-        """Do what `start_anew` asked for, if it did."""
-        if self._starts_anew:
-            neighbour_list.forget(self._context)
-            self._made.forget_forces()
-            self._starts_anew = False
+        """Do what `start_anew` asked for."""
+        neighbour_list.forget(self._context)
+        self._made.forget_forces()
+        self._starts_anew = False

@@ -17,27 +17,28 @@ from openmm_sier.system.cut_molecules import IF_CUT
 FARTHEST = 0.05
 
 
-def stored_point(context: openmm.Context, packing: Packing, now: Snapshot, moved: bool) -> BodyState | None:
-    """Return the phase point that the variables of a Context carry, if it reproduces the atoms to the last bit.
-
-    It does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set after that,
-    the stored centres and attitudes are still used.
-
-    Args:
-        context: openmm.Context.
-        packing: of its bodies.
-        now: what the Context holds.
-        moved: whether its positions differ from those before.
-
-    Returns:
-        The phase point; None if the atoms are elsewhere.
-    """
+def stored_point(context: openmm.Context, packing: Packing) -> BodyState | None:
+    """Return the phase point that the variables of a Context carry; None if they carry none."""
     variable = context.getIntegrator().getPerDofVariableByName
     # One after the other: OpenMM gives lists of objects, which take much memory.
     values = np.stack([np.array(variable(name)) for name in STATE_VARIABLES])
     if not values.any() or not np.isfinite(values).all():
         return None
-    bodies, state = packing.bodies, packing.unpack(values)
+    return packing.unpack(values)
+
+
+def agreeing(bodies: BodySet, state: BodyState, now: Snapshot, moved: bool) -> BodyState | None:
+    """Return a phase point if it reproduces the atoms to the last bit; None if they are elsewhere.
+
+    The stored one does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set
+    after that, the stored centres and attitudes are still used.
+
+    Args:
+        bodies: the bodies.
+        state: their phase point as it was stored or published.
+        now: what the Context holds.
+        moved: whether its positions differ from those before.
+    """
     if not np.array_equal(bodies.place(state.q, state.A, now.positions.copy()), now.positions):
         return None
     if np.array_equal(bodies.move(state, now.velocities.copy()), now.velocities):

@@ -1,8 +1,7 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,20 +10,19 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines import neighbour_list
 from openmm_sier.engines.beginnings import refuse_what_is_not_finite
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
-from openmm_sier.engines.native.installation import EXACT_ONLY, set_bath
+from openmm_sier.engines.native.installation import guard, set_bath
 from openmm_sier.engines.native.known_atoms import KnownAtoms
 from openmm_sier.engines.native.settling import satisfy_constraints
 from openmm_sier.engines.native.told_bodies import ToldBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK
 from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot, box_of, time_of
+from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
@@ -46,7 +44,7 @@ class Potential(NamedTuple):
     """A potential energy, kJ/mol, and the box and the parameters of the Context at which it was computed."""
 
     energy: float
-    environment: tuple[Any, dict[str, float]]
+    environment: Environment
 
 
 class NativeEngine(Engine):
@@ -120,35 +118,18 @@ class NativeEngine(Engine):
 
     @clock.setter
     def clock(self, clock: Clock) -> None:
-        self._context.setTime(clock.time)
-        self._context.setStepCount(clock.steps)
+        openmm.Context.setTime(self._context, clock.time)
+        openmm.Context.setStepCount(self._context, clock.steps)
 
     # --- one call of the integrator's step ---
 
-    @contextmanager
-    def following(self, flow: Flow) -> Iterator[None]:
-        with self._known.kept(), self._opened(), super().following(flow):
-            yield
-
-    @contextmanager
-    def _opened(self) -> Iterator[None]:
-        """Open a program that does less than what was asked for to this engine, which does the rest."""
-        integrator = self._integrator
-        is_guarded = integrator.getGlobalVariableByName(EXACT_ONLY)
-        if not is_guarded:
-            yield
-            return
-        integrator.setGlobalVariableByName(EXACT_ONLY, 0.0)
-        try:
-            yield
-        finally:
-            integrator.setGlobalVariableByName(EXACT_ONLY, is_guarded)
-
     def take_over(self) -> None:
         self._set_bath()
+        # A program that does less than what was asked for runs here, since this engine does the rest.
+        guard(self._integrator, False)
         if self._potential is not None:
-            environment = _environment_of(openmm.Context.getState(self._context, parameters=True))
-            if environment != self._potential.environment:
+            state = openmm.Context.getState(self._context, parameters=True)
+            if Environment.of(state) != self._potential.environment:
                 self._potential = None
         if self._is_box_new:
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
@@ -325,7 +306,7 @@ class NativeEngine(Engine):
         if self._potential is None:
             state = openmm.Context.getState(self._context, energy=True, parameters=True, groups=self._groups)
             energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-            self._potential = Potential(energy, _environment_of(state))
+            self._potential = Potential(energy, Environment.of(state))
         return self._potential.energy
 
     # --- there and back, with the atoms as OpenMM has them ---
@@ -340,7 +321,8 @@ class NativeEngine(Engine):
         self._known.write_positions(positions)
         self._write_velocities(-velocities if reverse else velocities)
         self._follows_bath = False
-        self.clock, self._potential = memory.clock, memory.more
+        self.clock = memory.clock
+        self._potential = memory.more
         self.ledger.go_back(memory.mark)
 
     def _box(self) -> Any:
@@ -386,13 +368,15 @@ class NativeEngine(Engine):
     def degrees_of_freedom(self, conserved: bool) -> float:
         return self._told.degrees_of_freedom(self.positions, conserved)
 
-    # --- news from outside ---
+    # --- changes by users, and what a restart needs ---
 
     def start_anew(self) -> None:
-        self._is_fresh, self._potential = True, None
+        self._is_fresh = True
+        self._potential = None
         self._velocities_changed()
 
     def atoms_moved(self) -> None:
+        super().atoms_moved()
         self.start_anew()
         self._known.forget()
         self._follows_bath = False
@@ -403,12 +387,10 @@ class NativeEngine(Engine):
         self._potential = None
 
     def box_changed(self) -> None:
+        super().box_changed()
+        self._known.forget()
         self._is_box_new = True
 
     def groups_changed(self) -> None:
         """Make the Context anew: OpenMM fixes the groups when it reads the program."""
         self._context.reinitialize(preserveState=True)
-
-
-def _environment_of(state: openmm.State) -> tuple[Any, dict[str, float]]:
-    return box_of(state), dict(state.getParameters())

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -27,9 +25,8 @@ KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 class KnownAtoms:
     """Read positions, velocities and box of a Context, and write positions and velocities.
 
-    Arrays are read-only, so that they can be kept. Within `kept` they are kept until `forget`, without which nobody may
-    move atoms, and velocities are not written before `publish` or `forget`. At other times everything is read anew and
-    written at once, since anybody may move atoms.
+    Arrays are read-only. They are kept until `forget`, without which nobody may move atoms, and velocities are not
+    written before `publish` or `forget`.
 
     Attributes:
         masses: of all particles, (N,), Da.
@@ -52,7 +49,6 @@ class KnownAtoms:
         masses = self._masses_of_components
         self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         self._is_single = is_single
-        self._is_keeping = False
         self._known: dict[str, np.ndarray] = {}
         #: Whether the Context does not have the known velocities yet.
         self._is_unwritten = False
@@ -60,17 +56,6 @@ class KnownAtoms:
         self._kinetic: float | None = None
         self._centre: np.ndarray | None = None
         self._box: Any = None
-
-    @contextmanager
-    def kept(self) -> Iterator[None]:
-        """Keep what is read within the block."""
-        self.forget()
-        self._is_keeping = True
-        try:
-            yield
-        finally:
-            self.forget()
-            self._is_keeping = False
 
     def publish(self) -> None:
         """Write velocities that the Context does not have yet."""
@@ -106,10 +91,9 @@ class KnownAtoms:
     @property
     def box(self) -> Any:
         """Return periodic box vectors, nm."""
-        box = box_of(openmm.Context.getState(self._context)) if self._box is None else self._box
-        if self._is_keeping:
-            self._box = box
-        return box
+        if self._box is None:
+            self._box = box_of(openmm.Context.getState(self._context))
+        return self._box
 
     @property
     def both(self) -> tuple[np.ndarray, np.ndarray]:
@@ -118,18 +102,16 @@ class KnownAtoms:
         return found[POSITIONS], found[VELOCITIES]
 
     def _vectors(self, *names: str) -> dict[str, np.ndarray]:
-        found = dict(self._known)
-        missing = [name for name in names if name not in found]
+        missing = [name for name in names if name not in self._known]
         if missing:
             state = openmm.Context.getState(self._context, **dict.fromkeys(missing, True))
             for name in missing:
-                found[name] = np.empty((len(self.masses), 3))
+                vectors = np.empty((len(self.masses), 3))
                 # Like getPositions(asNumpy=True), but without its overhead for names and units.
-                state._getVectorAsNumpy(KINDS[name], found[name])
-                found[name].flags.writeable = False
-        if self._is_keeping:
-            self._known = found
-        return found
+                state._getVectorAsNumpy(KINDS[name], vectors)
+                vectors.flags.writeable = False
+                self._known[name] = vectors
+        return self._known
 
     # --- changes ---
 
@@ -139,14 +121,11 @@ class KnownAtoms:
         openmm.Context.setPositions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
-        """Set velocities, which are known then; within `kept` the Context gets them later."""
+        """Set velocities, which are known then; the Context gets them by `publish`."""
         if self._is_single:
             # A run that goes on must know what a restart would read.
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
-        if not self._is_keeping:
-            openmm.Context.setVelocities(self._context, velocities)
-            return
         velocities.flags.writeable = False
         self._known[VELOCITIES] = velocities
         self._is_unwritten = True
@@ -186,8 +165,7 @@ class KnownAtoms:
         velocities = self.velocities
         # No products of matrices: their last bits depend on the number of threads.
         energy = 0.5 * float((self._masses_of_components * velocities * velocities).sum())
-        if self._is_keeping:
-            self._kinetic = energy
+        self._kinetic = energy
         return energy
 
     def centre_velocity(self) -> np.ndarray:
@@ -198,6 +176,5 @@ class KnownAtoms:
             return self._centre
         # A sum for each axis is several times as fast as one over rows.
         centre = np.array([(self.masses * along).sum() for along in self.velocities.T]) / self._mass
-        if self._is_keeping:
-            self._centre = centre
+        self._centre = centre
         return centre
