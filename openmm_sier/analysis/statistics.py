@@ -11,7 +11,7 @@ import numpy as np
 
 from openmm_sier.dynamics.correlation import inefficiency, is_constant
 
-#: Number of independent samples below which an error means little: so short a series hides its correlation time.
+#: Fewest independent samples of a reliable error. A shorter series hides its correlation time.
 FEWEST = 20
 
 #: Number of groups omitted one by one in the jackknife.

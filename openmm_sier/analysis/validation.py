@@ -30,8 +30,7 @@ def kinetic_data(logs: Sequence[Mapping[str, np.ndarray]], temperature: float) -
     """Return kinetic energies by group, for `physical_validation.kinetic_energy.distribution`.
 
     Degrees of freedom are derived from the logs: the kinetic energy of all motion is linear in the temperatures, and
-        the
-    coefficients are half the degrees of freedom times the gas constant.
+    the coefficients are half the degrees of freedom times the gas constant.
 
     Args:
         logs: columns of each run at this temperature, from `openmm-sier run` or `ConservationReporter`.

@@ -68,8 +68,7 @@ def row(context: openmm.Context, observed: openmm.State | None = None) -> tuple[
     The kinetic energy includes all motion. The conserved energy is the total energy minus the heat from thermostats and
     volume moves of this package, with velocities of whole steps (`SIERIntegrator.getWholeStepState`). Thermostats and
     barostats of OpenMM do not count their heat: the conserved energy is NaN if one acts. Temperatures follow the rule
-        of
-    `openmm_sier.system.temperature`, or `computeTemperatures` of an integrator of this package. Angular momentum is
+    of `openmm_sier.system.temperature`, or `computeTemperatures` of an integrator of this package. Angular momentum is
     about the origin, with the positions of the Context; periodic boundaries do not conserve it. Volume and density are
     NaN for a System without periodic boundaries.
 

@@ -50,8 +50,7 @@ def prepare_system(
     """Prepare a System, of water or with solutes, for long steps.
 
     Call this function before the Context is created: OpenMM reads a System only then. A System can be prepared again
-        for
-    the same bodies; for other bodies prepare a new System.
+    for the same bodies; for other bodies prepare a new System.
 
     >>> print(prepare_system(system))
     The sums of PME are balanced.

@@ -41,14 +41,14 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
 
 @pytest.mark.thorough
 def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
-    """Steps of 6 fs resonate with bonds to hydrogen, which only a user who asks for it has."""
+    """Steps of 4.6 fs are near half the period of bonds to hydrogen, which only users who ask for them have."""
     monkeypatch.chdir(tmp_path)
     short = ["--platform", "Reference", "--equilibrate", "0", "--no-minimize", "--steps", "1", "--overwrite"]
     assert main(["run", str(box), *FILES, *short]) == 0
     assert "warning" not in capsys.readouterr().out
-    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--dt", "6"]) == 0
+    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--dt", "4.6"]) == 0
     out = capsys.readouterr().out
-    assert "A step of 6 fs is long for the bond" in out
+    assert "A step of 4.6 fs is long for the bond" in out
     for option in ("--dt", "--hydrogen-mass 4", "--constraints hbonds"):
         assert f"({option})" in out
 

@@ -165,7 +165,7 @@ def test_steps_that_fast_bonds_do_not_bear():
     with pytest.raises(openmm.OpenMMException, match=rf"inner step of .* period of {period:.3g} fs.*more substeps"):
         context(2.1 * 3.46 / (2 * math.pi) * period, substeps=1)
     with pytest.warns(UserWarning, match=rf"is long for .*: its period is {period:.3g} fs"):
-        context(0.5 * period)
+        context(0.47 * period)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         context(0.4 * period)

@@ -51,7 +51,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
             context.loadCheckpoint(saved)  # noqa: B023
             monkeypatch.setattr(metropolis, "largest_error", lambda *_: largest)
             integrator.setExtraChances(chances)
-            integrator.setGlobalVariableByName(metropolis.CHECKED_STEP, integrator.getSchemeStepSize()._value)
+            integrator.binding.stored.ledger.counts[metropolis.CHECKED_STEP] = integrator.getSchemeStepSize()._value
             forces = integrator.forceEvaluations
             integrator.step(1)
             return integrator.accepted - accepted, (integrator.forceEvaluations - forces) // 6  # noqa: B023

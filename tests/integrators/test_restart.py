@@ -102,7 +102,7 @@ MATRIX = [
             ("Checkpoint", "box", "CPU", "HMC exact kept in part"),
             ("State", "box", "CPU", "HMC exact drawn anew"),
             ("Checkpoint", "box", "CPU", "HMC native drawn anew"),
-            ("State", "box", "CPU", "HMC native kept in part"),
+            ("Checkpoint", "box", "CPU", "HMC native kept in part"),
             ("State", "box", "CPU", "SIER4 NPT"),
             ("Checkpoint", "box", "CPU", "HMC exact NPT"),
             ("Checkpoint", "box", "CPU", "HMC native NPT"),
@@ -130,6 +130,11 @@ def test_restart_is_exact(tmp_path, cluster, box, way, where, name, label):
     whole = simulation_of(topology, system, make(), name, point)
     volume = whole.context.getState().getPeriodicBoxVolume()
     load = after_ten_steps(whole, way, path)
+    ends = []
+    # On the CPU and Reference platforms all Contexts share OpenMM's random numbers, which native trials use.
+    for steps in (1, 14):
+        whole.step(steps)
+        ends.append(everything(whole.context))
     if where == "box":
         continued = simulation_of(topology, system, make(), name, point)
         # A past that the restart must not remember.
@@ -138,16 +143,16 @@ def test_restart_is_exact(tmp_path, cluster, box, way, where, name, label):
         continued = simulation_of(topology, system, make(), name)
     getattr(continued, load)(str(path))
     assert continued.currentStep == 10
-    continued.context.getState(energy=True)
-    for steps in (1, 14):
-        whole.step(steps)
+    # Not the energy, for which OpenMM draws random numbers on the CPU and Reference platforms.
+    continued.context.getState(forces=True)
+    for steps, end in zip((1, 14), ends, strict=True):
         continued.step(steps)
-        assert_same(everything(continued.context), everything(whole.context))
+        assert_same(everything(continued.context), end)
     if load == "loadCheckpoint":
         # With a State a Context goes on with noise that it has not used yet.
         whole.loadCheckpoint(str(path))
         whole.step(15)
-        assert_same(everything(continued.context), everything(whole.context))
+        assert_same(everything(whole.context), ends[-1])
     assert (whole.context.getState().getPeriodicBoxVolume() != volume) is (label in AT_CONSTANT_PRESSURE)
     if isinstance(whole.integrator, SIERHMCIntegrator):
         assert 0 < whole.integrator.accepted < whole.integrator.trials
