@@ -36,7 +36,6 @@ Anal. 36, 13 (2016), for linear response to the step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -91,8 +90,10 @@ def predicted(samples: pd.DataFrame, interval: float, memory: float, bath: Bath)
         name of the former its limit in a weak bath of equal frictions; with `mean_` what turns by the mean add, and
         with `rattle_` what such turns by RATTLE add.
     """
+    # Means are those of the whole run: those of parts would take some of the slow fluctuations away.
+    means = samples.mean()
     places = np.array_split(np.arange(len(samples)), PARTS)
-    parts = [_of_part(samples.iloc[place], interval, memory, bath) for place in places]
+    parts = [_of_part(samples.iloc[place] - means, means, interval, memory, bath) for place in places]
     found = pd.DataFrame(parts)
     if bath.friction == bath.turning_friction:
         _use_balance(found)
@@ -110,36 +111,36 @@ def _use_balance(found: pd.DataFrame) -> None:
         found[name] -= noise * (noise.cov(found[name]) / noise.var())
 
 
-def _of_part(part: pd.DataFrame, interval: float, memory: float, bath: Bath) -> Mapping[str, float]:
+def _of_part(part: pd.DataFrame, means: pd.Series, interval: float, memory: float, bath: Bath) -> dict[str, float]:
+    """Return the law by a part of a run, given as deviations from the means of the run."""
     kT = bath.thermal
     V, l = part["potential"], part["trace_translation"] + part["trace_rotation"]
-    mean = l.mean()
-    source, rattle = 0.0, 0.0
+    mean, covariance = means["trace_translation"] + means["trace_rotation"], (V * l).mean()
+    source = 0.0 * V
     for friction, kind in ((bath.friction, "translation"), (bath.turning_friction, "rotation")):
         excess = part[f"square_{kind}"] - kT * part[f"trace_{kind}"] - friction * part[f"power_{kind}"]
-        source = source + friction * excess
-    source = source / 12
+        source += friction / 12 * excess
     mean_only = -bath.turning_friction * unevenness(bath.moments) / 6 * kT * part["kinetic_rotation"]
     rattle = bath.turning_friction * part["rattle_bath"] + mean_only
-    found = {}
     at_once = {
-        "potential": (kT * mean - V.cov(l)) / 24,
-        "kinetic_translation": kT * part["trace_translation"].mean() / 24,
-        "kinetic_rotation": kT * part["trace_rotation"].mean() / 24,
+        "potential": (kT * mean - covariance) / 24,
+        "kinetic_translation": kT * means["trace_translation"] / 24,
+        "kinetic_rotation": kT * means["trace_rotation"] / 24,
     }
+    found = {}
     for name, value in at_once.items():
         found[name] = value - response(source, part[name], interval, memory) / kT
         found[f"mean_{name}"] = -response(mean_only, part[name], interval, memory) / kT
-        conserved = part["rattle"].cov(part[name])
+        conserved = (part["rattle"] * part[name]).mean()
         found[f"rattle_{name}"] = -(conserved + response(rattle, part[name], interval, memory)) / kT
-    capacity = 2 * V.var() / kT**2 / sum(bath.degrees) - 1
-    return found | {"weak_potential": -(kT * mean * capacity + V.cov(l)) / 24}
+    capacity = 2 * (V**2).mean() / kT**2 / sum(bath.degrees) - 1
+    return found | {"weak_potential": -(kT * mean * capacity + covariance) / 24}
 
 
 def response(source: pd.Series, values: pd.Series, interval: float, memory: float) -> float:
-    """Return the integral of <d source(0) d values(t)> over t from 0 to a time."""
+    """Return the integral of <source(0) values(t)> over t from 0 to a time."""
     n, lags = len(source), round(memory / interval)
     length = 1 << (n + lags).bit_length()
-    first, second = (np.fft.rfft(series - series.mean(), length) for series in (source, values))
+    first, second = (np.fft.rfft(series, length) for series in (source, values))
     correlation = np.fft.irfft(first.conj() * second, length)[: lags + 1] / (n - np.arange(lags + 1))
     return float(np.trapezoid(correlation, dx=interval))

@@ -123,7 +123,7 @@ class Model:
 
     @property
     def degrees(self) -> tuple[int, int]:
-        """Return a molecule's numbers of degrees of freedom of translation and of rotation; in a field it only turns."""
+        """Return numbers of degrees of freedom of translation and rotation; in a field a molecule only turns."""
         return 0 if self.field else 3, int(np.count_nonzero(self.liquid().moments))
 
     def start(self, seed: int) -> Bodies:
@@ -172,16 +172,6 @@ MODELS = {
         density=16.0,
         temperature=220.0,
         source="EPM2, Harris and Yung, J. Phys. Chem. 99, 12021 (1995)",
-    ),
-    "argon": Model(
-        places=((0.0, 0.0, 0.0),),
-        masses=(39.948,),
-        charges=(0.0,),
-        depths=(0.996,),
-        diameters=(0.3405,),
-        density=21.0,
-        temperature=90.0,
-        source="Rahman, Phys. Rev. 136, A405 (1964)",
     ),
     "water in a field": Model(
         **tip3p(4.0),
