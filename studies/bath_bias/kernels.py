@@ -175,7 +175,7 @@ def field(c, rates, A, F, torque, traces):
         V -= c * (A[n, 0, 0] + A[n, 1, 1] + A[n, 2, 2])
         for x in range(3):
             y, z = (x + 1) % 3, (x + 2) % 3
-            torque[n, x] = c * (A[n, y, z] - A[n, z, y])
+            torque[n, x] = c * (A[n, z, y] - A[n, y, z])
             if len(traces):
                 traces[1] += c * rates[x] * (A[n, y, y] + A[n, z, z])
     return V

@@ -79,7 +79,7 @@ PLANS = {
         short_time=6000.0,
         time=20000.0,
         short_baths=((1.0, 1.0),),
-        baths={(1.0, 1.0): ((40.0, HALVES),)},
+        baths={(1.0, 1.0): ((30.0, HALVES),)},
     ),
     "water in a field": Plan(
         short=2.0,

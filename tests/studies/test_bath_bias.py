@@ -103,7 +103,9 @@ def test_forces_and_traces_are_derivatives_of_the_potential(name):
         moved = liquids.Bodies(q, bodies.p, A, bodies.L)
         return kernels.potential(liquid, moved, arms, F, torque, np.empty(0))
 
-    q, A = bodies.q + 0.02 * np.random.default_rng(4).normal(size=(n, 3)), bodies.A
+    # In a field bodies start at rest, where no torque shows its sign.
+    away, around = np.random.default_rng(4).normal(size=(2, n, 3))
+    q, A = bodies.q + 0.02 * away, np.array([_turned(a, 0.3 * w) for a, w in zip(bodies.A, around, strict=True)])
     kernels.potential(liquid, liquids.Bodies(q, bodies.p, A, bodies.L), arms, F, torque, traces)
     forces, torques = F.copy(), torque.copy()
     rng = np.random.default_rng(5)
