@@ -216,7 +216,11 @@ def compared(runs: pd.DataFrame) -> pd.DataFrame:
             frictions = ["friction", "turning_friction"]
             alike = short[(short[frictions] == [row[key] for key in frictions]).all(axis=1)]
             rows.append(row | weak(short.iloc[0], row) | (predicted(alike.iloc[0], row) if len(alike) else {}))
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    # Centres of mass move freely in a field.
+    is_free = table["model"].map(lambda name: MODELS[name].field > 0)
+    table.loc[is_free, [name for name in table if "translation" in name]] = math.nan
+    return table
 
 
 def weak(short: pd.Series, row: dict[str, Any]) -> dict[str, float]:
