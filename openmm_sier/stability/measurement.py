@@ -160,16 +160,19 @@ def _largest(
         is_complete = residual <= ROUNDING * np.abs(squares).max()
         is_last = is_complete or last + 1 == MOST_VECTORS
         for square, mode in zip(squares[::-1].tolist(), modes.T[::-1], strict=True):
-            if not is_last and residual * abs(mode[-1]) > ACCURACY * square:
-                break
-            if square < LEAST_SQUARE:
+            is_accurate = residual * abs(mode[-1]) <= ACCURACY * max(square, LEAST_SQUARE)
+            if is_accurate and square < LEAST_SQUARE:
                 return None
+            if square < LEAST_SQUARE or not (is_accurate or is_last):
+                break
             direction = np.tensordot(mode, basis, 1)
             if np.vdot(gradient, direction) ** 2 <= 2 * FAR * square:
                 return square, direction
         if is_complete:
             return None
         following = following / residual
+    if squares[-1] < LEAST_SQUARE:
+        return None
     raise HiddenError
 
 
