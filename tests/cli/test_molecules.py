@@ -6,7 +6,7 @@ from openmm import app, unit
 
 from openmm_sier.cli import new_run
 from openmm_sier.cli.main import main
-from tests.support.commands import complaint, log
+from tests.support.commands import log
 from tests.support.peptides import capped_alanine_box
 
 
@@ -41,13 +41,14 @@ def test_run_and_restart(box, tmp_path, monkeypatch, capsys, constraints):
 
 @pytest.mark.thorough
 def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys):
-    """Steps of 6 fs resonate with bonds to hydrogen, which only users who ask for them have."""
+    """Steps of 6 fs resonate with bonds to hydrogen, which only a user who asks for it has."""
     monkeypatch.chdir(tmp_path)
     short = ["--platform", "Reference", "--equilibrate", "0", "--no-minimize", "--steps", "1", "--overwrite"]
     assert main(["run", str(box), *FILES, *short]) == 0
     assert "warning" not in capsys.readouterr().out
-    out = complaint(capsys, "run", box, *FILES, *short, "--constraints", "none", "--dt", "6")
-    assert "A step of 6 fs is too long for the bond" in out
+    assert main(["run", str(box), *FILES, *short, "--constraints", "none", "--dt", "6"]) == 0
+    out = capsys.readouterr().out
+    assert "A step of 6 fs is long for the bond" in out
     for option in ("--dt", "--hydrogen-mass 4", "--constraints hbonds"):
         assert f"({option})" in out
 

@@ -25,7 +25,7 @@ from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.motions import Motions
-from openmm_sier.stability.step_check import RESONANCE, StepCheck
+from openmm_sier.stability.step_check import DESTROYED, RESONANCE, StepCheck
 from openmm_sier.system.find_bodies import Links
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
@@ -367,33 +367,39 @@ def is_bounded(scheme, angle, share):
 
 @pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
 @pytest.mark.parametrize("share", [0.02, 0.08, -0.08])
-def test_kicks_twice_a_period_are_unstable_in_a_window_above_the_refusal(scheme, share):
-    """All steps below the window of SIER2, which is the widest, are stable, and some in it are not."""
-    first = (1 - abs(share)) * math.pi
-    assert all(is_bounded(scheme, angle, share) for angle in np.linspace(0.5 * math.pi, first, 100))
-    assert not all(is_bounded(scheme, angle, share) for angle in np.linspace(first, 1.1 * math.pi, 2000))
+def test_kicks_twice_a_period_are_unstable_in_a_window(scheme, share):
+    """All steps outside of the window of SIER2, which is the widest, are stable, and some in it are not."""
+    first, last = (1 - abs(share)) * math.pi, math.pi / (1 - abs(share))
+    outside = [*np.linspace(0.5 * math.pi, first, 100), *np.linspace(last, 1.5 * math.pi, 100)]
+    assert all(is_bounded(scheme, angle, share) for angle in outside)
+    assert not all(is_bounded(scheme, angle, share) for angle in np.linspace(first, last, 1000))
 
 
-@pytest.mark.parametrize("charge", [0.0, 0.5])
-def test_a_step_is_refused_from_the_window_on(charge):
-    """It begins at half a period, less the share of the surroundings in the stiffness of the bond."""
+def test_steps_in_the_window_are_refused():
+    """It is half a period, less and more by the share of the surroundings in the stiffness of the bond."""
     system = diatomic(strength=4e5, masses=(12.0, 12.0))
     charges = openmm.NonbondedForce()
-    for sign in (1, -1):
-        charges.addParticle(sign * charge, 0.3, 0.0)
+    for charge in (0.5, -0.5):
+        charges.addParticle(charge, 0.3, 0.0)
     charges.setForceGroup(1)
     system.addForce(charges)
     period = 2 * math.pi / math.sqrt(4e5 / 6)
     # Both ends of 4e4 kJ/mol/nm^2 in a row, where the bond has 4e5.
-    window = (1 - (0.05 if charge else 0.0)) * period / 2
+    share = 0.05
     check = StepCheck(system, RigidBodies.from_system(system))
-    flow = partial(Flow, SIER4G, substeps=100, fast_groups=1)
+
+    def checked(step):
+        check(Flow(SIER4G, step * period, substeps=100, fast_groups=1), 3)
+
     with silence():
-        check(flow(0.999 * RESONANCE * period), 3)
+        checked(0.999 * RESONANCE)
     with pytest.warns(UserWarning, match=r"is long for the bond .* more than twice in each period"):
-        check(flow(0.999 * window), 3)
-    with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
-        check(flow(1.001 * window), 3)
+        checked(0.999 * (1 - share) / 2)
+    for step in (1.001 * (1 - share) / 2, 0.5, 0.999 / (1 - share) / 2, 1.001 * DESTROYED):
+        with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
+            checked(step)
+    # A warning, which is not given again.
+    checked(1.001 / (1 - share) / 2)
 
 
 def test_every_kind_of_warning_is_given_once(flexible):
@@ -403,7 +409,7 @@ def test_every_kind_of_warning_is_given_once(flexible):
         warnings.simplefilter("always")
         check(Flow(SIER4G, 0.0035), 1)
         check(Flow(SIER4G, 0.0036), 1)
-        check(Flow(SIER4G, 0.455 * PERIOD, substeps=100, fast_groups=1), 1)
+        check(Flow(SIER4G, 0.58 * PERIOD, substeps=100, fast_groups=1), 1)
     assert ["more than twice" in str(each.message) for each in told] == [False, True]
 
 
