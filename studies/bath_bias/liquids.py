@@ -163,16 +163,6 @@ MODELS = {
         temperature=297.0,
         source="TIP3P, Jorgensen et al., J. Chem. Phys. 79, 926 (1983); hydrogens of 4 dalton",
     ),
-    "carbon dioxide": Model(
-        places=((-0.1149, 0.0, 0.0), (0.0, 0.0, 0.0), (0.1149, 0.0, 0.0)),
-        masses=(15.9994, 12.011, 15.9994),
-        charges=(-0.3256, 0.6512, -0.3256),
-        depths=(0.66944, 0.23388, 0.66944),
-        diameters=(0.3033, 0.2757, 0.3033),
-        density=16.0,
-        temperature=220.0,
-        source="EPM2, Harris and Yung, J. Phys. Chem. 99, 12021 (1995)",
-    ),
     "water in a field": Model(
         **tip3p(4.0),
         molecules=1024,

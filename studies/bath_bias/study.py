@@ -3,11 +3,10 @@
     python -m studies.bath_bias                                 all models
     python -m studies.bath_bias --models water --processes 2
 
-Small liquids of rigid molecules with energies of their own (`liquids.py`): 64 molecules of water with hydrogens of 4
-dalton, and carbon dioxide; and water that turns in a field, where the average is an integral. Steps are those of SIER2
-in a bath; water also takes drifts that turn molecules at once, exactly or by RATTLE, as LangevinMiddle does. Short
-steps give averages without bias and, by `law.py`, what the bias of long steps should be. Each run is kept in
-bath-bias.jsonl as soon as it is done, and is not repeated. Writes bath-bias.json.
+64 molecules of water with hydrogens of 4 dalton and an energy of their own (`liquids.py`); and water that turns in a
+field, where the average is an integral. Steps are those of SIER2 in a bath; others have drifts that rotate molecules at
+once, exactly or by RATTLE, as LangevinMiddle does. Short steps give averages without bias and, by `law.py`, the bias of
+long steps. Each run is kept in bath-bias.jsonl as soon as it is done, and is not repeated. Writes bath-bias.json.
 """
 
 from __future__ import annotations
@@ -71,15 +70,6 @@ PLANS = {
         time=12000.0,
         short_baths=((5.0, 5.0),),
         baths={(5.0, 5.0): ((10.0, HALVES), (10.0, RATTLE_MEAN)), (1.0, 1.0): ((10.0, HALVES),)},
-    ),
-    "carbon dioxide": Plan(
-        short=10.0,
-        interval=20.0,
-        memory=4.0,
-        short_time=6000.0,
-        time=20000.0,
-        short_baths=((1.0, 1.0),),
-        baths={(1.0, 1.0): ((30.0, HALVES),)},
     ),
     "water in a field": Plan(
         short=2.0,
