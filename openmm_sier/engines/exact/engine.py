@@ -248,7 +248,7 @@ class ExactEngine(Engine):
                 with self.transaction():
                     self._complete(self._updated())
             else:
-                # The Context is written to only when the steps are over.
+                # Velocities and clock of the Context are written only when the steps are over.
                 self._complete(self.point)
             interrupts.act_on_pending()
 
