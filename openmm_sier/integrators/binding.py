@@ -268,7 +268,7 @@ class Binding:
     def _session(self) -> Iterator[Engine]:
         """Let one thread make steps with the engine, while signals wait for the end of a step.
 
-        The engine is up to date with the Context first. After an error it publishes the last completed step that it has.
+        The engine is up to date with the Context first. After an error it publishes the last completed step.
         """
         engine = self.engine
         # To wait would hang a process that was forked while another thread had the lock.

@@ -28,8 +28,8 @@ class ForceKind(NamedTuple):
     Attributes:
         acts_on: "terms" of a few listed atoms; "pairs" of all its particles, or functions of these; "particles" one by
             one; the "whole", as a function of many atoms; or "nothing", if it exerts no forces.
-        stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of expressions
-            and collective variables of few atoms; or "unknown".
+        stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
+            expressions and collective variables of few atoms; or "unknown".
         terms: terms of a bonded Force, which can be fast; None for other Forces.
         joins: whether its terms join atoms into molecules, as bonds do.
         charges: whether it has point charges, or multipoles.
