@@ -73,9 +73,11 @@ def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[st
 def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    if missing := {installation.PARTS, *found.ensemble.counts} - variables:
+    required = {installation.PARTS, *found.ensemble.counts, *found.ensemble.variables(found.flow())}
+    if missing := required - variables:
         raise settings.SettingsError(
-            f"A stored SIER integrator lacks the variable {missing.pop()}: create the integrator anew"
+            f"A stored SIER integrator lacks the variable {min(missing)}, as one of an earlier version may: create a "
+            "new integrator"
         )
     native_steps = plain.getGlobalVariableByName(installation.PARTS) or 1
     step = plain.getStepSize().value_in_unit(unit.picosecond) * native_steps

@@ -397,3 +397,11 @@ def test_hooks_are_put_in_place_once(cluster):
     assert depth() == before == 1
     context = context_at(cluster[1], SIERIntegrator(0.001, "SIER2"), cluster[2], steps=1)
     assert context.getStepCount() == 1
+
+
+def test_xml_without_the_variables_of_a_trial_is_refused():
+    """That of earlier versions, which made trials step by step."""
+    xml = openmm.XmlSerializer.serialize(SIERHMCIntegrator(300.0, 0.004))
+    line = next(line for line in xml.splitlines() if 'name="sier_steps"' in line)
+    with pytest.raises(settings.SettingsError, match="lacks the variable sier_steps, as one of an earlier version may: create"):
+        openmm.XmlSerializer.deserialize(xml.replace(line, "", 1))
