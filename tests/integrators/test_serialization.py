@@ -403,5 +403,7 @@ def test_xml_without_the_variables_of_a_trial_is_refused():
     """That of earlier versions, which made trials step by step."""
     xml = openmm.XmlSerializer.serialize(SIERHMCIntegrator(300.0, 0.004))
     line = next(line for line in xml.splitlines() if 'name="sier_steps"' in line)
-    with pytest.raises(settings.SettingsError, match="lacks the variable sier_steps, as one of an earlier version may: create"):
+    with pytest.raises(
+        settings.SettingsError, match="lacks the variable sier_steps, as one of an earlier version may: create"
+    ):
         openmm.XmlSerializer.deserialize(xml.replace(line, "", 1))
