@@ -288,15 +288,21 @@ class Engine(ABC):
         self.ledger.go_back(memory.mark)
 
     @contextmanager
-    def transaction(self) -> Iterator[None]:
-        """Undo all that the block did and counted if it raises an error; later steps depend on nothing of it."""
+    def transaction(self, keeps_completed: bool = False) -> Iterator[None]:
+        """Undo all that the block did and counted if it raises an error; later steps depend on nothing of it.
+
+        Args:
+            keeps_completed: whether a step that was completed before the error is kept. OpenMM counts the heat of
+                native steps where it cannot be undone.
+        """
         before, counts = self.remember(), dict(self.ledger.counts)
         try:
             yield
         except BaseException:
-            self.start_anew()
-            self.go_back(before)
-            self.ledger.counts = counts
+            if not (keeps_completed and self.clock.steps > before.clock.steps):
+                self.start_anew()
+                self.go_back(before)
+                self.ledger.counts = counts
             raise
 
     # --- what users ask ---

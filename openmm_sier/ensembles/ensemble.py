@@ -108,7 +108,7 @@ class Ensemble:
             if free:
                 self.advance(engine, free)
             else:
-                with engine.transaction():
+                with engine.transaction(keeps_completed=True):
                     for move in moves:
                         if (made + 1) % move.every == 0:
                             move.act(engine)
