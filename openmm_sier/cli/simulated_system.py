@@ -88,7 +88,9 @@ class SimulatedSystem:
         hint = "" if is_periodic else " (--edges gives a box)"
         note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings = settings
-        self.box, self.bodies = with_rigid_bodies(box, settings.rigid)
+        whole, bodies = with_rigid_bodies(box, settings.rigid)
+        self.box = whole
+        self.bodies = bodies
         preparation = prepare_system(box.system, self.bodies)
         self.fast = preparation.fastForceGroups
         if settings.rigid:

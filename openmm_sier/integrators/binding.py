@@ -115,7 +115,7 @@ class Binding:
         """Replace settings, by the names of their fields."""
         self.settings = replace(self.settings, **changes)
         self._flow = None
-        self._changed()
+        self.changed()
         integrator = self._integrator
         openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
         settings.store(integrator, self.settings)
@@ -150,7 +150,7 @@ class Binding:
         for name, value in self.ensemble.variables(flow).items():
             self._integrator.setGlobalVariableByName(name, value)
         installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
-        self._changed()
+        self.changed()
 
     def store(self) -> None:
         """Write all that checkpoints, States and XML carry to the variables of the integrator."""
@@ -311,7 +311,8 @@ class Binding:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
         if bath in (0.0, self._bath_seen) or self._told_of_temperatures:
             return
-        self._bath_seen, self._told_of_temperatures = bath, checks.warn_about_other_temperatures(context, bath)
+        self._bath_seen = bath
+        self._told_of_temperatures = checks.warn_about_other_temperatures(context, bath)
 
     def check_step(self) -> None:
         """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
@@ -323,8 +324,8 @@ class Binding:
 
     # --- changes by users ---
 
-    def _changed(self) -> None:
-        """Make the next step take over all changes."""
+    def changed(self) -> None:
+        """Take note of a change of any kind, so that the next step takes over all of them."""
         if self._engine is not None:
             self._engine.is_current = False
 
@@ -358,14 +359,6 @@ class Binding:
         else:
             self._engine.actions.satisfy_positions(by_openmm)
             self._engine.atoms_moved()
-
-    def clock_changed(self) -> None:
-        """Take note that the time or the step count was set."""
-        self._changed()
-
-    def parameters_changed(self) -> None:
-        """Take note that a parameter of the Context was set."""
-        self._changed()
 
     def box_changed(self) -> None:
         """Take note that the box was set."""

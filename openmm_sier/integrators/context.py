@@ -101,15 +101,15 @@ class SIERContext(openmm.Context):
 
     def setParameter(self, name: str, value: float) -> None:
         super().setParameter(name, value)
-        self.binding.parameters_changed()
+        self.binding.changed()
 
     def setTime(self, time: float | unit.Quantity) -> None:
         super().setTime(time)
-        self.binding.clock_changed()
+        self.binding.changed()
 
     def setStepCount(self, count: int) -> None:
         super().setStepCount(count)
-        self.binding.clock_changed()
+        self.binding.changed()
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
         super().setPeriodicBoxVectors(a, b, c)

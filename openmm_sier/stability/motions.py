@@ -159,7 +159,8 @@ class Motions:
                 motion = self._motion(part, vibration.atoms, vibration.square)
                 measured.append(motion._replace(force=part.name, is_bond=is_bond))
         self.unknown += _described(hidden)
-        self.measured, self._to_measure = measured, []
+        self.measured = measured
+        self._to_measure = []
         return True
 
     def moves_like_hydrogen(self, motion: Motion) -> bool:

@@ -252,26 +252,25 @@ def bathe(p, L, A, n, kept, widths):
         p[n, x] = kept[0] * p[n, x] + widths[3] * np.random.normal()  # noqa: NPY002
         L[n, x] *= kept[1]
     for k in range(3):
-        if widths[k] > 0:
-            gained = widths[k] * np.random.normal()  # noqa: NPY002
-            for x in range(3):
-                L[n, x] += gained * A[n, k, x]
+        gained = widths[k] * np.random.normal()  # noqa: NPY002
+        for x in range(3):
+            L[n, x] += gained * A[n, k, x]
 
 
 @compiled
-def turn_around_bath(p, L, A, n, I, inverse_moments, rates, h, kept, widths, rotation):
+def turn_around_bath(p, L, A, n, I, inverse_moments, h, kept, widths, rotation):
     """Turn one body freely for a time, with the bath in the middle."""
     if rotation == HALVES:
-        turn_exactly(A, in_body(A, L, n), n, rates, 0.5 * h)
+        turn_exactly(A, in_body(A, L, n), n, inverse_moments, 0.5 * h)
         bathe(p, L, A, n, kept, widths)
-        turn_exactly(A, in_body(A, L, n), n, rates, 0.5 * h)
+        turn_exactly(A, in_body(A, L, n), n, inverse_moments, 0.5 * h)
         return
     x, y, z = L[n, 0], L[n, 1], L[n, 2]
     bathe(p, L, A, n, kept, widths)
     u, v, w = L[n, 0], L[n, 1], L[n, 2]
     L[n, 0], L[n, 1], L[n, 2] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w)
     if rotation == EXACT_MEAN:
-        turn_exactly(A, in_body(A, L, n), n, rates, h)
+        turn_exactly(A, in_body(A, L, n), n, inverse_moments, h)
     else:
         turn_by_rattle(A, in_body(A, L, n), n, I, inverse_moments, h)
     L[n, 0], L[n, 1], L[n, 2] = u, v, w
@@ -286,21 +285,19 @@ def rattle_energy(L, rates):
 
     Args:
         L: angular momentum in principal axes.
-        rates: inverse moments, 0 where a body has none.
+        rates: inverse moments.
     """
     energy, second = 0.0, 0.0
     for j in range(3):
         y = L[j] * L[j]
         k, l = (j + 1) % 3, (j + 2) % 3
-        if rates[j] > 0:
-            energy += y * y * rates[j] ** 3
-            second += 12 * y * rates[j] ** 2
-        if rates[k] > 0 and rates[l] > 0:
-            # The pair of axes k and l: both orders of |w|^2 w.L, less the gyroscopic term about the axis j.
-            a, b = L[k] * L[k], L[l] * L[l]
-            factor = rates[k] * rates[l] * (rates[k] + rates[l]) - rates[j] * (rates[l] - rates[k]) ** 2
-            energy += factor * a * b
-            second += 2 * factor * (b / rates[k] + a / rates[l])
+        energy += y * y * rates[j] ** 3
+        second += 12 * y * rates[j] ** 2
+        # The pair of axes k and l: both orders of |w|^2 w.L, less the gyroscopic term about the axis j.
+        a, b = L[k] * L[k], L[l] * L[l]
+        factor = rates[k] * rates[l] * (rates[k] + rates[l]) - rates[j] * (rates[l] - rates[k]) ** 2
+        energy += factor * a * b
+        second += 2 * factor * (b / rates[k] + a / rates[l])
     return energy / 24, second / 24
 
 
@@ -354,7 +351,7 @@ def follow(seed, liquid, bodies, h, steps, every, friction, turning_friction, ro
     widths[:3] = np.sqrt((1 - kept[1] ** 2) * liquid.thermal * liquid.moments)
     widths[3] = math.sqrt((1 - kept[0] ** 2) * liquid.thermal * liquid.mass)
     q, p, A, L = bodies.q, bodies.p, bodies.A, bodies.L
-    I, inverse_moments, rates = liquid.moments, liquid.inverse_moments, liquid.rates
+    I, inverse_moments = liquid.moments, liquid.inverse_moments
     half = 0.5 * h / liquid.mass
     potential(liquid, bodies, arms, F, torque, none)
     for step in range(steps):
@@ -363,7 +360,7 @@ def follow(seed, liquid, bodies, h, steps, every, friction, turning_friction, ro
                 p[i, x] += h * F[i, x]
                 L[i, x] += h * torque[i, x]
                 q[i, x] += half * p[i, x]
-            turn_around_bath(p, L, A, i, I, inverse_moments, rates, h, kept, widths, rotation)
+            turn_around_bath(p, L, A, i, I, inverse_moments, h, kept, widths, rotation)
             for x in range(3):
                 q[i, x] += half * p[i, x]
         is_sampled = (step + 1) % every == 0

@@ -58,9 +58,7 @@ class Bath(NamedTuple):
 
 
 def unevenness(moments: np.ndarray) -> float:
-    """Return P of three moments of inertia, 1/(dalton nm^2); 0 for lines and points."""
-    if not np.all(moments > 0):
-        return 0.0
+    """Return P of three moments of inertia, 1/(dalton nm^2)."""
     x, y, z = moments
     return float(((x - y) ** 2 + (y - z) ** 2 + (z - x) ** 2) / (x * y * z))
 

@@ -30,9 +30,8 @@ class Liquid(NamedTuple):
         near, far: distances of centres, nm.
         field: c of V = -c tr A in kJ/mol; with 0 bodies act on each other.
         mass: dalton.
-        moments: principal moments, ascending, dalton nm^2; of a line the first is 0, of a point all.
-        inverse_moments: 0 where the moment is.
-        rates: those of `kernels.bodies.rotate`.
+        moments: principal moments, none of which is 0, dalton nm^2.
+        inverse_moments: one over each of them.
         thermal: k_B T, kJ/mol.
     """
 
@@ -47,7 +46,6 @@ class Liquid(NamedTuple):
     mass: float
     moments: np.ndarray
     inverse_moments: np.ndarray
-    rates: np.ndarray
     thermal: float
 
 
@@ -99,8 +97,6 @@ class Model:
         places = places - masses @ places / masses.sum()
         squares = masses @ places**2
         moments = squares.sum() - squares
-        moments[moments < 1e-12] = 0.0
-        inverse = np.divide(1.0, moments, out=np.zeros(3), where=moments > 0)
         depths = np.sqrt(np.outer(self.depths, self.depths))
         diameters = np.add.outer(self.diameters, self.diameters) / 2
         box = (self.molecules / self.density) ** (1 / 3)
@@ -116,15 +112,14 @@ class Model:
             field=self.field,
             mass=float(masses.sum()),
             moments=moments,
-            inverse_moments=inverse,
-            rates=inverse if moments[0] > 0 else np.full(3, inverse[2]),
+            inverse_moments=1 / moments,
             thermal=GAS_CONSTANT * self.temperature,
         )
 
     @property
     def degrees(self) -> tuple[int, int]:
         """Return numbers of degrees of freedom of translation and rotation; in a field a molecule only turns."""
-        return 0 if self.field else 3, int(np.count_nonzero(self.liquid().moments))
+        return 0 if self.field else 3, 3
 
     def start(self, seed: int) -> Bodies:
         """Return molecules on a lattice with thermal momenta, turned at random or, in a field, as it turns them."""

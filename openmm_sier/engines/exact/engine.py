@@ -192,7 +192,8 @@ class ExactEngine(Engine):
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._found(now, moved)
-        self._point, self.clock = point, Clock(now.time, now.steps)
+        self._point = point
+        self.clock = Clock(now.time, now.steps)
         # What tells of a change comes after the change, so that an interrupted one is made again.
         if moved:
             self.forces.take_positions(now)
