@@ -22,6 +22,7 @@ from typing import Any
 
 import openmm
 
+from openmm_sier.engines.protocol import Change
 from openmm_sier.integrators.context import SIERContext
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -99,7 +100,7 @@ def _refuse_parts(integrator: openmm.Integrator) -> None:
 def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
-        context.binding.forces_changed()
+        context.binding.changed(Change.FORCES)
 
 
 def _keep_bodies(

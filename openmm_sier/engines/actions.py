@@ -8,8 +8,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.beginnings import refuse_hopeless_start
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.start_checks import refuse_hopeless_start
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
 from openmm_sier.system.solver_trial import SolverTrial
 

@@ -5,11 +5,15 @@ from functools import cache
 
 import openmm
 
+from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
 from openmm_sier.engines.native.trial_engine import TrialEngine
-from openmm_sier.engines.protocol import Engine, Task
+from openmm_sier.engines.program import Program
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import STATE_VARIABLES
 
 #: Engines by the names by which users ask for them.
@@ -37,15 +41,24 @@ def _taken_by_openmm(default: str | None) -> openmm.Platform:
     return openmm.Context(particle, openmm.VerletIntegrator(0.001)).getPlatform()
 
 
-def engine_for(wanted: str, task: Task) -> Engine:
-    """Return an engine of `ENGINES` for a task, or the one that suits the platform if "auto" is wanted."""
-    if wanted == ExactEngine.name:
-        return ExactEngine(task)
-    native = NativeEngine if task.program.trials is None else TrialEngine
-    if wanted == NativeEngine.name:
-        return native(task)
-    # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
-    has_variables = set(STATE_VARIABLES) <= vectors_of(task.context.getIntegrator())
-    if is_on_host(task.context.getPlatform()) and has_variables:
-        return ExactEngine(task)
-    return native(task)
+def make_engine(
+    name: str, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+) -> Engine:
+    """Return an engine of a Context.
+
+    Args:
+        name: one of `ENGINES`, or "auto" for the engine that suits the platform.
+        context: openmm.Context, which has the integrator.
+        flow: the scheme that will be executed.
+        ledger: of the integrator.
+        bodies: the rigid bodies; None: those that the constraints form.
+        program: of the native engine, written for the flow.
+    """
+    if name == "auto":
+        # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
+        has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
+        name = ExactEngine.name if is_on_host(context.getPlatform()) and has_variables else NativeEngine.name
+    if name == ExactEngine.name:
+        return ExactEngine(context, flow, ledger, bodies)
+    native = NativeEngine if program.trials is None else TrialEngine
+    return native(context, flow, ledger, bodies, program)

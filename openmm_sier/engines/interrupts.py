@@ -20,7 +20,10 @@ def handlers_in_use() -> dict[int, Any]:
     """Return the handlers of `SIGNALS` by number; none outside the main thread, where Python never calls them."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    return {number: _signal.getsignal(number) for number in SIGNALS}
+    handlers = {}
+    for number in SIGNALS:
+        handlers[number] = _signal.getsignal(number)
+    return handlers
 
 
 def defer() -> dict[int, Any] | None:

@@ -16,9 +16,8 @@ HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 #: nothing else.
 PART = PREFIX + "part"
 
-#: Per-atom variables in which the exact engine stores the bodies' state, see `exact.packing`, and their geometry.
+#: Per-atom variables in which the exact engine stores the phase point of the bodies, see `exact.packing`.
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
-SITES = PREFIX + "sites"
 
 
 class StoredLedger:

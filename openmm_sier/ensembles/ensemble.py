@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import ClassVar, NamedTuple
 
 import openmm
@@ -91,9 +91,9 @@ class Ensemble:
             openmm.OpenMMException: the System has a Force with which the ensemble cannot be sampled.
         """
 
-    @property
+    @cached_property
     def moves(self) -> tuple[Move, ...]:
-        """Return the moves between steps, in this order. The moves of a step that cannot be completed are undone."""
+        """The moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
     def run(self, engine: Engine, steps: int) -> None:
@@ -117,7 +117,7 @@ class Ensemble:
 
     def advance(self, engine: Engine, steps: int) -> None:
         """Advance by steps of the integrator, none of which has moves before it."""
-        engine.follow(steps)
+        engine.propagate(steps)
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class ConstantTemperature(Ensemble):
         if self.pressure is not None:
             engine.prepare_for_volume_moves()
 
-    @property
+    @cached_property
     def moves(self) -> tuple[Move, ...]:
         return () if self.pressure is None else (Move(self.interval, partial(self._move_volume, BAR * self.pressure)),)
 
@@ -175,7 +175,7 @@ class ConstantTemperature(Ensemble):
             openmm.OpenMMException: the box became too small for the cut-off, or OpenMM found no energy.
         """
         ledger, before = engine.ledger, engine.potential_energy()
-        sample, volume, size = engine.remember(), engine.volume(), _move_size(engine)
+        sample, volume, size = engine.save(), engine.volume(), _move_size(engine)
         move = MonteCarloVolumeMove.drawn(ledger.seed, ledger.draws, engine.molecule_centres.count, size.largest)
         try:
             engine.scale(move.factor)
@@ -193,7 +193,7 @@ class ConstantTemperature(Ensemble):
         if move.is_accepted(probability):
             ledger.heat += gain
         else:
-            engine.go_back(sample)
+            engine.restore(sample)
         ledger.draws += 1
         ledger.counts.update(zip((SIZE, MOVES, ACCEPTED_MOVES), size.after(probability), strict=True))
 

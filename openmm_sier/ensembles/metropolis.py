@@ -11,13 +11,13 @@ from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_c
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import BATH, Scheme
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.program import THERMAL
 from openmm_sier.engines.native.trials import ACCEPTED, ERROR, TRIALS
-from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
-from openmm_sier.engines.trials import Outcome, Trial
+from openmm_sier.engines.protocol import Clock, Engine
+from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
+from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.forces import kind_of
@@ -125,28 +125,15 @@ class Metropolis(ConstantTemperature):
 
     def advance(self, engine: Engine, steps: int) -> None:
         for _ in range(steps):
-            if self._is_native(engine):
-                # OpenMM itself restores the start of a trial that it makes as a whole.
-                self._trial(engine)
-                act_on_pending()
-                continue
-            with engine.transaction():
-                self._trial(engine)
+            self._step(engine)
+            act_on_pending()
 
-    def _is_native(self, engine: Engine) -> bool:
-        """Tell whether the engine makes trials as a whole. Where nothing moves it need not."""
-        return engine.makes_trials and _moves(engine)
-
-    def _trial(self, engine: Engine) -> None:
+    def _step(self, engine: Engine) -> None:
         """Make a trial, and count it at once, so that an error does not find it counted in part."""
         ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step
         self._check_reversal(engine)
         clock = engine.clock
-        make = self._native_trial if self._is_native(engine) else self._trajectory
-        outcome = make(engine)
-        if not math.isfinite(outcome.energy):
-            engine.clock = clock
-            _refuse_energy(outcome.energy, clock)
+        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._at_rest())
         made, accepted = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         ledger.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
@@ -177,57 +164,9 @@ class Metropolis(ConstantTemperature):
             return usual_chances(self.steps_per_trial * flow.step)
         return self.extra_chances
 
-    # --- made as a whole, or step by step ---
-
-    def _native_trial(self, engine: Engine) -> Outcome:
-        trial = self._chosen(engine)
-        engine.ledger.draws += 2
-        return engine.make_trial(trial)
-
-    def _trajectory(self, engine: Engine) -> Outcome:
-        """Make a trial as `Engine.make_trial` does."""
-        threshold = 0.0
-        if _moves(engine):
-            trial = self._chosen(engine)
-            threshold = trial.threshold
-            self._draw(engine, trial)
-        engine.ledger.draws += 1
-        start = engine.remember()
-        potential = engine.potential_energy()
-        energy = potential + engine.kinetic_energy()
-        errors, is_accepted = [], False
-        for _ in range(1 + self._chances(engine.flow)):
-            errors.append(self._error_of_end(engine, energy))
-            is_accepted = math.isfinite(errors[-1]) and errors[-1] <= threshold
-            # From where forces are not finite no trajectory goes on, from the other side neither.
-            if is_accepted or not math.isfinite(errors[-1]):
-                break
-        if not is_accepted:
-            engine.go_back(start, reverse=True)
-        if engine.removes_momentum:
-            engine.shift_velocities(-engine.centre_velocity())
-        return Outcome(potential, errors[0], is_accepted)
-
-    def _draw(self, engine: Engine, trial: Trial) -> None:
-        """Draw momenta with the kinetic energy of a trial."""
-        friction = math.inf if self.friction is None else self.friction
-        if engine.removes_momentum:
-            engine.shift_velocities(trial.centre)
-        bath = OrnsteinUhlenbeck(self.temperature, friction, friction)
-        engine.draw_momenta(bath, self.steps_per_trial * engine.flow.step)
-        engine.scale_velocities(math.sqrt(trial.kinetic / engine.kinetic_energy()), np.zeros(3))
-
-    def _error_of_end(self, engine: Engine, energy: float) -> float:
-        """Follow a trajectory to its next end; return the energy there less that of the start, in kT.
-
-        It is infinite where the trajectory cannot be followed.
-        """
-        try:
-            engine.follow(self.steps_per_trial, wants_energy=True)
-            error = (engine.potential_energy() + engine.kinetic_energy() - energy) / self._thermal
-        except TrajectoryError:
-            return math.inf
-        return error if math.isfinite(error) else math.inf
+    def _at_rest(self) -> Trial:
+        """Return the numbers of a trial in which nothing moves."""
+        return Trial(self.steps_per_trial, 0, 1.0, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3))
 
     # --- reversibility ---
 
@@ -240,18 +179,18 @@ class Metropolis(ConstantTemperature):
         counts, step = engine.ledger.counts, engine.flow.step
         if counts[CHECKED_STEP] == step:
             return
-        _refuse_energy(engine.potential_energy(), engine.clock)
-        sample = engine.remember()
+        refuse_energy(engine.potential_energy(), engine.clock)
+        sample = engine.save()
         try:
             if _moves(engine):
-                self._draw(engine, self._chosen(engine))
+                draw_start(engine, self._chosen(engine))
             # Later ends need not exist, for example where atoms leave a potential that ends.
             for steps in (self.steps_per_trial * (1 + self._chances(engine.flow)), self.steps_per_trial):
                 error = reversal_error(engine, steps)
                 if math.isfinite(error):
                     break
         finally:
-            engine.go_back(sample)
+            engine.restore(sample)
         if not error <= REVERSIBLE:
             raise openmm.OpenMMException(
                 f"A trajectory of {steps} steps, followed backwards, missed its start by {error:.1e} nm; up to "
@@ -263,34 +202,5 @@ class Metropolis(ConstantTemperature):
 
 
 def _moves(engine: Engine) -> bool:
-    """Tell whether anything moves in a trial."""
+    """Return whether anything moves in a trial."""
     return engine.flow.step > 0 and engine.degrees_of_freedom(conserved=False) > 0
-
-
-def _refuse_energy(energy: float, clock: Clock) -> None:
-    """Refuse the energy of the start of a trial, kJ/mol, if it is not finite."""
-    if not math.isfinite(energy):
-        raise openmm.OpenMMException(
-            f"The energy at the beginning of step {clock.steps + 1} is {energy}, so that no trajectory can begin. Do "
-            "atoms overlap? Then minimize the energy first"
-        )
-
-
-def reversal_error(engine: Engine, steps: int) -> float:
-    """Follow a trajectory there and back, and return the distance by which it misses its start; undo it.
-
-    Returns:
-        The largest distance of an atom from its place at the start, nm; infinite if it could not be followed.
-    """
-    start, before = engine.remember(), engine.positions()
-    try:
-        for _ in range(2):
-            engine.follow(steps)
-            if not np.isfinite(engine.positions()).all():
-                return math.inf
-            engine.go_back(engine.remember(), reverse=True)
-        return float(np.linalg.norm(engine.positions() - before, axis=1).max(initial=0.0))
-    except TrajectoryError:
-        return math.inf
-    finally:
-        engine.go_back(start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import openmm
@@ -42,7 +43,7 @@ class VelocityRescaling(ConstantTemperature):
         make_number(self, "rate", "rate", "1/ps", least=0)
         make_number(self, "every", "every", least=1)
 
-    @property
+    @cached_property
     def moves(self) -> tuple[Move, ...]:
         return (*super().moves, Move(self.every, self._scale)) if self.rate else super().moves
 

@@ -15,14 +15,14 @@ from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.choice import engine_for, is_on_host, usual_platform
+from openmm_sier.engines.choice import is_on_host, make_engine, usual_platform
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
 from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
-from openmm_sier.engines.protocol import Engine, Task
+from openmm_sier.engines.protocol import Change, Engine
 from openmm_sier.engines.variables import StoredLedger
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
@@ -115,6 +115,9 @@ class Binding:
         """Replace settings, by the names of their fields."""
         self.settings = replace(self.settings, **changes)
         self._flow = None
+        #: The length of a step of the integrator, ps, and the temperature of the ensemble, K; 0 without one.
+        self._duration = self.settings.step * self.ensemble.steps
+        self._temperature = getattr(self.ensemble, "temperature", 0.0)
         self.changed()
         integrator = self._integrator
         openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
@@ -241,7 +244,7 @@ class Binding:
         self._engine, self._context = None, weakref.ref(context)
         self._bath_seen, self._told_of_temperatures = 0.0, False
         self.watch = RunawayWatch(system)
-        engine = engine_for(given.engine, Task(context, self.flow(), ledger, given.bodies, self.program))
+        engine = make_engine(given.engine, context, self.flow(), ledger, given.bodies, self.program)
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
@@ -258,11 +261,10 @@ class Binding:
         Raises:
             openmm.OpenMMException: another thread is stepping the Context.
         """
-        ensemble = self.settings.ensemble
         with self._session() as engine:
-            ensemble.run(engine, steps)
+            self.settings.ensemble.run(engine, steps)
             engine.publish()
-        self.watch.look(self._context(), steps, self.settings.step * ensemble.steps, self._bath)
+        self.watch.look(self._context(), steps, self._duration, self._temperature)
 
     @contextmanager
     def _session(self) -> Iterator[Engine]:
@@ -279,12 +281,12 @@ class Binding:
         handlers = None
         try:
             handlers = interrupts.defer()
-            if not engine.is_current:
+            if engine.changes:
                 self._begin(engine)
             try:
                 yield engine
             except BaseException:
-                engine.is_current = False
+                engine.changes |= Change.SETTINGS
                 engine.recover()
                 raise
         finally:
@@ -298,14 +300,9 @@ class Binding:
             openmm.OpenMMException: no step can be made from there. Nothing has been changed then.
         """
         context = self._context()
-        self._compare_temperatures(context, self._bath)
+        self._compare_temperatures(context, self._temperature)
         self.watch.begin(context)
         engine.begin(self.flow())
-
-    @property
-    def _bath(self) -> float:
-        """Return the temperature of the ensemble, K; 0 without one."""
-        return getattr(self.settings.ensemble, "temperature", 0.0)
 
     def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
@@ -320,20 +317,17 @@ class Binding:
         Raises:
             openmm.OpenMMException: the step is too long.
         """
-        self.engine.refuse_long_step(self.flow())
+        self.engine.check_step(self.flow(), self._integrator.getIntegrationForceGroups())
 
     # --- changes by users ---
 
-    def changed(self) -> None:
-        """Take note of a change of any kind, so that the next step takes over all of them."""
-        if self._engine is not None:
-            self._engine.is_current = False
-
-    def moved(self) -> None:
-        """Take note that positions or velocities were set."""
-        if self._engine is not None:
+    def changed(self, change: Change = Change.SETTINGS) -> None:
+        """Record a change of some kind, which the next step takes over."""
+        if self._engine is None:
+            return
+        self._engine.changes |= change
+        if Change.ATOMS in change:
             self.watch.forget()
-            self._engine.atoms_moved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
         """Draw velocities of a temperature; see `Actions.draw_velocities`."""
@@ -341,12 +335,12 @@ class Binding:
             by_openmm()
         else:
             self._engine.actions.draw_velocities(by_openmm, temperature, seed)
-        self.moved()
+        self.changed(Change.ATOMS)
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         """Minimize the energy, see `Actions.minimize`, and warn of bodies that still overlap."""
         self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
-        self.moved()
+        self.changed(Change.ATOMS)
         warn_about_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
@@ -355,30 +349,14 @@ class Binding:
             by_openmm()
         elif velocities:
             self._engine.actions.satisfy_velocities(by_openmm)
-            self._engine.atoms_moved()
         else:
             self._engine.actions.satisfy_positions(by_openmm)
-            self._engine.atoms_moved()
-
-    def box_changed(self) -> None:
-        """Take note that the box was set."""
-        if self._engine is not None:
-            self._engine.box_changed()
-
-    def forces_changed(self) -> None:
-        """Take note that the potential was changed."""
-        if self._engine is not None:
-            self._engine.forces_changed()
+        self.changed(Change.ATOMS)
 
     def groups_changed(self) -> None:
-        """Take note that the integration force groups were changed."""
+        """Take over other integration force groups."""
         if self._engine is not None:
-            self._engine.groups_changed()
-
-    def start_anew(self) -> None:
-        """Go on from a restart point that was made as a restart would, bit for bit."""
-        if self._engine is not None:
-            self._engine.start_anew()
+            self._engine.select_groups()
 
     def take_over(self) -> None:
         """Take over a State or checkpoint that was loaded, of either engine.
@@ -392,9 +370,7 @@ class Binding:
             self.stored.ledger.heat += float(work.sum())
             integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
         self._set_program_variables()
-        if self._engine is not None:
-            self._engine.variables_loaded()
-        self.moved()
+        self.changed(Change.VARIABLES | Change.ATOMS)
 
     def take_over_state(self, set_state: Callable[[], None], has_parameters: bool) -> None:
         """Call a function that sets a State, and take over what the State holds, except its seed and its used noise.
@@ -413,8 +389,7 @@ class Binding:
             set_state()
         finally:
             # OpenMM sets a State in parts.
-            self.box_changed()
-            self.moved()
+            self.changed(Change.BOX | Change.ATOMS)
         self.take_over()
         ledger.seed = seed
         ledger.draws = max(draws, ledger.draws)

@@ -7,12 +7,13 @@ from typing import Any
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.ensembles.ensemble import ConstantTemperature
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, quantity_to_float, whole_number
+from openmm_sier.system.arguments import ForceGroups, Quantity, quantity_to_float, whole_number
 
 
 class SIERThermostatIntegrator(SIERIntegrator):
@@ -34,7 +35,7 @@ class SIERThermostatIntegrator(SIERIntegrator):
         thermostat: ConstantTemperature,
         stepSize: Quantity,
         scheme: Scheme | str = SIER4G,
-        bodies: Bodies = None,
+        bodies: BodySet | None = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,

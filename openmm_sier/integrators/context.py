@@ -6,6 +6,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
+from openmm_sier.engines.protocol import Change
 from openmm_sier.integrators.binding import Binding
 
 
@@ -50,13 +51,13 @@ class SIERContext(openmm.Context):
             return super().getState(*args, **kwargs)
         self.binding.store()
         state = super().getState(*args, **kwargs)
-        self.binding.start_anew()
+        self.binding.changed(Change.HISTORY)
         return state
 
     def createCheckpoint(self) -> bytes:
         self.binding.store()
         checkpoint = super().createCheckpoint()
-        self.binding.start_anew()
+        self.binding.changed(Change.HISTORY)
         return checkpoint
 
     def loadCheckpoint(self, checkpoint: bytes) -> None:
@@ -93,11 +94,11 @@ class SIERContext(openmm.Context):
 
     def setPositions(self, positions: Any) -> None:
         super().setPositions(positions)
-        self.binding.moved()
+        self.binding.changed(Change.ATOMS)
 
     def setVelocities(self, velocities: Any) -> None:
         super().setVelocities(velocities)
-        self.binding.moved()
+        self.binding.changed(Change.ATOMS)
 
     def setParameter(self, name: str, value: float) -> None:
         super().setParameter(name, value)
@@ -113,7 +114,7 @@ class SIERContext(openmm.Context):
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
         super().setPeriodicBoxVectors(a, b, c)
-        self.binding.box_changed()
+        self.binding.changed(Change.BOX)
 
     def setVelocitiesToTemperature(self, *args: Any) -> None:
         self.binding.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)

@@ -5,12 +5,13 @@ import math
 from openmm import unit
 
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2V2, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, renamed, step_size
+from openmm_sier.system.arguments import ForceGroups, Quantity, renamed, step_size
 
 
 class SIERHMCIntegrator(SIERThermostatIntegrator):
@@ -63,7 +64,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         frictionCoeff: Quantity | None = TRIAL_FRICTION,
         pressure: Quantity | None = None,
         barostatInterval: int = 1,
-        bodies: Bodies = None,
+        bodies: BodySet | None = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,

@@ -10,12 +10,13 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.program import Program
+from openmm_sier.engines.protocol import Change
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.binding import Binding
 from openmm_sier.integrators.settings import Settings, place_of
 from openmm_sier.integrators.storage import pickled, unpickled
 from openmm_sier.system import arguments
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
+from openmm_sier.system.arguments import ForceGroups, Quantity
 from openmm_sier.system.temperature import Temperatures
 
 
@@ -48,7 +49,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self,
         stepSize: Quantity,
         scheme: Scheme | str = SIER4G,
-        bodies: Bodies = None,
+        bodies: BodySet | None = None,
         rotation: Rotation = exact,
         engine: str = "auto",
         substeps: int | None = None,
@@ -60,8 +61,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
             stepSize: the step, a time quantity or a number in ps. With 0 nothing moves, for Contexts that only evaluate
                 forces.
             scheme: the splitting scheme or its name, such as "SIER4G".
-            bodies: the rigid bodies, as `RigidBodies`. None finds them in the System's constraints. Lists of particle
-                indices name further bodies, which keep the shape that they have at the first step.
+            bodies: the rigid bodies, as `RigidBodies`, with those that constraints do not form. None finds them in the
+                System's constraints.
             rotation: you can skip this. It is the free-rotation map, which can be replaced to compare it with others.
             engine: you can skip this. "auto" takes the exact engine on the CPU and Reference platforms and the native
                 one on GPUs; "exact" and "native" ask for one of them (docs/guide/engines.md).
@@ -227,7 +228,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.binding.engine.forces_changed()
+        self.binding.engine.changes |= Change.FORCES
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""

@@ -2,12 +2,13 @@
 
 from openmm import unit
 
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, Scheme
 from openmm_sier.ensembles.langevin import Langevin
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity
+from openmm_sier.system.arguments import ForceGroups, Quantity
 
 
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
@@ -38,7 +39,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         frictionCoeff: Quantity,
         stepSize: Quantity,
         scheme: Scheme | str = SIER2,
-        bodies: Bodies = None,
+        bodies: BodySet | None = None,
         rotation: Rotation = exact,
         rotationalFriction: Quantity | None = None,
         pressure: Quantity | None = None,

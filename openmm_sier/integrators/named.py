@@ -2,10 +2,11 @@
 
 from typing import ClassVar
 
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, SIER4, SIER4G, SIER4P, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
-from openmm_sier.system.arguments import Bodies, ForceGroups, Quantity, warn_of_former_name
+from openmm_sier.system.arguments import ForceGroups, Quantity, warn_of_former_name
 
 
 class IntegratorWithScheme(SIERIntegrator):
@@ -16,7 +17,7 @@ class IntegratorWithScheme(SIERIntegrator):
     def __init__(
         self,
         stepSize: Quantity,
-        bodies: Bodies = None,
+        bodies: BodySet | None = None,
         engine: str = "auto",
         substeps: int | None = None,
         fastForceGroups: ForceGroups | None = None,

@@ -24,7 +24,7 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.choice import ENGINES
 from openmm_sier.ensembles import ENSEMBLES
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.system.arguments import Bodies, checked_bodies, group_mask, step_size, whole_number
+from openmm_sier.system.arguments import group_mask, rigid_bodies, step_size, whole_number
 from openmm_sier.system.find_bodies import RigidBodies
 
 #: The version of what is stored.
@@ -56,7 +56,7 @@ class Settings:
         engine: that was asked for.
         substeps: into which a drift is divided; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts; None: those of a prepared System.
-        bodies: as users give them.
+        bodies: the rigid bodies; None: those that the System's constraints form.
         rotation: free-rotation map.
         ensemble: what happens between steps.
     """
@@ -67,14 +67,14 @@ class Settings:
     engine: str = "auto"
     substeps: int | None = None
     fast_groups: int | None = None
-    bodies: Bodies = None
+    bodies: BodySet | None = None
     rotation: Rotation = rotation.exact
     ensemble: Ensemble = ConstantEnergy()  # noqa: RUF009 - frozen
 
     def __post_init__(self) -> None:
         self._check_types()
         self._set("step", step_size(self.step))
-        self._set("bodies", checked_bodies(self.bodies))
+        self._set("bodies", rigid_bodies(self.bodies))
         engines = "auto", *ENGINES
         if self.engine not in engines:
             raise ValueError(f"engine must be one of {', '.join(engines)}, got {self.engine!r}")
@@ -223,10 +223,14 @@ def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     return {"particles": bodies.n_particles, "species": arrays}
 
 
-def _bodies(values: Any) -> Bodies:
-    if not isinstance(values, dict):
-        return checked_bodies(values)
-    if values.keys() != {"particles", "species"} or not isinstance(values["species"], list):
+def _bodies(values: Any) -> BodySet | None:
+    if values is None:
+        return None
+    if (
+        not isinstance(values, dict)
+        or values.keys() != {"particles", "species"}
+        or not isinstance(values["species"], list)
+    ):
         raise TypeError("expected a table with `particles` (a number) and `species` (a list)")
     species = []
     for each in values["species"]:

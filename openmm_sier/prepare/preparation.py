@@ -19,7 +19,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.bound_systems import refuse_bound
-from openmm_sier.system.find_bodies import BodyPlan, Links, known_or_planned
+from openmm_sier.system.find_bodies import BodyPlan, Links
 from openmm_sier.system.forces import kind_of
 
 
@@ -97,8 +97,9 @@ def prepare_system(
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     with tables.read_once():
-        body_set = known_or_planned(system, checked_bodies(bodies))
-        forces = FastForces(system, body_set)
+        bodies = checked_bodies(bodies)
+        membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
+        forces = FastForces(system, membership)
         group = forces.free_group() if group is None else group
         _refuse_others_in(group, forces)
         if heavy is not None and isinstance(bodies, BodySet):
@@ -112,7 +113,7 @@ def prepare_system(
     if heavy is not None:
         done.append(set_hydrogen_masses(system, heavy))
     with tables.read_once():
-        coarse = _coarse_motion(system, body_set, forces.owner) if fastForceGroup is None else None
+        coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
         done += _join(system, forces) + gathered + _useless_terms(system, forces.owner)
         limits = describe_discontinuities(system)
@@ -175,7 +176,10 @@ def _gather_fast_forces(
 
 def _coarse_motion(system: openmm.System, bodies: BodySet | BodyPlan, owner: np.ndarray) -> Stiffest | None:
     """Return the stiffest motion by bonded Forces if it is so slow that no force has to be fast; else None."""
-    motion = stiffest(system, bodies if isinstance(bodies, BodySet) else None, owner)
+    if isinstance(bodies, BodyPlan):
+        motion = stiffest(system, None if bodies.needs_positions else bodies.bodies(), owner)
+    else:
+        motion = stiffest(system, bodies, owner)
     return motion if motion is not None and motion.is_coarse else None
 
 

@@ -18,7 +18,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-#: Values of the argument `bodies` of integrators.
+#: Values of the argument `bodies` of `prepare_system`, which asks only for the particles of each body.
 Bodies = BodySet | Sequence[Sequence[int]] | None
 
 #: Values of the argument `fastForceGroups` of integrators: numbers of groups, or a bit mask.
@@ -50,6 +50,20 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     if any(isinstance(i, bool) for cluster in clusters for i in cluster):
         raise TypeError("bodies must be RigidBodies or lists of particle indices, got a mask of True and False")
     return lists
+
+
+def rigid_bodies(bodies: Any) -> BodySet | None:
+    """Return the argument `bodies` of an integrator.
+
+    Raises:
+        TypeError: it is neither `RigidBodies` nor None.
+    """
+    if bodies is None or isinstance(bodies, BodySet):
+        return bodies
+    raise TypeError(
+        f"bodies must be RigidBodies, got {repr(bodies)[:80]}. Bodies named by their particles take their shape from "
+        "positions: bodies=RigidBodies.from_system(system, topology, rigid, positions)"
+    )
 
 
 def checked_system(system: Any) -> openmm.System:

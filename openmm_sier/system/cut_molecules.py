@@ -222,45 +222,40 @@ class Wholeness:
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         self.box = np.array(vectors) if system.usesPeriodicBoundaryConditions() else None
 
-    def whole(self, positions: np.ndarray, clusters: Sequence[Any] | np.ndarray = (), box: Any = None) -> np.ndarray:
+    def whole(self, positions: np.ndarray, clusters: Sequence[Any] | np.ndarray = ()) -> np.ndarray:
         """Return positions at which nothing is cut, (N, 3), nm; whole molecules keep theirs bit for bit.
 
         Args:
             positions: (N, 3), nm.
             clusters: particle indices of each body.
-            box: box vectors, nm; None for the default ones.
         """
         if self.box is None:
             return positions
-        box = self.box if box is None else np.array(box)
         # In a body the nearest images of two atoms are not enough.
         bonds = self.bonds._replace(periodic=self.bonds.periodic & (len(clusters) == 0))
-        x = joined_by(bonds, positions, box)
+        x = joined_by(bonds, positions, self.box)
         agree = np.abs(self._idle.measured(x, None) - self._idle.lengths) <= STRETCH
         pairs = np.concatenate([self.bonds.pairs, self._idle.pairs[agree]])
         if len(clusters):
-            x = _gathered(clusters, joined(len(x), pairs), x, box)
+            x = _gathered(clusters, joined(len(x), pairs), x, self.box)
             pairs = np.concatenate([pairs, *(np.column_stack([each[:-1], each[1:]]) for each in clusters)])
         if not len(self._idle.pairs):
             return x
         fragment = joined(len(x), pairs)
-        return _gathered(_groups(fragment, self._idle.pairs), fragment, x, box)
+        return _gathered(_groups(fragment, self._idle.pairs), fragment, x, self.box)
 
-    def refuse_cut(
-        self, positions: np.ndarray, clusters: np.ndarray, describe: Callable[[Any], str], box: Any = None
-    ) -> None:
+    def refuse_cut(self, positions: np.ndarray, clusters: np.ndarray, describe: Callable[[Any], str]) -> None:
         """Refuse positions at which a body is not whole, since they would become its shape.
 
         Args:
             positions: (N, 3), nm.
             clusters: particle indices of each body, (m, k).
             describe: names particle indices in messages.
-            box: box vectors, nm; None for the default ones.
 
         Raises:
             RigidityError: the boundary cuts a body, or a bond within it is broken.
         """
-        whole = self.whole(positions, clusters, box)
+        whole = self.whole(positions, clusters)
         moved = np.ptp((whole - positions)[clusters], axis=1).max(axis=1)
         if not moved.any():
             refuse_broken(self._within(clusters), positions, None, self._topology)

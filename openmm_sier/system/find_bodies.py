@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, combinations
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import openmm
@@ -15,7 +15,7 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Bodies, Positions, checked_positions, checked_system
+from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.forces import kind_of
@@ -119,16 +119,11 @@ class BodyPlan:
         """Whether some bodies take their geometry from positions."""
         return any(kind.needs_positions for kind in self.kinds)
 
-    def bodies(
-        self, positions: np.ndarray | None = None, sites: np.ndarray | None = None, box: Any = None
-    ) -> RigidBodies:
+    def bodies(self, positions: np.ndarray | None = None) -> RigidBodies:
         """Return all bodies.
 
         Args:
-            positions: (N, 3), nm.
-            sites: atom positions in the principal frames of their bodies, (N, 3), nm. Named bodies get exactly these
-                sites, unless the frames are not principal.
-            box: box vectors of the positions, nm; None for the default ones of the System.
+            positions: (N, 3), nm, in the default box of the System.
 
         Raises:
             RigidityError: required positions are missing, they contradict the constraints, or the boundary cuts a body
@@ -136,16 +131,19 @@ class BodyPlan:
         """
         if positions is None:
             if self.needs_positions:
-                raise RigidityError("named or chiral bodies take their shape from positions: give positions=…")
+                raise RigidityError(
+                    "the shape of named bodies, and the handedness of rigid molecules that are not flat, are those of "
+                    "positions: give bodies=RigidBodies.from_system(system, topology, rigid, positions=positions) to "
+                    "the integrator"
+                )
             positions = np.empty((0, 3))
         species: list[Species] = []
         shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
-            exact = [] if sites is None or kind.model is not None else geometries.from_sites(kind, sites)
-            if kind.needs_positions and not exact:
-                self._demand_extent(kind, positions, box)
+            if kind.needs_positions:
+                self._demand_extent(kind, positions)
             if kind.model is None:
-                fitted, sharing = (exact, []) if exact else geometries.from_positions(kind, positions, self._describe)
+                fitted, sharing = geometries.from_positions(kind, positions, self._describe)
                 species += fitted
                 shared += sharing
             elif kind.needs_positions:
@@ -217,7 +215,7 @@ class BodyPlan:
         for atom in np.flatnonzero(free).tolist():
             yield (atom,), {}
 
-    def _demand_extent(self, kind: Kind, positions: np.ndarray, box: Any) -> None:
+    def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
         for cluster in kind.clusters:
             x = positions[cluster]
             if not np.isfinite(x).all():
@@ -228,20 +226,17 @@ class BodyPlan:
                     "positions. Set the positions first"
                 )
         if self._wholeness is not None:
-            self._wholeness.refuse_cut(positions, kind.clusters, self._describe, box)
+            self._wholeness.refuse_cut(positions, kind.clusters, self._describe)
 
 
-def known_or_planned(system: openmm.System, bodies: Bodies) -> dynamics.BodySet | BodyPlan:
-    """Return the bodies of a System for an argument `bodies`, or their plan if the geometry requires positions.
+def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamics.BodySet:
+    """Return the bodies of a System for the argument `bodies` of an integrator; None finds them in the constraints.
 
     Raises:
         ValueError: the bodies belong to a System with another number of particles or other masses.
-        RigidityError: see `BodyPlan` and `linked`.
+        RigidityError: see `RigidBodies.from_system` and `linked`.
     """
-    if isinstance(bodies, dynamics.BodySet):
-        return linked(system, bodies)
-    plan = BodyPlan(system, rigid=bodies)
-    return plan if plan.needs_positions else plan.bodies()
+    return BodyPlan(system).bodies() if bodies is None else linked(system, bodies)
 
 
 # --- named bodies -----------------------------------------------------------------------------------------------------

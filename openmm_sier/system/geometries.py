@@ -217,28 +217,6 @@ def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:
     return shape, float(largest)
 
 
-def from_sites(kind: Kind, sites: np.ndarray) -> list[Species]:
-    """Return bodies from atom positions in principal frames, (N, 3) in nm; none if the frames are not principal.
-
-    Bodies with bit-identical sites form one species.
-    """
-    clusters, masses = kind.clusters, kind.masses
-    frames = sites[clusters]
-    inertia = np.einsum("k,mkx,mky->mxy", masses, frames, frames)
-    spread = np.trace(inertia, axis1=1, axis2=2)
-    off_centre = np.abs(np.einsum("k,mkx->mx", masses, frames)).max(axis=1)
-    off_axes = np.abs(inertia * (1 - np.eye(3))).max(axis=(1, 2))
-    # In principal frames both are rounding errors; with other masses they amount to several per cent.
-    if (spread == 0).any() or (off_axes > 1e-9 * spread).any() or (off_centre**2 > 1e-18 * masses.sum() * spread).any():
-        return []
-    species = []
-    while len(clusters):
-        same = (frames == frames[0]).all(axis=(1, 2))
-        species.append(Species.from_sites(clusters[same], masses, frames[0].T))
-        clusters, frames = clusters[~same], frames[~same]
-    return species
-
-
 def _arms(masses: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Return positions (m, k, 3) relative to the centres of mass."""
     return positions - np.einsum("k,mkx->mx", masses / masses.sum(), positions)[:, None]

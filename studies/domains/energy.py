@@ -43,11 +43,11 @@ class Integrator(NamedTuple):
 
 
 def _nested(model: Model, step: float) -> openmm.Integrator:
-    return SIERIntegrator(step, bodies=model.bodies, fastForceGroups={FAST}, substeps=1)
+    return SIERIntegrator(step, bodies=model.rigid_bodies, fastForceGroups={FAST}, substeps=1)
 
 
 INTEGRATORS = {
-    "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIERIntegrator(step, bodies=model.bodies)),
+    "sier4g": Integrator("SIER4G", False, 3, lambda model, step: SIERIntegrator(step, bodies=model.rigid_bodies)),
     "sier4g-linkers": Integrator("SIER4G, bonds of linkers in inner steps", False, 3, _nested, (LINKERS,)),
     "sier4g-inner": Integrator("SIER4G, all bonds in inner steps", False, 3, _nested, (LINKERS, JOINTS)),
     "verlet": Integrator("Verlet, springs", True, 1, lambda model, step: openmm.VerletIntegrator(step)),

@@ -59,7 +59,7 @@ def _sier2(model: Model, step: float, friction: float, seed: int, fast: set[int]
         step,
         SIER2,
         pressure=model.pressure,
-        bodies=model.bodies,
+        bodies=model.rigid_bodies,
         fastForceGroups=fast,
     )
     bath.setRandomNumberSeed(seed)
@@ -82,7 +82,7 @@ def _hybrid(model: Model, step: float, friction: float, seed: int) -> Made:
         stepsPerTrial=TRIAL,
         frictionCoeff=friction,
         pressure=model.pressure,
-        bodies=model.bodies,
+        bodies=model.rigid_bodies,
     )
     trials.setRandomNumberSeed(seed)
     return Made(openmm.XmlSerializer.clone(model.rigid), trials, model.positions)

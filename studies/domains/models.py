@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import openmm
@@ -47,6 +48,11 @@ class Model:
     pressure: float | None = None
     usual: float = 10.0
     offset: float = 0.0
+
+    @cached_property
+    def rigid_bodies(self) -> RigidBodies:
+        """The rigid bodies of the System `rigid`, with the shapes that they have in the positions."""
+        return RigidBodies.from_system(self.rigid, rigid=self.bodies, positions=self.positions)
 
 
 def pairs_within(bodies: Sequence[Sequence[int]]) -> set[Pair]:

@@ -68,7 +68,7 @@ def _own(model: Model, engine: str, step: float) -> Made:
     """Return frames that the native engine moves, or bodies that the exact one does."""
     if engine == "exact":
         integrator = SIERLangevinIntegrator(
-            model.temperature, FRICTION, 1e-3 * step, engine=engine, bodies=model.bodies
+            model.temperature, FRICTION, 1e-3 * step, engine=engine, bodies=model.rigid_bodies
         )
         return Made(model.rigid, integrator, model.positions)
     framed = with_frames(model.rigid, model.positions, model.bodies)

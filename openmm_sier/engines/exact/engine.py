@@ -5,6 +5,7 @@ Context computes (`forces`), and publishes the atoms again. Per-atom variables o
 checkpoints (`packing`).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -13,204 +14,150 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger, Mark
+from openmm_sier.dynamics.operators import CachedForces, Stepper
 from openmm_sier.dynamics.stages import KICK
-from openmm_sier.engines import interrupts, neighbour_list
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
+from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
-from openmm_sier.engines.exact.motion import Motion
-from openmm_sier.engines.exact.moving_bodies import MovingBodies
-from openmm_sier.engines.exact.packing import sites_of_atoms
+from openmm_sier.engines.exact.minimization import constraints_hold
+from openmm_sier.engines.exact.motion import Motion, inner_step
+from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
-from openmm_sier.engines.snapshot import Environment, Snapshot, holds_doubles
-from openmm_sier.engines.variables import SITES, STATE_VARIABLES
+from openmm_sier.engines.protocol import Change, Clock, Engine, SavedState, TrajectoryError
+from openmm_sier.engines.snapshot import Environment, Snapshot, box_of, holds_doubles
+from openmm_sier.engines.trials import Outcome, Trial
+from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
-from openmm_sier.system.find_bodies import BodyPlan, known_or_planned
-from openmm_sier.system.temperature import Temperatures, temperatures
+from openmm_sier.system.find_bodies import bodies_of
+from openmm_sier.system.temperature import Temperatures, degrees_of_freedom, temperatures
 
 
 class ExactEngine(Engine):
     """An engine as a Python layer over the Context.
 
-    Bodies that constraints keep rigid are known when the Context is created. Bodies that are only named get the
-    geometry that they have at the first positions.
+    Attributes:
+        forces: forces and torques on the bodies, and energies, computed by the Context.
+        motion: the operators that move the bodies.
+        updates: barostats and thermostats of the System.
     """
 
     name = "exact"
     repeats_noise = True
 
-    def __init__(self, task: Task):
+    def __init__(self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None):
         """
+        Args:
+            context: openmm.Context, which has the integrator.
+            flow: the scheme that will be executed.
+            ledger: of the integrator.
+            bodies: the rigid bodies; None: those that the constraints form.
+
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says.
         """
-        super().__init__(task)
-        context = task.context
+        super().__init__(context, flow, ledger)
+        system = context.getSystem()
+        self.moving = bodies_of(system, bodies)
+        checks.refuse_constrained_lines(system, self.moving)
+        checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
+        self.check_step = StepCheck(system, self.moving, inner_step)
         self.updates = SystemUpdates(context)
+        self.forces = BodyForces(context, self.moving)
+        self._in_kicks = CachedForces(self.forces.in_kicks)
+        self.motion = self._new_motion()
+        self._packing = Packing(self.moving)
         self._fitting = Fitting()
         self._remembers_list = neighbour_list.is_remembered(context)
-        self._starts_anew = False
-        self._moves_volume = False
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
         self._point: BodyState | None = None
-        #: Whether a user may have set positions or velocities since they were read.
-        self._are_atoms_set = True
         #: Box and parameters for which forces were computed.
         self._environment: Environment | None = None
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
-        self._stepper: operators.Stepper | None = None
-        #: The end of the last step, and what the bath within it made.
+        #: What makes a step; None after a change.
+        self._stepper: Stepper | None = None
+        #: The end of the last step, and the phase point just after the bath within it.
         self._last: tuple[BodyState, BodyState] | None = None
-        self._evaluations_before = 0
-        found = known_or_planned(context.getSystem(), task.bodies)
-        self._plan = found if isinstance(found, BodyPlan) else None
-        self._parts = None if isinstance(found, BodyPlan) else MovingBodies(context, found, task.flow, self.ledger)
 
-    # --- the bodies ---
+    def _new_motion(self) -> Motion:
+        fast = self._groups & self.flow.fast_groups
+        return Motion(self._context, self.moving, self._in_kicks, self.flow.rotation, fast, self.ledger)
 
     @property
-    def _made(self) -> MovingBodies:
-        """Return the bodies and what is made for them, which named bodies need positions for."""
-        if self._parts is None:
-            self._settle(Snapshot.of(self._context))
-        return self._parts  # type: ignore[return-value]
+    def bodies(self) -> BodySet:
+        return self.moving
 
-    def _settle(self, now: Snapshot) -> None:
-        """Give named bodies the geometry that the Context carries or, the first time, that of its positions.
-
-        Raises:
-            RigidityError, openmm.OpenMMException: the positions do not form the bodies, or what they form is refused.
-        """
-        if self._plan is None:
-            return
-        sites = np.array(self._integrator.getPerDofVariableByName(SITES))
-        if self._parts is not None and np.array_equal(sites_of_atoms(self._parts.bodies), sites):
-            return
-        made = MovingBodies(self._context, self._plan.bodies(now.positions, sites, now.box), self.flow, self.ledger)
-        if self._moves_volume:
-            checks.refuse_constant_pressure(self._context.getSystem(), made.bodies)
-        self._evaluations_before = self.evaluations
-        self._parts = made
-        self._integrator.setPerDofVariableByName(SITES, sites_of_atoms(made.bodies))
-
-    @property
-    def moving(self) -> BodySet:  # type: ignore[override]
-        return self._made.bodies
-
-    @property
+    @cached_property
     def are_bodies_held(self) -> bool:
-        """Tell whether the constraints of the System hold all bodies."""
-        return self._made.are_held
-
-    @property
-    def check_step(self) -> StepCheck:
-        return self._made.check_step
-
-    @property
-    def molecule_centres(self) -> MoleculeCentres:
-        return self._made.molecule_centres
-
-    @property
-    def forces(self) -> BodyForces:
-        """Return forces and torques on the bodies, computed by the Context, and energies."""
-        return self._made.forces
-
-    @property
-    def motion(self) -> Motion:
-        """Return the operators that move the bodies."""
-        return self._made.motion
+        """Whether the constraints of the System hold all bodies."""
+        return constraints_hold(self._context.getSystem(), self.moving)
 
     @property
     def evaluations(self) -> int:  # type: ignore[override]
-        return self._evaluations_before + (0 if self._parts is None else self._parts.forces.evaluations)
+        return self.forces.evaluations
 
     @cached_property
     def actions(self) -> BodyActions:
         return BodyActions(self._context, self)
 
-    # --- the phase point ---
+    # --- changes by users ---
 
-    @property
-    def point(self) -> BodyState:
-        if self._point is None:
-            raise openmm.OpenMMException("The Context has no positions yet")
-        return self._point
-
-    def change(self, operation: Callable[[BodyState], BodyState]) -> None:
-        self._point = operation(self.point)
-
-    def state(self) -> BodyState:
-        if not self.is_current:
-            self.take_over()
-        return self.point
-
-    def potential_energy(self) -> float:
-        if self._starts_anew:
-            self._forget_past()
-        return self.forces.energy(self.point)
-
-    def temperatures(self, conserved: bool) -> Temperatures:
-        """Return temperatures in K, see `system.temperature`.
-
-        They are those just after the bath if it was in the middle of the last step. There momenta have the distribution
-        of the bath, whatever the step; later, kicks and inner steps make those of fast bonds too hot or too cold.
-        """
-        state = self.state()
-        if self._last is not None and self._last[0] is state:
-            state = self._last[1]
-        return temperatures(self.bodies, state, conserved)
-
-    # --- one call of the integrator's step ---
-
-    def take_over(self) -> None:
+    def synchronize(self) -> None:
         """Find the phase point and the clock of a Context in which a user may have changed anything.
 
-        What is found depends on nothing but what the Context holds, so that a restart from a checkpoint is
-        bit-identical.
+        The result depends only on the contents of the Context, so that a restart from a checkpoint is bit-identical.
 
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now, point, are_set = Snapshot.of(self._context), self._point, self._are_atoms_set
+        now, point, are_set = Snapshot.of(self._context), self._point, Change.ATOMS in self.changes
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
         if moved:
-            self.start_anew()
             self.refuse_cut_molecules(now)
-            self._settle(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
-            point = self._found(now, moved)
+            point = self._point_of(now, moved)
+        if Change.FORCES in self.changes:
+            self._bonds = None
+            self.motion = self._new_motion()
+            self._forget_forces()
         self._point = point
         self.clock = Clock(now.time, now.steps)
-        # What tells of a change comes after the change, so that an interrupted one is made again.
         if moved:
             self.forces.take_positions(now)
         if is_other:
             self.forces.velocities[:] = now.velocities
         self._take_environment(now)
         self.forces.select(self._groups, self.flow.fast_groups)
-        self._are_atoms_set = False
+        if self._remembers_list and (moved or Change.HISTORY in self.changes):
+            neighbour_list.forget(self._context)
+            self._forget_forces()
+        self._stepper = None
+        # The record of changes is cleared last, so that an interrupted synchronization is repeated.
+        self.changes = Change.SETTINGS
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
-        """Tell whether vectors of the Context are, bit for bit, those that were written to it last."""
+        """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
         return self._keeps_numbers and np.array_equal(vectors, written)
 
-    def _found(self, now: Snapshot, moved: bool) -> BodyState:
+    def _point_of(self, now: Snapshot, moved: bool) -> BodyState:
         """Return the phase point of bodies that moved, or whose velocities were changed."""
         bodies, point = self.moving, self._point
-        stored = point if self._is_unstored else stored_point(self._context, self._made.packing)
+        is_own = self._is_unstored and Change.VARIABLES not in self.changes
+        stored = point if is_own else stored_point(self._context, self._packing)
         agreed = None if stored is None else agreeing(bodies, stored, now, moved)
         if agreed is not None:
             return agreed
@@ -222,23 +169,24 @@ class ExactEngine(Engine):
     def _take_environment(self, now: Snapshot) -> None:
         """Take over box and parameters of a Context where they differ."""
         if now.environment != self._environment:
-            self._made.forget_forces()
+            self._forget_forces()
             self._environment = now.environment
 
-    def begin(self, flow: Flow) -> None:
-        super().begin(flow)
-        self._stepper = self._new_stepper()
+    def _forget_forces(self) -> None:
+        """Compute forces again next time: positions, box or parameters were changed."""
+        self._in_kicks.invalidate()
+        self.forces.forget_energies()
+        self.motion.follow(self._context)
 
-    def _new_stepper(self) -> operators.Stepper:
-        """Return what makes a step of the flow."""
-        return self._made.motion.stepper(self.flow, self.inner_step(self.flow))
+    def select_groups(self) -> None:
+        self.changes |= Change.FORCES
 
-    def follow(self, steps: int, wants_energy: bool = False) -> None:
+    # --- steps ---
+
+    def propagate(self, steps: int, wants_energy: bool = False) -> None:
         flow = self.flow
         if self._stepper is None:
-            self._stepper = self._new_stepper()
-        if steps and self._starts_anew:
-            self._forget_past()
+            self._stepper = self.motion.stepper(flow, self.inner_step(flow))
         ends_with_kick = flow.scheme.stages[-1].operator == KICK
         for remaining in range(steps, 0, -1):
             if wants_energy and remaining == 1 and ends_with_kick:
@@ -247,35 +195,24 @@ class ExactEngine(Engine):
                 forces.take_energy(with_evaluation=forces.evaluations + flow.scheme.force_evaluations)
             if flow.updates_context and self.updates.act:
                 with self.transaction():
-                    self._complete(self._updated())
+                    self._complete(self._stepper, self._updated())
             else:
                 # Velocities and clock of the Context are written only when the steps are over.
-                self._complete(self.point)
+                self._complete(self._stepper, self.point)
             interrupts.act_on_pending()
 
-    def remember(self) -> Memory:
-        memory = super().remember()
-        # OpenMM's barostats also move atoms of no body.
-        return memory._replace(more=self.forces.positions.copy()) if self.updates.act else memory
-
-    def go_back(self, memory: Memory, reverse: bool = False) -> None:
-        if memory.more is not None:
-            self.forces.positions[:] = memory.more
-            self.forces.forget_place()
-        super().go_back(memory, reverse)
-
-    def _complete(self, point: BodyState) -> None:
+    def _complete(self, stepper: Stepper, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
-        flow, (time, steps), mark = self.flow, self.clock, self.ledger.mark()
+        flow, (time, steps), ledger = self.flow, self.clock, self.ledger
+        mark = Mark(ledger.heat, ledger.draws)
         self.forces.step = steps + 1
         try:
-            if flow.updates_context and self.updates.stops_centre(steps):
+            if flow.updates_context and self.updates.removers and self.updates.stops_centre(steps):
                 point = self._stopped(point)
-            assert self._stepper is not None
-            point = self._stepper(point)
+            point = stepper(point)
             self._point, self.clock = point, Clock(time + flow.step, steps + 1)
         except BaseException as error:
-            self.ledger.go_back(mark)
+            ledger.go_back(mark)
             if isinstance(error, NotFiniteError):
                 raise blown_up(error, steps + 1) from None
             if isinstance(error, ConstraintError):
@@ -284,7 +221,7 @@ class ExactEngine(Engine):
                     "Context is left at the last completed step."
                 ) from error
             raise
-        thermal = self._made.motion.after_bath if flow.scheme.bath_divides_drift else None
+        thermal = self.motion.after_bath if flow.scheme.bath_divides_drift else None
         self._last = None if thermal is None else (point, thermal)
 
     def _stopped(self, point: BodyState) -> BodyState:
@@ -310,13 +247,13 @@ class ExactEngine(Engine):
         bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
         moved = not np.array_equal(now.positions, before.positions)
         q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
-        found = replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
+        updated = replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
         if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
-            found = with_velocities(bodies, found, now)
+            updated = with_velocities(bodies, updated, now)
         if moved:
             self.forces.take_positions(now)
         self._take_environment(now)
-        return found
+        return updated
 
     def _with_new_box(self) -> BodyState:
         """Let barostats act. Most often they change nothing, and then nothing is read back."""
@@ -329,9 +266,12 @@ class ExactEngine(Engine):
         now = Snapshot.of(self._context)
         q, A = self._fitting(bodies, now, point)
         self.forces.take_positions(now)
-        self._made.forget_forces()
+        self._forget_forces()
         self._environment = now.environment
         return replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
+
+    def make_trial(self, trial: Trial) -> Outcome:
+        return trajectories.make_trial(self, trial)
 
     def publish(self) -> None:
         """Write the phase point and the clock to the Context."""
@@ -347,62 +287,117 @@ class ExactEngine(Engine):
         self._is_unstored = True
         self._published = point, clock
 
-    def store(self) -> None:
-        """Write the phase point to the per-atom variables."""
-        if not self._is_unstored:
-            return
-        integrator = self._integrator
-        for name, values in zip(STATE_VARIABLES, self._made.packing.pack(self.point), strict=True):
-            integrator.setPerDofVariableByName(name, values)
-        self._is_unstored = False
-
-    def variables_loaded(self) -> None:
-        self._is_unstored = False
-
     def recover(self) -> None:
-        if self._point is None or self._parts is None:
+        if self._point is None:
             return
         # Write everything, whatever the Context has.
         self._published = None
-        self._parts.forget_forces()
-        self._parts.forces.forget_place()
+        self._forget_forces()
+        self.forces.forget_place()
         self.publish()
 
-    # --- between flows ---
+    def store(self) -> None:
+        """Write the phase point to the per-atom variables."""
+        if not self._is_unstored or Change.VARIABLES in self.changes:
+            return
+        for name, values in zip(STATE_VARIABLES, self._packing.pack(self.point), strict=True):
+            self._integrator.setPerDofVariableByName(name, values)
+        self._is_unstored = False
+
+    # --- the phase point ---
+
+    @property
+    def point(self) -> BodyState:
+        """Return the phase point of the last completed step.
+
+        Raises:
+            openmm.OpenMMException: there is none, since no positions were set.
+        """
+        if self._point is None:
+            raise openmm.OpenMMException("The Context has no positions yet")
+        return self._point
+
+    def _change(self, operation: Callable[[BodyState], BodyState]) -> None:
+        """Replace the phase point by the result of an operation on it; arrays that both share stay as they are."""
+        self._point = operation(self.point)
+
+    def save(self) -> SavedState:
+        # OpenMM's barostats also move atoms of no body.
+        atoms = self.forces.positions.copy() if self.updates.act else None
+        ledger = self.ledger
+        return SavedState(self.point, self.clock, self._box(), ledger.mark(), dict(ledger.counts), atoms)
+
+    def restore(self, saved: SavedState, reverse: bool = False) -> None:
+        if saved.more is not None:
+            self.forces.positions[:] = saved.more
+            self.forces.forget_place()
+        if saved.box != self._box():
+            self._set_box(saved.box)
+        point = saved.point
+        self._point = replace(point, p=-point.p, L=-point.L) if reverse else point
+        self.clock = saved.clock
+        self.ledger.go_back(saved.mark)
+
+    def _box(self) -> Any:
+        """Return the periodic box vectors, nm."""
+        return box_of(openmm.Context.getState(self._context))
 
     def _set_box(self, box: Any) -> None:
-        super()._set_box(box)
+        openmm.Context.setPeriodicBoxVectors(self._context, *box)
         if self._environment is not None:
             self._environment = self._environment._replace(box=self._box())
-        self._made.motion.follow(self._context)
+        self.motion.follow(self._context)
 
-    def prepare_for_volume_moves(self) -> None:
-        self._moves_volume = True
-        if self._parts is not None:
-            super().prepare_for_volume_moves()
+    # --- moves of ensembles ---
 
-    def refuse_long_step(self, flow: Flow) -> None:
-        if self._parts is not None:
-            super().refuse_long_step(flow)
+    def positions(self) -> np.ndarray:
+        """Return the positions of all atoms of bodies, (N, 3), nm; zero for other particles."""
+        point = self.point
+        return self.moving.place(point.q, point.A, np.zeros((self.moving.n_particles, 3)))
 
-    # --- changes by users, and what a restart needs ---
+    def potential_energy(self) -> float:
+        if self.changes:
+            self.synchronize()
+        return self.forces.energy(self.point)
 
-    def atoms_moved(self) -> None:
-        super().atoms_moved()
-        self._are_atoms_set = True
+    def kinetic_energy(self) -> float:
+        return sum(self.moving.kinetic_energies(self.point))
 
-    def forces_changed(self) -> None:
-        super().forces_changed()
-        self._stepper = None
-        if self._parts is not None:
-            self._parts.forces_changed()
+    def centre_velocity(self) -> np.ndarray:
+        return self.moving.centre_velocity(self.point.p)
 
-    def start_anew(self) -> None:
-        """Make the next forces depend on nothing but the Context's state, see `neighbour_list`."""
-        self._starts_anew = self._remembers_list
+    def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
+        self._change(lambda point: self.moving.shifted(replace(point, p=factor * point.p, L=factor * point.L), shift))
 
-    def _forget_past(self) -> None:
-        """Do what `start_anew` asked for."""
-        neighbour_list.forget(self._context)
-        self._made.forget_forces()
-        self._starts_anew = False
+    def draw_momenta(self, thermal: float, share: float) -> None:
+        friction = -math.log(share) if share else math.inf
+        bath = OrnsteinUhlenbeck(thermal / GAS_CONSTANT, friction, friction)
+        operator = bath_operator(bath, self.moving, self.ledger)
+        self._change(lambda point: operator(point, 1.0))
+
+    def scale(self, factor: float) -> None:
+        self._set_box([factor * edge for edge in self._box()])
+        self._change(lambda point: replace(point, q=point.q + (factor - 1) * self.molecule_centres(point.q)))
+
+    # --- questions of users ---
+
+    @property
+    def momentum_lag(self) -> float:
+        return self.flow.scheme.momentum_lag
+
+    def state(self) -> BodyState:
+        if self.changes:
+            self.synchronize()
+        return self.point
+
+    def temperatures(self, conserved: bool) -> Temperatures:
+        state = self.state()
+        if self._last is not None and self._last[0] is state:
+            state = self._last[1]
+        return temperatures(self.moving, state, conserved)
+
+    def degrees_of_freedom(self, conserved: bool) -> float:
+        return sum(degrees_of_freedom(self.moving, conserved))
+
+    def heat(self) -> float:
+        return self.ledger.heat

@@ -69,16 +69,11 @@ class Motion:
             self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
-        #: The flow and the longest inner step for which a stepper was made, and the stepper.
-        self._made: tuple[Flow, float, operators.Stepper] | None = None
         self.after_bath: BodyState | None = None
 
     def stepper(self, flow: Flow, longest: float) -> operators.Stepper:
         """Return what makes a step of a flow, with inner steps of up to `longest`, ps."""
-        if self._made is None or self._made[0] is not flow or self._made[1] != longest:
-            made = operators.stepper(flow.scheme, self._operators(flow, longest), flow.step)
-            self._made = flow, longest, made
-        return self._made[2]
+        return operators.stepper(flow.scheme, self._operators(flow, longest), flow.step)
 
     def _operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
         """Return the operators that execute a flow, by name."""

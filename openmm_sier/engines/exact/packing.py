@@ -57,11 +57,3 @@ class Packing:
             for part, is_point in self._runs
             for vectors in ((state.q, state.p) if is_point else (state.q, state.p, state.L, state.A))
         ]
-
-
-def sites_of_atoms(bodies: BodySet) -> np.ndarray:
-    """Return the atoms' places in the principal frames of their bodies, (N, 3), nm; zero for particles of no body."""
-    values = np.zeros((bodies.n_particles, 3))
-    for species in bodies.species:
-        values[species.atoms] = species.sites.T
-    return values

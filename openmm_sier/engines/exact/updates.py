@@ -15,6 +15,7 @@ class SystemUpdates:
     Attributes:
         act: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.
         are_of_barostats: whether they are barostats alone, which leave velocities as they are.
+        removers: for each CMMotionRemover, the number of steps from one action to the next.
     """
 
     def __init__(self, context: openmm.Context):
@@ -24,12 +25,12 @@ class SystemUpdates:
         acting = checks.acting_forces(system)
         self.act = bool(acting)
         self.are_of_barostats = all(kind_of(force).sets == "pressure" for force in acting)
-        removers = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
-        self._frequencies = [remover.getFrequency() for remover in removers]
+        forces = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
+        self.removers = [force.getFrequency() for force in forces]
 
     def stops_centre(self, steps: int) -> bool:
         """Return whether a CMMotionRemover acts after so many steps."""
-        return any(steps % frequency == 0 for frequency in self._frequencies)
+        return any(steps % frequency == 0 for frequency in self.removers)
 
     def let_act(self, step: float) -> None:
         """Let barostats and thermostats act, as in a step of this length in ps, and do nothing else."""

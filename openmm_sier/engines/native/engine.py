@@ -1,32 +1,34 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
-from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines import neighbour_list
-from openmm_sier.engines.beginnings import refuse_what_is_not_finite
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.engines import neighbour_list, trajectories
+from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
+from openmm_sier.engines.native.atom_cache import AtomCache
+from openmm_sier.engines.native.constrained_start import satisfy_constraints
 from openmm_sier.engines.native.installation import guard, set_bath
-from openmm_sier.engines.native.known_atoms import KnownAtoms
-from openmm_sier.engines.native.settling import satisfy_constraints
-from openmm_sier.engines.native.told_bodies import ToldBodies
+from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
-from openmm_sier.engines.program import V0, WORK
-from openmm_sier.engines.protocol import Clock, Engine, Memory, Task, TrajectoryError
-from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
+from openmm_sier.engines.program import V0, WORK, Program
+from openmm_sier.engines.protocol import Change, Clock, Engine, SavedState, TrajectoryError
+from openmm_sier.engines.snapshot import Environment, Snapshot
+from openmm_sier.engines.start_checks import refuse_what_is_not_finite
+from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import Bodies, groups_of
+from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.temperature import Temperatures
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
@@ -50,49 +52,54 @@ class Potential(NamedTuple):
 class NativeEngine(Engine):
     """An engine that is the program of the integrator.
 
-    The Context has the state after each flow. An error in mid-step leaves it where it happened, as with OpenMM's
-    integrators. What moves are the massive atoms; rigid bodies are only what users are told of.
+    The Context has the state after each call. An error in mid-step leaves it where it happened, as with OpenMM's
+    integrators. The massive atoms move; rigid bodies are only reported to users.
     """
 
     name = "native"
 
-    def __init__(self, task: Task) -> None:
+    def __init__(
+        self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+    ) -> None:
         """
+        Args:
+            context: openmm.Context, which has the integrator.
+            flow: the scheme that will be executed.
+            ledger: of the integrator.
+            bodies: the rigid bodies; None: those that the constraints form.
+            program: what OpenMM executes, which is written for the flow.
+
         Raises:
             openmm.OpenMMException: the integrator needs what only the exact engine has, such as bodies that are not
                 rigid by constraints, or the System has a Force that does not work with divided steps.
         """
-        super().__init__(task)
-        context, bodies = task.context, task.bodies
+        super().__init__(context, flow, ledger)
         system, integrator = context.getSystem(), context.getIntegrator()
-        self._program = task.program
+        self._program = program
         self._refuse_system(system, bodies)
         self._constraints = tables.constraints(system)
         self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self.moving = refusals.points(system)
-        # The atom of each point: those of none come first.
-        owners = np.argsort(self.moving.owners, kind="stable")
-        self._atoms = owners[self.moving.n_particles - self.moving.n :]
-        self._told = ToldBodies(system, bodies, self.moving)
-        fraction = task.program.inner_fraction
-        self.check_step = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction, self._told.species)
+        self._reported = ReportedBodies(system, bodies, self.moving)
+        fraction = program.inner_fraction
+        self.check_step = StepCheck(
+            system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
+        )
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
-        self._is_box_new = False
-        self._is_fresh = True
         #: Whether OpenMM still has the forces of the end of the last step.
         self._has_force = False
         #: Whether velocities are those that the last step left.
         self._follows_bath = False
-        self.evaluations = 0
         platform = context.getPlatform()
         precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
-        self._known = KnownAtoms(context, is_single=precision == "single")
+        self._atoms = AtomCache(context, is_single=precision == "single")
+        self._remembers_list = neighbour_list.is_remembered(context)
         self._checks_positions = needs_finite_positions(system, platform)
         if precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
-    def _refuse_system(self, system: openmm.System, bodies: Bodies) -> None:
+    def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
         """Refuse what only the exact engine can do.
 
         Raises:
@@ -104,44 +111,75 @@ class NativeEngine(Engine):
         refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
 
     @property
-    def bodies(self) -> BodySet:
-        """Return the rigid and point bodies of the System.
-
-        Raises:
-            RigidityError: the System has constraints that do not form rigid bodies.
-        """
-        return self._told.bodies(self.positions)
-
-    @property
     def clock(self) -> Clock:
-        return Clock(time_of(self._context), self._context.getStepCount())
+        # OpenMM gives picoseconds. `value_in_unit` takes ten times as long.
+        return Clock(self._context.getTime()._value, self._context.getStepCount())
 
     @clock.setter
     def clock(self, clock: Clock) -> None:
         openmm.Context.setTime(self._context, clock.time)
         openmm.Context.setStepCount(self._context, clock.steps)
 
-    # --- one call of the integrator's step ---
+    @cached_property
+    def actions(self) -> Actions:
+        return Actions(self._context, self.solver_trial)
 
-    def take_over(self) -> None:
+    # --- changes by users ---
+
+    def synchronize(self) -> None:
+        changes = self.changes
         self._set_bath()
         # A program that does less than what was asked for runs here, since this engine does the rest.
         guard(self._integrator, False)
+        if Change.ATOMS in changes:
+            self._atoms.forget()
+            self._follows_bath = False
+        if Change.BOX in changes:
+            self._atoms.forget()
+            # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
+            # they are the same, makes it compute them.
+            openmm.Context.setVelocities(self._context, self._atoms.velocities)
+            self._has_force = False
+        if Change.FORCES in changes:
+            self._bonds = None
+            # OpenMM itself considers no force valid after that.
+            self._potential = None
+        if changes & (Change.ATOMS | Change.HISTORY):
+            self._check_start()
         if self._potential is not None:
             state = openmm.Context.getState(self._context, parameters=True)
             if Environment.of(state) != self._potential.environment:
                 self._potential = None
-        if self._is_box_new:
-            # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
-            # they are the same, makes it compute them.
-            velocities = openmm.Context.getState(self._context, velocities=True).getVelocities(asNumpy=True)
-            openmm.Context.setVelocities(self._context, velocities)
-            self._is_box_new = self._has_force = False
+        self.changes = Change.SETTINGS
+
+    def _check_start(self) -> None:
+        """Check atoms that were moved, and let the next steps depend only on the contents of the Context."""
+        self._potential = None
+        self._velocities_changed()
+        self._atoms.publish()
+        now = Snapshot.of(self._context)
+        refuse_what_is_not_finite(now)
+        self.refuse_cut_molecules(now)
+        if self._remembers_list:
+            neighbour_list.forget(self._context)
+        if len(self._constraints.pairs):
+            self.solver_trial.refuse(lambda: now.positions)
+            satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
+        if self._has_sites:
+            # OpenMM places them at the end of a step, and the first needs forces before that.
+            self._context.computeVirtualSites()
+        self._atoms.forget()
 
     def _set_bath(self) -> None:
         set_bath(self._integrator, self.flow.bath)
 
-    def follow(self, steps: int, wants_energy: bool = False) -> None:
+    def select_groups(self) -> None:
+        """Make the Context again: OpenMM fixes the groups when it reads the program."""
+        self._context.reinitialize(preserveState=True)
+
+    # --- steps ---
+
+    def propagate(self, steps: int, wants_energy: bool = False) -> None:
         if self.flow.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
             time, count = self.clock
@@ -149,12 +187,11 @@ class NativeEngine(Engine):
             return
         if not steps:
             return
-        self._settle()
         if not self._has_force:
             self.evaluations += int(self.flow.scheme.reuses_force)
             self._has_force = True
         self._potential = None
-        self._known.forget()
+        self._atoms.forget()
         advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
         try:
             while steps:
@@ -172,7 +209,7 @@ class NativeEngine(Engine):
             self._native_steps(count)
         finally:
             made = self._context.getStepCount() - start.steps
-            self._completed(made)
+            self._count(made)
             # On the CPU and Reference platforms OpenMM's own clock takes the step that the Context was created with.
             if self.flow.step != self._step_at_first:
                 self.clock = Clock(start.time + made * self.flow.step, start.steps + made)
@@ -187,7 +224,7 @@ class NativeEngine(Engine):
             # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
             made = int(self._context.getStepCount() == clock.steps + parts)
             self.clock = Clock(clock.time + made * self.flow.step, clock.steps + made)
-            self._completed(made)
+            self._count(made)
         return 1
 
     def _native_steps(self, number: int) -> None:
@@ -200,7 +237,7 @@ class NativeEngine(Engine):
                 if self._checks_positions:
                     self._refuse_lost_atoms(step)
         except openmm.OpenMMException as error:
-            # What follows begins with the first part of a step.
+            # The next native step is the first part of a step.
             self._integrator.setGlobalVariableByName(PART, 0.0)
             if "nan" in str(error).lower() and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
@@ -214,134 +251,105 @@ class NativeEngine(Engine):
                 f"A position or velocity is not finite in step {step}. Is the step size too long, or do atoms overlap?"
             )
 
-    def _completed(self, steps: int) -> None:
+    def _count(self, steps: int) -> None:
+        """Count completed steps."""
         self._follows_bath = self._follows_bath or steps > 0
         self.evaluations += steps * self.flow.scheme.force_evaluations
 
+    def make_trial(self, trial: Trial) -> Outcome:
+        return trajectories.make_trial(self, trial)
+
     def publish(self) -> None:
         """Write velocities that an ensemble changed; all else the Context has at any time."""
-        self._known.publish()
+        self._atoms.publish()
 
-    def _settle(self) -> None:
-        """Make the next steps depend on nothing but the Context, after a change from outside."""
-        if not self._is_fresh:
-            return
-        self._known.publish()
-        now = Snapshot.of(self._context)
-        refuse_what_is_not_finite(now)
-        self.refuse_cut_molecules(now)
-        if neighbour_list.is_remembered(self._context):
-            neighbour_list.forget(self._context)
-        if len(self._constraints.pairs):
-            self.trial.refuse(self.positions)
-            satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
-        if self._has_sites:
-            # OpenMM places them at the end of a step, and the first needs forces before that.
-            self._context.computeVirtualSites()
-        self._known.forget()
-        self._is_fresh = False
+    def recover(self) -> None:
+        self._atoms.publish()
 
-    # --- the phase point, of massive atoms ---
+    def store(self) -> None:
+        """Do nothing: the phase point is in the Context."""
 
-    @property
-    def point(self) -> BodyState:
-        positions, velocities = self._known.both
-        q, v = positions[self._atoms].T, velocities[self._atoms].T
-        A = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, self.moving.n))
-        return BodyState(q, self.moving.masses * v, A, np.zeros_like(q))
+    # --- the phase point: the atoms as OpenMM has them ---
 
-    def change(self, operation: Callable[[BodyState], BodyState]) -> None:
-        old = self.point
-        new = operation(old)
-        if new.q is not old.q:
-            positions = self._known.positions.copy()
-            positions[self._atoms] = new.q.T
-            self._known.write_positions(positions)
-            self._context.computeVirtualSites()
-            self.atoms_moved()
-        if new.p is not old.p:
-            velocities = self._known.velocities.copy()
-            velocities[self._atoms] = (new.p / self.moving.masses).T
-            self._write_velocities(velocities)
+    def save(self) -> SavedState:
+        atoms, ledger = self._atoms, self.ledger
+        return SavedState(atoms.both, self.clock, atoms.box, ledger.mark(), dict(ledger.counts), self._potential)
+
+    def restore(self, saved: SavedState, reverse: bool = False) -> None:
+        positions, velocities = saved.point
+        if saved.box != self._atoms.box:
+            self._atoms.write_box(saved.box)
+        self._atoms.write_positions(positions)
+        self._write_velocities(-velocities if reverse else velocities)
+        self._follows_bath = False
+        self.clock = saved.clock
+        self._potential = saved.more
+        self.ledger.go_back(saved.mark)
 
     def _write_velocities(self, velocities: np.ndarray) -> None:
-        self._known.write_velocities(velocities)
+        self._atoms.write_velocities(velocities)
         self._velocities_changed()
 
     def _velocities_changed(self) -> None:
         # OpenMM considers no force valid after that.
         self._has_force = False
 
+    # --- moves of ensembles ---
+
     def positions(self) -> np.ndarray:
-        return self._known.positions
-
-    def kinetic_energy(self) -> float:
-        return self._known.kinetic_energy()
-
-    def centre_velocity(self) -> np.ndarray:
-        return self._known.centre_velocity()
-
-    def shift_velocities(self, velocity: np.ndarray) -> None:
-        self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
-        self._known.scale(1.0, velocity)
-        self._velocities_changed()
-
-    def _scale_velocities(self, factor: float, shift: np.ndarray) -> None:
-        self._known.scale(factor, shift)
-        self._velocities_changed()
-
-    def draw_momenta(self, bath: Thermostat, time: float) -> None:
-        """Draw velocities anew, keeping a part of the old ones; constraints leave the new ones canonical."""
-        self._settle()
-        before, kept = self.kinetic_energy(), math.exp(-bath.friction * time)
-        self._known.refresh_velocities(kept, GAS_CONSTANT * bath.temperature, self.ledger.noise())
-        if len(self._constraints.pairs):
-            self._known.constrain_velocities(self._integrator.getConstraintTolerance())
-        self._velocities_changed()
-        self.ledger.heat += self.kinetic_energy() - before
-        self.ledger.draws += 1
+        return self._atoms.positions
 
     def potential_energy(self) -> float:
-        self._settle()
+        if self.changes:
+            self.synchronize()
         if self._potential is None:
             state = openmm.Context.getState(self._context, energy=True, parameters=True, groups=self._groups)
             energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
             self._potential = Potential(energy, Environment.of(state))
         return self._potential.energy
 
-    # --- there and back, with the atoms as OpenMM has them ---
+    def kinetic_energy(self) -> float:
+        return self._atoms.kinetic_energy()
 
-    def remember(self) -> Memory:
-        return Memory(self._known.both, self.clock, self._box(), self.ledger.mark(), self._potential)
+    def centre_velocity(self) -> np.ndarray:
+        return self._atoms.centre_velocity()
 
-    def go_back(self, memory: Memory, reverse: bool = False) -> None:
-        positions, velocities = memory.point
-        if memory.box != self._box():
-            self._set_box(memory.box)
-        self._known.write_positions(positions)
-        self._write_velocities(-velocities if reverse else velocities)
-        self._follows_bath = False
-        self.clock = memory.clock
-        self._potential = memory.more
-        self.ledger.go_back(memory.mark)
+    def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
+        self._atoms.scale(factor, shift)
+        self._velocities_changed()
 
-    def _box(self) -> Any:
-        return self._known.box
+    def draw_momenta(self, thermal: float, share: float) -> None:
+        """Draw velocities, of which the old ones stay a share; constraints leave the new ones canonical."""
+        before = self.kinetic_energy()
+        self._atoms.refresh_velocities(share, thermal, self.ledger.noise())
+        if len(self._constraints.pairs):
+            self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
+        self._velocities_changed()
+        self.ledger.heat += self.kinetic_energy() - before
+        self.ledger.draws += 1
 
-    def _set_box(self, box: Any) -> None:
-        self._known.forget()
-        super()._set_box(box)
+    def scale(self, factor: float) -> None:
+        atoms, owners = self._atoms, self.moving.owners
+        atoms.write_box([factor * edge for edge in atoms.box])
+        positions = atoms.positions.copy()
+        massive = owners >= 0
+        points = np.empty((3, self.moving.n))
+        points[:, owners[massive]] = positions[massive].T
+        shifts = (factor - 1) * self.molecule_centres(points)
+        positions[massive] += shifts[:, owners[massive]].T
+        atoms.write_positions(positions)
+        self._check_start()
 
-    # --- what users ask ---
+    # --- questions of users ---
 
-    def heat(self) -> float:
-        """See `Engine.heat`; NaN where the program does not count it."""
-        if not self._program.counts_heat:
-            return math.nan
-        counted = super().heat()
-        if WORK in self._program.vectors:
-            counted += float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
-        return counted
+    @property
+    def bodies(self) -> BodySet:
+        """Return the rigid and point bodies of the System.
+
+        Raises:
+            RigidityError: the System has constraints that do not form rigid bodies.
+        """
+        return self._reported.bodies
 
     @property
     def momentum_lag(self) -> float:
@@ -349,48 +357,27 @@ class NativeEngine(Engine):
         return self._program.momentum_lag
 
     def state(self) -> BodyState:
-        return self._told.state(Snapshot.of(self._context))
+        return self._reported.state(Snapshot.of(self._context))
 
     def temperatures(self, conserved: bool) -> Temperatures:
-        """Return temperatures in K, see `system.temperature`; without rigid bodies only the total is known.
-
-        Flexible molecules have those just after a bath in the middle of the last step, as with `ExactEngine`.
-        """
-        now, thermal = Snapshot.of(self._context), self._velocities_after_bath()
-        return self._told.temperatures(now, lambda: self.point, thermal, conserved)
+        """See `Engine.temperatures`; only those of flexible molecules are those just after the bath."""
+        return self._reported.temperatures(Snapshot.of(self._context), self._velocities_after_bath(), conserved)
 
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
-        if self._follows_bath and self.flow.scheme.bath_divides_drift and self.flow.fast_groups:
+        has_followed = self._follows_bath and Change.ATOMS not in self.changes
+        if has_followed and self.flow.scheme.bath_divides_drift and self.flow.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 
     def degrees_of_freedom(self, conserved: bool) -> float:
-        return self._told.degrees_of_freedom(self.positions, conserved)
+        return self._reported.degrees_of_freedom(conserved)
 
-    # --- changes by users, and what a restart needs ---
-
-    def start_anew(self) -> None:
-        self._is_fresh = True
-        self._potential = None
-        self._velocities_changed()
-
-    def atoms_moved(self) -> None:
-        super().atoms_moved()
-        self.start_anew()
-        self._known.forget()
-        self._follows_bath = False
-
-    def forces_changed(self) -> None:
-        super().forces_changed()
-        # OpenMM itself considers no force valid after that.
-        self._potential = None
-
-    def box_changed(self) -> None:
-        super().box_changed()
-        self._known.forget()
-        self._is_box_new = True
-
-    def groups_changed(self) -> None:
-        """Make the Context anew: OpenMM fixes the groups when it reads the program."""
-        self._context.reinitialize(preserveState=True)
+    def heat(self) -> float:
+        """Return the energy from baths and moves, kJ/mol; NaN where the program does not count it."""
+        if not self._program.counts_heat:
+            return math.nan
+        heat = self.ledger.heat
+        if WORK in self._program.vectors:
+            heat += float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
+        return heat

@@ -21,7 +21,7 @@ from openmm_sier.engines.program import (
     Program,
     Statement,
 )
-from openmm_sier.engines.variables import PART, PREFIX, SITES, STATE_VARIABLES
+from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
 EXACT_ONLY = PREFIX + "exact_only"
@@ -31,7 +31,7 @@ EXACT_ONLY = PREFIX + "exact_only"
 PARTS = PREFIX + "parts"
 
 #: The per-atom variables of both engines, which are there where a run may go on with the other one.
-ALL_VECTORS = (*STATE_VARIABLES, SITES, *VECTORS)
+ALL_VECTORS = (*STATE_VARIABLES, *VECTORS)
 
 #: The force of one group in an expression.
 GROUP_FORCE = re.compile(r"\bf\d+(?=/m)")

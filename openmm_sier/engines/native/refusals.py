@@ -12,13 +12,12 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.program import Program
 from openmm_sier.system import checks, tables
-from openmm_sier.system.arguments import Bodies
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.forces import kind_of
 
 
-def refuse(flow: Flow, bodies: Bodies, program: Program, system: openmm.System) -> None:
-    """Refuse what only the exact engine can do; bodies are as users give them, and the program is that of the flow.
+def refuse(flow: Flow, bodies: BodySet | None, program: Program, system: openmm.System) -> None:
+    """Refuse what only the exact engine can do; the program is that of the flow.
 
     Raises:
         openmm.OpenMMException: the message says what that is, and the remedy.
@@ -46,15 +45,13 @@ def why_not(flow: Flow, program: Program) -> str | None:
     return None
 
 
-def _unheld_bodies(given: Bodies, system: openmm.System) -> str | None:
+def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
     """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
-    if given is None:
+    if bodies is None:
         return None
-    rows = [a for s in given.species for a in s.atoms.tolist()] if isinstance(given, BodySet) else given
-    held, masses = tables.constraints(system).by_pair(), tables.masses(system)
-    for row in rows:
-        massive = sorted(int(i) for i in row if 0 <= i < len(masses) and masses[i] > 0)
-        for pair in combinations(massive, 2):
+    held = tables.constraints(system).by_pair()
+    for atoms in (atoms for species in bodies.species for atoms in species.atoms.tolist()):
+        for pair in combinations(sorted(atoms), 2):
             if pair not in held:
                 return (
                     f"keeps bodies rigid only by constraints, and no constraint joins atoms {pair[0]} and {pair[1]} "

@@ -5,11 +5,16 @@ import math
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.trials import Numbers
-from openmm_sier.engines.protocol import Clock, Task, TrajectoryError
+from openmm_sier.engines.program import Program
+from openmm_sier.engines.protocol import Clock, TrajectoryError
+from openmm_sier.engines.trajectories import refuse_energy
 from openmm_sier.engines.trials import Outcome, Trial
 
 
@@ -21,15 +26,17 @@ class TrialEngine(NativeEngine):
 
     makes_trials = True
 
-    def __init__(self, task: Task) -> None:
+    def __init__(
+        self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+    ) -> None:
         """
         Raises:
             openmm.OpenMMException: see `NativeEngine`; or OpenMM took another platform than the one for which the
                 program was written, on which virtual sites stay behind.
         """
         self._kinetic: float | None = None
-        super().__init__(task)
-        name = task.context.getPlatform().getName()
+        super().__init__(context, flow, ledger, bodies, program)
+        name = context.getPlatform().getName()
         if self._has_sites and name in ("CPU", "Reference"):
             raise openmm.OpenMMException(
                 f"OpenMM took the {name} platform, and trials were written for another one. Virtual sites do not "
@@ -37,7 +44,11 @@ class TrialEngine(NativeEngine):
             )
 
     def make_trial(self, trial: Trial) -> Outcome:
-        before = self.kinetic_energy()
+        if not trial.kinetic:
+            # Nothing moves.
+            return super().make_trial(trial)
+        before, clock = self.kinetic_energy(), self.clock
+        self.ledger.draws += 2
         try:
             numbers = self._executed(trial)
         except openmm.OpenMMException as error:
@@ -47,12 +58,15 @@ class TrialEngine(NativeEngine):
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
         self.ledger.heat += trial.kinetic - before - numbers.stopped
+        if not math.isfinite(numbers.start):
+            self.clock = clock
+            refuse_energy(numbers.start, clock)
         first_error = numbers.first_error if math.isfinite(numbers.first_error) else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
-    def follow(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, wants_energy: bool = False) -> None:
         if not steps or self.flow.step == 0:
-            super().follow(steps, wants_energy)
+            super().propagate(steps, wants_energy)
             return
         start = self.clock
         numbers = self._executed(trials.followed(self._integrator, steps))
@@ -63,11 +77,10 @@ class TrialEngine(NativeEngine):
 
     def _executed(self, trial: Trial) -> Numbers:
         """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
-        self._settle()
         scheme = self.flow.scheme
         self.evaluations += int(scheme.reuses_force and not self._has_force)
         self._potential = None
-        self._known.forget()
+        self._atoms.forget()
         self._velocities_changed()
         try:
             numbers = trials.execute(self._integrator, trial)
@@ -85,8 +98,8 @@ class TrialEngine(NativeEngine):
 
     def _restore_start(self, reverse: bool) -> None:
         positions, velocities = trials.start_of(self._integrator)
-        is_massive = self._known.masses[:, None] > 0
-        self._known.write_positions(np.where(is_massive, positions, self._known.positions))
+        is_massive = self._atoms.masses[:, None] > 0
+        self._atoms.write_positions(np.where(is_massive, positions, self._atoms.positions))
         self._write_velocities(-velocities if reverse else velocities)
         self._context.computeVirtualSites()
 

@@ -1,4 +1,4 @@
-"""Positions, velocities and box of a Context, each read when it is needed and known until something moves the atoms.
+"""Positions, velocities and box of a Context, each read when it is needed and cached until something moves the atoms.
 
 To read the velocities of 24,000 atoms from a GPU takes 0.4 ms, and to write them as long. Ensembles ask for them
 several times between two flows, and change them several times.
@@ -22,7 +22,7 @@ POSITIONS, VELOCITIES = "positions", "velocities"
 KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 
 
-class KnownAtoms:
+class AtomCache:
     """Read positions, velocities and box of a Context, and write positions and velocities.
 
     Arrays are read-only. They are kept until `forget`, without which nobody may move atoms, and velocities are not
@@ -49,10 +49,10 @@ class KnownAtoms:
         masses = self._masses_of_components
         self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         self._is_single = is_single
-        self._known: dict[str, np.ndarray] = {}
-        #: Whether the Context does not have the known velocities yet.
+        self._cached: dict[str, np.ndarray] = {}
+        #: Whether the Context does not have the cached velocities yet.
         self._is_unwritten = False
-        #: Kinetic energy and velocity of the centre of mass, where they were computed from the known velocities.
+        #: Kinetic energy and velocity of the centre of mass, where they were computed from the cached velocities.
         self._kinetic: float | None = None
         self._centre: np.ndarray | None = None
         self._box: Any = None
@@ -61,17 +61,17 @@ class KnownAtoms:
         """Write velocities that the Context does not have yet."""
         if self._is_unwritten:
             self._is_unwritten = False
-            openmm.Context.setVelocities(self._context, self._known[VELOCITIES])
+            openmm.Context.setVelocities(self._context, self._cached[VELOCITIES])
 
     def forget(self) -> None:
         """Write what is unwritten, and read everything anew: somebody is about to move atoms, or has moved them."""
         self.publish()
-        self._known, self._box = {}, None
+        self._cached, self._box = {}, None
         self.forget_velocities()
 
     def forget_velocities(self) -> None:
         """Read velocities anew: they were replaced in the Context, and positions were not."""
-        self._known.pop(VELOCITIES, None)
+        self._cached.pop(VELOCITIES, None)
         self._is_unwritten = False
         self._kinetic = None
         self._centre = None
@@ -102,7 +102,7 @@ class KnownAtoms:
         return found[POSITIONS], found[VELOCITIES]
 
     def _vectors(self, *names: str) -> dict[str, np.ndarray]:
-        missing = [name for name in names if name not in self._known]
+        missing = [name for name in names if name not in self._cached]
         if missing:
             state = openmm.Context.getState(self._context, **dict.fromkeys(missing, True))
             for name in missing:
@@ -110,24 +110,29 @@ class KnownAtoms:
                 # Like getPositions(asNumpy=True), but without its overhead for names and units.
                 state._getVectorAsNumpy(KINDS[name], vectors)
                 vectors.flags.writeable = False
-                self._known[name] = vectors
-        return self._known
+                self._cached[name] = vectors
+        return self._cached
 
     # --- changes ---
 
+    def write_box(self, box: Any) -> None:
+        """Set periodic box vectors, nm."""
+        self.forget()
+        openmm.Context.setPeriodicBoxVectors(self._context, *box)
+
     def write_positions(self, positions: np.ndarray) -> None:
         """Set positions. GPU platforms may round them, so that they are read anew."""
-        self._known.pop(POSITIONS, None)
+        self._cached.pop(POSITIONS, None)
         openmm.Context.setPositions(self._context, positions)
 
     def write_velocities(self, velocities: np.ndarray) -> None:
-        """Set velocities, which are known then; the Context gets them by `publish`."""
+        """Set velocities, which are cached then; the Context gets them by `publish`."""
         if self._is_single:
             # A run that goes on must know what a restart would read.
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
         velocities.flags.writeable = False
-        self._known[VELOCITIES] = velocities
+        self._cached[VELOCITIES] = velocities
         self._is_unwritten = True
 
     def scale(self, factor: float, shift: np.ndarray) -> None:
