@@ -1,6 +1,5 @@
 """Draw velocities, satisfy constraints and minimize the energy, as users ask of a Context."""
 
-import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -22,8 +21,12 @@ class Actions:
     """
 
     def __init__(self, context: openmm.Context, trial: SolverTrial):
-        # The Context owns its integrator and so all this: a strong reference back would keep both alive.
-        self._context = weakref.proxy(context)
+        """
+        Args:
+            context: weak proxy of an openmm.Context, which owns its integrator and so this object.
+            trial: of its System.
+        """
+        self._context = context
         self._trial = trial
 
     def _positions(self) -> np.ndarray:

@@ -10,6 +10,8 @@ from functools import cached_property
 import numpy as np
 import openmm
 
+from openmm_sier import RigidBodies
+
 #: Force groups: of interactions between bodies, and of springs within them, which the rigid model lacks. Energies that
 #: are compared leave springs out.
 INTERACTIONS, SPRINGS = 4, 5
