@@ -1,6 +1,7 @@
 """Choose the engine of an integrator."""
 
 import os
+from contextlib import suppress
 from functools import cache
 
 import openmm
@@ -15,6 +16,7 @@ from openmm_sier.engines.native.trial_engine import TrialEngine
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.variables import STATE_VARIABLES
+from openmm_sier.system.find_bodies import UnknownShapeError
 
 #: Engines by the names by which users ask for them.
 ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (ExactEngine, NativeEngine)}
@@ -47,18 +49,21 @@ def make_engine(
     """Return an engine of a Context.
 
     Args:
-        name: one of `ENGINES`, or "auto" for the engine that suits the platform.
+        name: one of `ENGINES`, or "auto": the exact one on `EXACT_PLATFORMS` where all shapes are known, otherwise the
+            native one.
         context: openmm.Context, which has the integrator.
         flow: the scheme that will be executed.
         ledger: of the integrator.
         bodies: the rigid bodies; None: those that the constraints form.
         program: of the native engine, written for the flow.
     """
-    if name == "auto":
-        # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
-        has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
-        name = ExactEngine.name if is_on_host(context.getPlatform()) and has_variables else NativeEngine.name
     if name == ExactEngine.name:
         return ExactEngine(context, flow, ledger, bodies)
+    # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
+    has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
+    if name == "auto" and is_on_host(context.getPlatform()) and has_variables:
+        # The native engine needs no shapes.
+        with suppress(UnknownShapeError):
+            return ExactEngine(context, flow, ledger, bodies)
     native = NativeEngine if program.trials is None else TrialEngine
     return native(context, flow, ledger, bodies, program)

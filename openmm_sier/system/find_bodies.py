@@ -35,6 +35,10 @@ Linked = TypeVar("Linked", bound=dynamics.BodySet)
 Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
 
 
+class UnknownShapeError(RigidityError):
+    """Bodies whose shape only positions can give."""
+
+
 class RigidBodies(dynamics.BodySet):
     """Rigid and point bodies of an OpenMM System; see `from_system`.
 
@@ -126,12 +130,12 @@ class BodyPlan:
             positions: (N, 3), nm, in the default box of the System.
 
         Raises:
-            RigidityError: required positions are missing, they contradict the constraints, or the boundary cuts a body
-                that takes its shape from them.
+            UnknownShapeError: required positions are missing.
+            RigidityError: they contradict the constraints, or the boundary cuts a body that takes its shape from them.
         """
         if positions is None:
             if self.needs_positions:
-                raise RigidityError(
+                raise UnknownShapeError(
                     "the shape of named bodies, and the handedness of rigid molecules that are not flat, are those of "
                     "positions: give bodies=RigidBodies.from_system(system, topology, rigid, positions=positions) to "
                     "the integrator"

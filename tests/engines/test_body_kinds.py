@@ -77,6 +77,11 @@ class Gas:
         self.system.addForce(trap)
         self.point = np.concatenate(positions), np.concatenate(velocities)
 
+    @property
+    def bodies(self):
+        """The molecules as bodies of their present shape."""
+        return RigidBodies.from_system(self.system, rigid=self.clusters, positions=self.point[0])
+
 
 def ends_of(integrator, gas, steps):
     return phase_point(context_at(gas.system, integrator, gas.point, steps=steps))
@@ -85,12 +90,14 @@ def ends_of(integrator, gas, steps):
 @every_kind
 def test_named_by_atoms_or_by_residue_or_constrained_they_move_alike(kind):
     gas = Gas(kind)
-    ends = [ends_of(SIERIntegrator(0.002, "SIER4", bodies=gas.clusters), gas, 25)]
+    ends = [ends_of(SIERIntegrator(0.002, "SIER4", bodies=gas.bodies), gas, 25)]
     residues = RigidBodies.from_system(gas.system, gas.topology, {kind: "rigid"}, gas.point[0] * unit.nanometer)
     ends.append(ends_of(SIERIntegrator(0.002, "SIER4", bodies=residues), gas, 25))
     # Constraints of atoms in a row are refused.
     if kind != CARBON_DIOXIDE:
-        ends.append(ends_of(SIERIntegrator(0.002, "SIER4"), Gas(kind, pairs_of(kind)), 25))
+        held = Gas(kind, pairs_of(kind))
+        molecules = RigidBodies.from_system(held.system, positions=held.point[0])
+        ends.append(ends_of(SIERIntegrator(0.002, "SIER4", bodies=molecules), held, 25))
     for end in ends[1:]:
         # The geometries differ by the rounding of coordinates; constraint lengths make them by an eigenvalue problem
         # with their squares.
@@ -114,7 +121,7 @@ def differences(system, point, time, steps, **bodies):
 @pytest.mark.parametrize("kind", HELD)
 def test_they_move_as_in_openmm(kind):
     gas = Gas(kind, pairs_of(kind))
-    first, second = differences(gas.system, gas.point, 0.04, (20, 40), bodies=gas.clusters)
+    first, second = differences(gas.system, gas.point, 0.04, (20, 40), bodies=gas.bodies)
     # OpenMM's constraints hold to 1e-10, SETTLE's lengths, of single precision, to 5e-9 nm.
     assert 1e-8 < second < 1e-4
     assert 3.6 < first / second < 4.4
@@ -134,9 +141,7 @@ def test_mixture_moves_as_in_openmm():
 @every_kind
 def test_temperature_in_reports_counts_the_freedoms_of_the_bodies(kind):
     gas = Gas(kind)
-    simulation = app.Simulation(
-        gas.topology, gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.clusters), platform()
-    )
+    simulation = app.Simulation(gas.topology, gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.bodies), platform())
     simulation.context.setPositions(gas.point[0])
     simulation.context.setVelocities(gas.point[1])
     log = io.StringIO()
@@ -152,7 +157,8 @@ def test_mirror_images_in_one_system(constrained):
     gas = Gas("handed", pairs_of("handed") if constrained else ())
     positions = gas.point[0]
     positions[gas.clusters[1]] *= [-1, 1, 1]
-    integrator = SIERIntegrator(0.001, "SIER2", bodies=None if constrained else gas.clusters)
+    named = RigidBodies.from_system(gas.system, rigid=None if constrained else gas.clusters, positions=positions)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=named)
     context = context_at(gas.system, integrator, (positions, 0 * positions))
     bodies = integrator.bodies
     assert {tuple(species.atoms[:, 0]) for species in bodies.species} == {(0, 8), (4,)}
@@ -200,7 +206,7 @@ def test_virtual_sites_in_a_named_body_ride_along():
     gas = Gas(METHANE)
     gas.system.setParticleMass(4, 0)
     gas.system.setVirtualSite(4, openmm.TwoParticleAverageSite(0, 1, 1.5, -0.5))
-    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
+    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.bodies)
     context = context_at(gas.system, integrator, gas.point)
     context.computeVirtualSites()
     integrator.step(20)
@@ -209,14 +215,16 @@ def test_virtual_sites_in_a_named_body_ride_along():
     assert np.allclose(positions[4], 1.5 * positions[0] - 0.5 * positions[1], atol=1e-15)
 
 
-def test_named_bodies_need_positions():
-    gas = Gas(METHANE)
-    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
-    context = openmm.Context(gas.system, integrator, platform())
-    with pytest.raises(openmm.OpenMMException, match="Particle positions have not been set"):
-        _ = integrator.bodies
-    context.setPositions(gas.point[0])
-    assert integrator.bodies.n == 3
+def test_shapes_that_only_positions_give():
+    """Constraints of methane leave its mirror image possible. OpenMM itself needs no shape."""
+    with pytest.raises(TypeError, match=r"take their shape from positions: bodies=RigidBodies\.from_system"):
+        SIERIntegrator(0.001, "SIER2", bodies=Gas(METHANE).clusters)
+    gas = Gas(METHANE, pairs_of(METHANE))
+    with pytest.raises(RigidityError, match=r"not flat.* give bodies=RigidBodies\.from_system\(system"):
+        openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", engine="exact"), platform())
+    integrator = SIERIntegrator(0.001, "SIER2")
+    _context = openmm.Context(gas.system, integrator, platform())
+    assert integrator.engine == "native"
 
 
 @pytest.mark.parametrize(
@@ -236,17 +244,15 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     gas.system.getForce(0).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     gas.system.removeForce(1)
     gas.system.addForce(seeded(openmm.XmlSerializer.clone(barostat), 1))
-    integrator = SIERIntegrator(0.001, "SIER2", bodies=gas.clusters)
-    context = context_at(gas.system, integrator, gas.point)
     with pytest.raises(RigidityError, match="body of atoms 0, 1, 2 consists of several molecules, and MonteCarlo"):
-        integrator.step(1)
+        openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.bodies), platform())
 
     bonds = openmm.HarmonicBondForce()
     for atoms in gas.clusters:
         bonds.addBond(*atoms[:2], 0.1, 0.0)
         bonds.addBond(*atoms[1:], 0.1, 0.0)
     gas.system.addForce(bonds)
-    integrator = seeded(SIERIntegrator(0.001, "SIER2", bodies=gas.clusters))
+    integrator = seeded(SIERIntegrator(0.001, "SIER2", bodies=gas.bodies))
     context = context_at(gas.system, integrator, gas.point)
     before = context.getState().getPeriodicBoxVolume()
     integrator.step(20)
@@ -254,6 +260,5 @@ def test_barostats_must_not_tear_bodies_apart(barostat):
     assert context.getState().getPeriodicBoxVolume() != before
 
     gas.system.getForce(1).setScaleMoleculesAsRigid(False)
-    context = context_at(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.clusters), gas.point)
     with pytest.raises(RigidityError, match=r"MonteCarlo\w*Barostat scales each atom separately.*AsRigid=True"):
-        context.getIntegrator().step(1)
+        openmm.Context(gas.system, SIERIntegrator(0.001, "SIER2", bodies=gas.bodies), platform())

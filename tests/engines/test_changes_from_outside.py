@@ -8,7 +8,8 @@ import pytest
 from openmm import app
 
 from openmm_sier import SIER2, SIER4, SIER4G, SIERHMCIntegrator, SIERIntegrator
-from openmm_sier.ensembles.metropolis import Metropolis
+from openmm_sier.engines import trajectories
+from openmm_sier.ensembles import metropolis
 from openmm_sier.stability.runaway import RunawayError
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
@@ -136,7 +137,8 @@ def test_no_force_is_computed_where_atoms_are_lost(engine, make, scheme, monkeyp
     integrator = make(0.002, scheme=scheme, engine=engine)
     _context = context_at(assembled([16.0], periodic), integrator, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
     # The atom meets the place where the force is no number within 25 steps; a trial goes there and back first.
-    monkeypatch.setattr(Metropolis, "_draw", lambda *_: None)
+    for module in (metropolis, trajectories):
+        monkeypatch.setattr(module, "draw_start", lambda *_: None)
     with pytest.raises(openmm.OpenMMException, match=r"not finite in step 2\d|missed its start by inf"):
         integrator.step(60)
     assert len(seen) > 20

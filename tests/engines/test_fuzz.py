@@ -164,10 +164,10 @@ class Calls(RuleBasedStateMachine):
             kinds = [kind if kind in CONSTRAINED else "handed" for kind in kinds]
         self.world = World(kinds, seed, named, sweep)
         if thermostat:
-            integrator = SIERLangevinIntegrator(TEMPERATURE, FRICTION, 0.001, scheme=scheme, bodies=self.world.named)
+            integrator = SIERLangevinIntegrator(TEMPERATURE, FRICTION, 0.001, scheme=scheme, bodies=self.world.bodies)
             integrator.setRandomNumberSeed(SEED)
         else:
-            integrator = SIERIntegrator(0.001, scheme, bodies=self.world.named)
+            integrator = SIERIntegrator(0.001, scheme, bodies=self.world.bodies)
         self.bind(integrator)
         self.context.setPositions(self.world.positions)
         self.integrator.getBodyState()  # Named bodies have the geometry of these positions.

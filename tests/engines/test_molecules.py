@@ -11,6 +11,7 @@ import pytest
 
 from openmm_sier import (
     SIER4G,
+    RigidBodies,
     RigidityError,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -227,7 +228,8 @@ def test_minimization_keeps_constraints(named):
         for number in reversed(range(system.getNumConstraints())):
             if system.getConstraintParameters(number)[0] < 6:
                 system.removeConstraint(number)
-    integrator = SIERIntegrator(0.002, bodies=[range(6)] if named else None)
+    bodies = RigidBodies.from_system(system, rigid=[range(6)], positions=positions) if named else None
+    integrator = SIERIntegrator(0.002, bodies=bodies)
     context = context_at(system, integrator, (positions, 0 * positions))
     before = total_energy(context)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)

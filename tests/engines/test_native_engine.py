@@ -172,7 +172,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     ("settings", "remedy"),
     [
         ({"rotation": mrdl}, "has only the exact free-rotation map: leave out `rotation`"),
-        ({"bodies": [[0, 1, 2], [3, 4]]}, "no constraint joins atoms 3 and 4 .* with_frames"),
+        ({"rigid": [[0, 1, 2], [3, 4]]}, "no constraint joins atoms 3 and 4 .* with_frames"),
         ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
     ],
 )
@@ -180,6 +180,9 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     _, _, waters = cluster_system(1)
     held = [waters.getConstraintParameters(i) for i in range(waters.getNumConstraints())]
     system = assembled((16.0, 1.0, 1.0, 30.0, 40.0), constraints=held)
+    if rigid := settings.pop("rigid", None):
+        positions = np.random.default_rng(1).random((5, 3))
+        settings["bodies"] = RigidBodies.from_system(system, rigid=rigid, positions=positions)
     langevin = "rotationalFriction" in settings
     arguments = (300, 1, 0.002) if langevin else (0.002,)
     integrator = (SIERLangevinIntegrator if langevin else SIERIntegrator)(*arguments, **settings, engine="native")
@@ -193,7 +196,8 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
 def test_named_bodies_that_constraints_hold_are_taken(cluster):
     system, point = cluster
     size = len(point[0]) // 3
-    for bodies in ([[0, 1, 2]], [list(range(size))], RigidBodies.from_system(system)):
+    for rigid in ([[0, 1, 2]], [list(range(size))], None):
+        bodies = RigidBodies.from_system(system, rigid=rigid, positions=point[0])
         integrator = SIERIntegrator(0.002, bodies=bodies, engine="native")
         context_at(system, integrator, point)
         assert integrator.engine == "native"

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from scipy.linalg import null_space
 
-from openmm_sier import RigidityError, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import RigidBodies, RigidityError, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.observe.openmm_integrators import make_integrator
 from tests.support.braced import benzene, formate, gas, methane, triangle
@@ -34,7 +34,10 @@ def kind(request):
 def context_of(kind, integrator=None, name="Reference", edge=2):
     # Benzene is 0.5 nm wide.
     system, positions = gas(kind, edge, 0.6 if len(kind.masses) < 12 else 0.9)
-    context = openmm.Context(system, integrator or SIERIntegrator(0.002, engine="exact"), platform(name))
+    if integrator is None:
+        bodies = RigidBodies.from_system(system, positions=positions)
+        integrator = SIERIntegrator(0.002, engine="exact", bodies=bodies)
+    context = openmm.Context(system, integrator, platform(name))
     context.setPositions(positions)
     return context, positions
 

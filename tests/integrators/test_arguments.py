@@ -19,7 +19,7 @@ from openmm_sier.ensembles import VelocityRescaling
 langevin = partial(SIERLangevinIntegrator, 300, 1, 0.002)
 trials = partial(SIERHMCIntegrator, 300, 0.002)
 CROOKED = Scheme("Euler", (("kick", 1.0), ("drift", 1.0)))
-LISTS = "bodies must be RigidBodies or lists of particle indices"
+LISTS = r"bodies must be RigidBodies, got .* take their shape from positions: bodies=RigidBodies\.from_system"
 NAN = float("nan")
 
 REFUSED = [

@@ -222,16 +222,16 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     context = context_at(system, made, (positions, 0 * positions))
     context.setVelocitiesToTemperature(297.0, 1)
     made.step(9)
-    before, follow = everything(context), made.binding.engine.follow
+    before, propagate = everything(context), made.binding.engine.propagate
 
     def failing(steps):
         raise KeyboardInterrupt
 
-    made.binding.engine.follow = failing
+    made.binding.engine.propagate = failing
     with pytest.raises(KeyboardInterrupt):
         made.step(1)
     assert_same(everything(context), before)
-    made.binding.engine.follow = follow
+    made.binding.engine.propagate = propagate
     made.step(1)
     assert made.binding.stored.ledger.counts[MOVES] == 10
 

@@ -118,16 +118,16 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     context = context_at(system, made, point, steps=1)
     before = everything(context)
     engine = made.binding.engine
-    follow = engine.follow
+    propagate = engine.propagate
 
     def failing(steps):
         raise KeyboardInterrupt
 
-    engine.follow = failing
+    engine.propagate = failing
     with pytest.raises(KeyboardInterrupt):
         made.step(1)
     assert_same(everything(context), before)
-    engine.follow = follow
+    engine.propagate = propagate
     made.step(1)
     other = integrator(every=1)
     again = context_at(system, other, point, steps=2)

@@ -8,7 +8,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, RigidBodies, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.observe.force_check import check_forces
 from openmm_sier.observe.pressure import COLUMNS, COMPONENTS, MolecularPressure
@@ -169,7 +169,8 @@ def gas(joined, n=20):
 @pytest.mark.parametrize("joined", [True, False])
 def test_ideal_gas_of_rotors(joined):
     system, bodies, positions = gas(joined)
-    integrator = SIERIntegrator(0.002, SIER2, None if joined else bodies)
+    rigid = RigidBodies.from_system(system, rigid=None if joined else bodies, positions=positions)
+    integrator = SIERIntegrator(0.002, SIER2, rigid)
     context = started(system, integrator, positions, seed=1, steps=3)
     motion = integrator.getBodyState()
     expected = motion.p @ motion.p.T / 19.0 / 8.0

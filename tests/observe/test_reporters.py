@@ -6,7 +6,7 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import SIER2, SIERIntegrator, SIERLangevinIntegrator, select_bodies
+from openmm_sier import SIER2, RigidBodies, SIERIntegrator, SIERLangevinIntegrator, select_bodies
 from openmm_sier.observe import conservation
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter, PressureReporter
 from tests.support.domains import domain_system, folded, topology_of
@@ -204,9 +204,10 @@ def test_body_states_have_the_names_of_domains(tmp_path):
     """Bodies are numbered species by species, not in the order of their names."""
     topology, positions, system = topology_of(), folded(), domain_system()
     domains = select_bodies(topology, {"head": "A:2-13", "tail": "A:24-37"})
+    bodies = RigidBodies.from_system(system, topology, domains, positions)
     for number, names in enumerate((domains, {"tail": domains[1]}, {"both": range(30)}, {"none": [0, 100]})):
         simulation = simulation_of(
-            topology, system, SIERIntegrator(0.001, "SIER2", bodies=domains), "Reference", (positions, 0 * positions)
+            topology, system, SIERIntegrator(0.001, "SIER2", bodies=bodies), "Reference", (positions, 0 * positions)
         )
         path = tmp_path / f"{number}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, names=names))

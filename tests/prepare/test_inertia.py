@@ -60,7 +60,8 @@ def test_kinetic_energies_agree_with_openmm():
     """OpenMM adds up those of atoms, which move with their bodies: equal to rounding."""
     system, positions, bodies = patchy(8)
     set_inertia(system, positions, bodies, 100, [6.0, 8.0, 12.0])
-    integrator = seeded(SIERLangevinIntegrator(300, 1, 0.01, bodies=bodies), 2)
+    known = RigidBodies.from_system(system, rigid=bodies, positions=positions)
+    integrator = seeded(SIERLangevinIntegrator(300, 1, 0.01, bodies=known), 2)
     context = openmm.Context(system, integrator, platform("Reference"))
     context.setPositions(positions)
     context.setVelocitiesToTemperature(300, 1)

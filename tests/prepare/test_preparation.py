@@ -9,7 +9,6 @@ import pytest
 
 from openmm_sier import (
     RigidBodies,
-    RigidityError,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -334,8 +333,12 @@ def test_a_system_with_a_context_is_not_prepared(change):
 def test_a_system_whose_context_was_refused_can_be_prepared():
     """A notebook keeps the error, and with it the Context that was not completed."""
     _, positions, system = periodic_system("tip3p", 64)
-    with pytest.raises(RigidityError) as refused:
-        context_of(system, positions, SIERIntegrator(0.001, "SIER2", bodies=[[0, 3]]))
+    lines = openmm.XmlSerializer.clone(system)
+    for _ in range(3):
+        lines.addParticle(12.0)
+    other = RigidBodies.from_system(lines)
+    with pytest.raises(ValueError, match="belong to a System of 195 particles") as refused:
+        context_of(system, positions, SIERIntegrator(0.001, "SIER2", bodies=other))
     prepare_system(system)
     assert refused.tb is not None
 

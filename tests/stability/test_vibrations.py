@@ -110,11 +110,14 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
 
 def test_bonds_inside_bodies_do_not_count(flexible):
     _, positions, system = flexible
-    named = SIERIntegrator(0.004, SIER4G, bodies=[[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     with silence("3 bodies like .* get one shape"):
-        context = context_at(system, named, (positions, 0 * positions), steps=1)
+        bodies = RigidBodies.from_system(system, rigid=[[0, 1, 2], [3, 4, 5], [6, 7, 8]], positions=positions)
+    named = SIERIntegrator(0.004, SIER4G, bodies=bodies)
+    context = context_at(system, named, (positions, 0 * positions), steps=1)
     assert context.getStepCount() == 1
-    partly = SIERIntegrator(0.006, SIER4G, bodies=[[0, 1, 2], [6, 7, 8]])
+    with silence("2 bodies like .* get one shape"):
+        bodies = RigidBodies.from_system(system, rigid=[[0, 1, 2], [6, 7, 8]], positions=positions)
+    partly = SIERIntegrator(0.006, SIER4G, bodies=bodies)
     context = context_at(system, partly, (positions, 0 * positions))
     with pytest.raises(openmm.OpenMMException, match="atoms 3 and 4"):
         partly.step(1)
@@ -252,7 +255,8 @@ ADVICE = {
 def test_a_remedy_is_one_that_helps(kind, prepared):
     """Inner steps for what they can follow, and no preparation where it was done or does nothing."""
     make, begins, says, leaves_out = ADVICE[kind]
-    system, bodies, x = make()
+    system, rigid, x = make()
+    bodies = RigidBodies.from_system(system, rigid=rigid, positions=x) if rigid else None
     if prepared:
         prepare_system(system, bodies)
         # What can be fast is judged by its kicks and inner steps then.

@@ -122,7 +122,7 @@ def test_they_are_taken_as_bodies():
     bodies = RigidBodies.from_system(system, topology, domains, positions)
     assert bodies.atoms_of(int(bodies.owners[0])).tolist() == [0, 1, 2, 3]
     prepare_system(system, domains)
-    context = openmm.Context(system, SIERIntegrator(0.01, bodies=domains))
+    context = openmm.Context(system, SIERIntegrator(0.01, bodies=bodies))
     context.setPositions(positions)
     context.getIntegrator().step(1)
 

@@ -173,18 +173,10 @@ def body_system(x, strength=None, periodic_bonds=False):
     return system
 
 
-def step_at(system, bodies, x):
-    integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
-    context = context_at(system, integrator, (x, 0 * x))
-    integrator.step(1)
-    return context
-
-
 SHAPED = {
     "from_system": lambda system, bodies, x: RigidBodies.from_system(system, None, bodies, x),
     "with_frames": lambda system, bodies, x: with_frames(system, x, bodies),
     "set_inertia": lambda system, bodies, x: set_inertia(system, x, bodies, 36, [0.09, 0.27, 0.36]),
-    "integrator": step_at,
 }
 
 

@@ -194,7 +194,7 @@ def domains(chains=4, field_of=0.0):
         system.addForce(field(f"{field_of}*(x^2+y^2+z^2)", range(len(positions))))
     else:
         system.addForce(openmm.CMMotionRemover(1))
-    return system, np.array(positions), bodies
+    return system, np.array(positions), RigidBodies.from_system(system, rigid=bodies, positions=np.array(positions))
 
 
 @pytest.mark.parametrize("conserved", [True, False])

@@ -9,7 +9,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4G, SIER4P, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from tests.support.seeded import seeded
 from tests.support.waters import array, droplet, periodic_system, platform, settled
 
@@ -57,7 +57,7 @@ INTEGRATORS = {
     "Langevin with SIER2": lambda: langevin(scheme=SIER2),
     "Langevin with SIER4G": lambda: langevin(scheme=SIER4G),
     "Langevin with two frictions": lambda: langevin(scheme=SIER2, rotationalFriction=1 / unit.picosecond),
-    "Langevin with bodies": lambda: langevin(scheme=SIER2, bodies=[[0, 1, 2]]),
+    "Langevin with bodies": lambda: langevin(scheme=SIER2, bodies=RigidBodies.from_system(periodic_system()[2])),
     "Langevin with a pressure": lambda: langevin(scheme=SIER2, pressure=1 * unit.bar),
 }
 

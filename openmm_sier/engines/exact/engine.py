@@ -125,13 +125,14 @@ class ExactEngine(Engine):
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
+        if Change.FORCES in self.changes:
+            self._bonds = None
         if moved:
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._point_of(now, moved)
         if Change.FORCES in self.changes:
-            self._bonds = None
             self.motion = self._new_motion()
             self._forget_forces()
         self._point = point
