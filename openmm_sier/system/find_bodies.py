@@ -136,9 +136,8 @@ class BodyPlan:
         if positions is None:
             if self.needs_positions:
                 raise UnknownShapeError(
-                    "the shape of named bodies, and the handedness of rigid molecules that are not flat, are those of "
-                    "positions: give bodies=RigidBodies.from_system(system, topology, rigid, positions=positions) to "
-                    "the integrator"
+                    "named bodies, and rigid molecules that are not flat, take their shape from positions: give "
+                    "positions, as in bodies=RigidBodies.from_system(system, topology, rigid, positions)"
                 )
             positions = np.empty((0, 3))
         species: list[Species] = []

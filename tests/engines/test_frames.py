@@ -74,7 +74,8 @@ def test_native_engine_has_the_trajectory_of_the_exact_one(start, exact):
 def test_the_exact_engine_moves_frames_as_rigid_bodies(start, exact):
     """The same scheme with the same moments, so to rounding, which 1 ps hardly increases."""
     _, _, framed, positions, velocities = start
-    integrator = SIERIntegrator(0.001, SIER4G, engine="exact")
+    bodies = RigidBodies.from_system(framed.system, positions=framed.positions)
+    integrator = SIERIntegrator(0.001, SIER4G, bodies=bodies, engine="exact")
     context = context_of(
         framed.system, integrator, framed.addFramePositions(positions), framed.addFrameVelocities(positions, velocities)
     )

@@ -48,6 +48,7 @@ class World:
         named: particle indices of each body, or None where constraints make them.
         clusters: particle indices of each body.
         positions: shape (N, 3), nm.
+        bodies: RigidBodies.
     """
 
     def __init__(self, kinds, seed, named, sweep):
@@ -79,6 +80,7 @@ class World:
         self.sweep = sweep
         self.named = self.clusters if named else None
         self.positions = np.concatenate(parts)
+        self.bodies = RigidBodies.from_system(self.system, rigid=self.named, positions=self.positions)
 
 
 def atoms_at(bodies, state):
@@ -93,7 +95,7 @@ class Replay:
     def __init__(self, world, scheme, thermostat):
         self.world, self.h = world, 0.001
         self.scheme = scheme.with_bath() if thermostat else scheme
-        self.bodies = RigidBodies.from_system(world.system, rigid=world.named, positions=world.positions)
+        self.bodies = world.bodies
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
         self._forces = operators.CachedForces(self._compute)
         self.ledger = Ledger(SEED)
