@@ -4,6 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from openmm_sier.engines.variables import PREFIX
+
+#: Global variables in which an ensemble counts trials, with the error of the first end of the last one in kT.
+TRIALS, ACCEPTED, ERROR = (PREFIX + name for name in ("trials", "accepted", "error"))
+
 
 class Trial(NamedTuple):
     """Hold the choices of one trial.
@@ -13,8 +18,9 @@ class Trial(NamedTuple):
         chances: how many times the trajectory may go on where its end is rejected.
         share: factor that momenta keep where they are drawn in part.
         thermal: thermal energy kT, kJ/mol.
-        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol.
-        threshold: the largest energy error in kT at which an end is accepted.
+        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol. It is 0 where nothing moves, or where a
+            program without this package draws it.
+        threshold: the largest energy error in kT at which an end is accepted. Such a program draws it too.
         centre: velocity that is given to the centre of mass before momenta are drawn, (3,), nm/ps.
     """
 

@@ -14,6 +14,7 @@ from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.engines.protocol import Engine, TrajectoryError
+from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
@@ -80,9 +81,9 @@ class Ensemble:
         """Return what the engine is to follow, from a flow at constant energy."""
         return flow
 
-    def variables(self, flow: Flow) -> dict[str, float]:
-        """Return the global variables that a program needs where this package is not there, by name, for a flow."""
-        return {}
+    def trial(self, flow: Flow) -> Trial | None:
+        """Return the numbers of each trial that a program makes without this package; None where it makes none."""
+        return None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         """Prepare an engine.

@@ -12,12 +12,9 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.engines.interrupts import act_on_pending
-from openmm_sier.engines.native import trials
-from openmm_sier.engines.native.program import THERMAL
-from openmm_sier.engines.native.trials import ACCEPTED, ERROR, TRIALS
 from openmm_sier.engines.protocol import Clock, Engine
 from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
-from openmm_sier.engines.trials import Trial
+from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.forces import kind_of
@@ -97,13 +94,12 @@ class Metropolis(ConstantTemperature):
     def flow(self, flow: Flow) -> Flow:
         return replace(flow, updates_context=False, trial_steps=self.steps_per_trial)
 
-    def variables(self, flow: Flow) -> dict[str, float]:
-        return {
-            trials.STEPS: self.steps_per_trial,
-            trials.CHANCES: self._chances(flow),
-            trials.SHARE: self._share(flow),
-            THERMAL: self._thermal,
-        }
+    def trial(self, flow: Flow) -> Trial:
+        """Return the numbers of each trial; a program without this package draws its kinetic energy and decision."""
+        share, chances = self._share(flow), self._chances(flow)
+        return Trial(
+            self.steps_per_trial, chances, share, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3)
+        )
 
     @property
     def _thermal(self) -> float:
@@ -133,7 +129,7 @@ class Metropolis(ConstantTemperature):
         ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step
         self._check_reversal(engine)
         clock = engine.clock
-        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._at_rest())
+        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self.trial(engine.flow))
         made, accepted = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         ledger.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
@@ -155,18 +151,13 @@ class Metropolis(ConstantTemperature):
         freedoms = engine.degrees_of_freedom(conserved=False)
         kinetic = half * over_relaxed(before, freedoms, ledger.noise(stream=5))
         threshold = largest_error(ledger.seed, ledger.draws + 1)
-        share, chances = self._share(flow), self._chances(flow)
-        return Trial(self.steps_per_trial, chances, share, self._thermal, kinetic, threshold, centre)
+        return self.trial(flow)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
 
     def _chances(self, flow: Flow) -> int:
         """Return how many times a trajectory may go on."""
         if self.extra_chances is None:
             return usual_chances(self.steps_per_trial * flow.step)
         return self.extra_chances
-
-    def _at_rest(self) -> Trial:
-        """Return the numbers of a trial in which nothing moves."""
-        return Trial(self.steps_per_trial, 0, 1.0, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3))
 
     # --- reversibility ---
 

@@ -51,27 +51,29 @@ class Binding:
 
     watch: RunawayWatch
 
-    def __init__(self, integrator: openmm.CustomIntegrator, given: settings.Settings):
+    def __init__(self, integrator: openmm.CustomIntegrator, integrator_settings: settings.Settings):
         """
         Args:
             integrator: openmm.CustomIntegrator that is bound to no Context. It holds this, which refers to it weakly.
-            given: its settings.
+            integrator_settings: its settings.
         """
         self._integrator_ref = weakref.ref(integrator)
-        self.settings = given
+        self.settings = integrator_settings
         #: The fast force groups of a prepared System, a bit mask.
-        self._found_groups = 0
+        self._prepared_groups = 0
         #: Whether trials need virtual sites placed within them, which OpenMM alone does not do on every platform.
         self._needs_sites = False
         self._flow: Flow | None = None
         self.program = self.general_program()
-        self._own_computations = integrator.getNumComputations()
-        self.stored = StoredLedger(integrator, Ledger(counts=given.ensemble.counts))
+        self._computations = integrator.getNumComputations()
+        self.stored = StoredLedger(integrator, Ledger(counts=integrator_settings.ensemble.counts))
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
-        self._stepping, self._told_of_noise = RLock(), False
-        #: The temperature of the bath at which those of the System's Forces were compared with it, K.
-        self._bath_seen, self._told_of_temperatures = 0.0, False
+        self._stepping = RLock()
+        self._has_warned_of_noise = False
+        #: The temperature of the bath with which those of the System's Forces were compared last, K.
+        self._compared_temperature = 0.0
+        self._has_warned_of_temperatures = False
 
     @property
     def _integrator(self) -> openmm.CustomIntegrator:
@@ -127,12 +129,12 @@ class Binding:
     @property
     def native_steps(self) -> float:
         """Return the number of OpenMM steps in one step of the scheme."""
-        return self.program.native_steps or 1 if self._own_computations else 1
+        return self.program.native_steps or 1 if self._computations else 1
 
     def flow(self) -> Flow:
         """Return what an engine is to follow now, the same object until settings change."""
         if self._flow is None:
-            self._flow = self.settings.flow(self._found_groups)
+            self._flow = self.settings.flow(self._prepared_groups)
         return self._flow
 
     def _whole_flow(self) -> Flow:
@@ -150,8 +152,7 @@ class Binding:
         # A State that was written on another platform may have those of another program.
         self._integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
         installation.set_bath(self._integrator, flow.bath)
-        for name, value in self.ensemble.variables(flow).items():
-            self._integrator.setGlobalVariableByName(name, value)
+        installation.set_trial(self._integrator, self.ensemble.trial(flow))
         installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
         self.changed()
 
@@ -187,40 +188,39 @@ class Binding:
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_numbers(system)
-        installation.refuse_additions(self._integrator, self._own_computations)
-        given = self.settings
-        refuse_other_bodies(system, given.bodies)
-        if given.fast_groups is None:
-            self._found_groups = find_fast_groups(system, given.bodies)
+        installation.refuse_additions(self._integrator, self._computations)
+        refuse_other_bodies(system, self.settings.bodies)
+        if self.settings.fast_groups is None:
+            self._prepared_groups = find_fast_groups(system, self.settings.bodies)
             self._flow = None
         has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._needs_sites = has_sites and bool(self.flow().trial_steps)
         self._write_program(system, platform)
-        if given.scheme.without_bath().order >= 4:
-            warn_about_pme(system, given.scheme.name)
+        if self.settings.scheme.without_bath().order >= 4:
+            warn_about_pme(system, self.settings.scheme.name)
         self.stored.ledger.clear()
         self.stored.ledger.seed = 0
         self.stored.write()
 
     def _write_program(self, system: openmm.System, platform: openmm.Platform | None) -> None:
         """Give the integrator the program that costs least in a System on a platform."""
-        integrator, given = self._integrator, self.settings
+        integrator, requested = self._integrator, self.settings.engine
         # There is one already where a Context could not be created.
         installation.uninstall(integrator)
         platform = platform or usual_platform()
         on_gpu = not is_on_host(platform)
         groups = integrator.getIntegrationForceGroups()
-        checks_positions = given.engine == "native" and needs_finite_positions(system, platform)
+        checks_positions = requested == "native" and needs_finite_positions(system, platform)
         flow = self._whole_flow()
-        if (not on_gpu and given.engine != "native") or given.engine == "exact":
+        if (not on_gpu and requested != "native") or requested == "exact":
             # The exact engine decides on trials in Python.
             flow = replace(flow, trial_steps=0)
         self.program = program_for(flow, system, groups, on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
-        is_lean = on_gpu and given.engine != "exact"
+        is_lean = on_gpu and requested != "exact"
         vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_flow())
         installation.install(self.program, integrator, vectors)
-        self._own_computations = integrator.getNumComputations()
+        self._computations = integrator.getNumComputations()
         self.change()
 
     def bind(self, context: openmm.Context, keeps_ledger: bool = True) -> None:
@@ -238,13 +238,15 @@ class Binding:
         ledger = self.stored.ledger
         if not keeps_ledger:
             ledger.clear()
-        system, given = context.getSystem(), self.settings
+        system = context.getSystem()
         checks.warn_about_moving_frozen_atoms(system)
         warn_about_unconstrained_angles(system)
         self._engine, self._context = None, weakref.ref(context)
-        self._bath_seen, self._told_of_temperatures = 0.0, False
+        self._compared_temperature = 0.0
+        self._has_warned_of_temperatures = False
         self.watch = RunawayWatch(system)
-        engine = make_engine(given.engine, context, self.flow(), ledger, given.bodies, self.program)
+        bodies, requested = self.settings.bodies, self.settings.engine
+        engine = make_engine(requested, context, self.flow(), ledger, bodies, self.program)
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
@@ -306,10 +308,10 @@ class Binding:
 
     def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
-        if bath in (0.0, self._bath_seen) or self._told_of_temperatures:
+        if bath in (0.0, self._compared_temperature) or self._has_warned_of_temperatures:
             return
-        self._bath_seen = bath
-        self._told_of_temperatures = checks.warn_about_other_temperatures(context, bath)
+        self._compared_temperature = bath
+        self._has_warned_of_temperatures = checks.warn_about_other_temperatures(context, bath)
 
     def check_step(self) -> None:
         """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
@@ -396,8 +398,8 @@ class Binding:
         engine = self._engine
         is_lost = has_parameters and engine is not None and not engine.repeats_noise
         has_noise = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
-        if is_lost and has_noise and not self._told_of_noise:
-            self._told_of_noise = True
+        if is_lost and has_noise and not self._has_warned_of_noise:
+            self._has_warned_of_noise = True
             warn(
                 "With the native engine a State does not hold the noise of Langevin dynamics and of trials, which is "
                 "OpenMM's: the run continues in the same ensemble, but on another trajectory. To continue the same "

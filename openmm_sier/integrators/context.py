@@ -1,6 +1,7 @@
 """The Context of a SIER integrator, which tells it of changes."""
 
 import functools
+import inspect
 from typing import Any
 
 import openmm
@@ -8,6 +9,9 @@ from openmm import unit
 
 from openmm_sier.engines.protocol import Change
 from openmm_sier.integrators.binding import Binding
+
+#: The parameters of OpenMM's method.
+GET_STATE = inspect.signature(openmm.Context.getState)
 
 
 class SIERContext(openmm.Context):
@@ -45,9 +49,9 @@ class SIERContext(openmm.Context):
 
     @functools.wraps(openmm.Context.getState)
     def getState(self, *args: Any, **kwargs: Any) -> openmm.State:
-        # By position it is the seventh argument, and by its deprecated name the last.
-        by_name = kwargs.get("integratorParameters") or kwargs.get("getIntegratorParameters")
-        if not (by_name or any(args[6:7] + args[15:])):
+        arguments = GET_STATE.bind(self, *args, **kwargs).arguments
+        # The second name is deprecated.
+        if not (arguments.get("integratorParameters") or arguments.get("getIntegratorParameters")):
             return super().getState(*args, **kwargs)
         self.binding.store()
         state = super().getState(*args, **kwargs)

@@ -13,7 +13,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.native import installation
+from openmm_sier.engines.native import installation, trials
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.binding import Binding
 
@@ -27,8 +27,7 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     binding.store()
     copied, program = installation.without_program(integrator), binding.general_program()
     installation.install(program, copied)
-    for name, value in binding.ensemble.variables(binding.flow()).items():
-        copied.setGlobalVariableByName(name, value)
+    installation.set_trial(copied, binding.ensemble.trial(binding.flow()))
     copied.setStepSize(binding.settings.step / (program.native_steps or 1))
     return copied
 
@@ -73,7 +72,9 @@ def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[st
 def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    required = {installation.PARTS, *found.ensemble.counts, *found.ensemble.variables(found.flow())}
+    required = {installation.PARTS, *found.ensemble.counts}
+    if found.flow().trial_steps:
+        required |= set(trials.GLOBALS)
     if missing := required - variables:
         raise settings.SettingsError(
             f"A stored SIER integrator lacks the variable {min(missing)}, as one of an earlier version may: create a "

@@ -22,7 +22,7 @@ from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Change, Clock, Engine, SavedState, TrajectoryError
-from openmm_sier.engines.snapshot import Environment, Snapshot
+from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import PART
@@ -112,8 +112,7 @@ class NativeEngine(Engine):
 
     @property
     def clock(self) -> Clock:
-        # OpenMM gives picoseconds. `value_in_unit` takes ten times as long.
-        return Clock(self._context.getTime()._value, self._context.getStepCount())
+        return Clock(time_of(self._context), self._context.getStepCount())
 
     @clock.setter
     def clock(self, clock: Clock) -> None:

@@ -21,6 +21,7 @@ from openmm_sier.engines.program import (
     Program,
     Statement,
 )
+from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
 
 #: Global variable that is 1 if only the exact engine can do what the integrator was made for.
@@ -180,6 +181,12 @@ def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> No
     for name, value in ((PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
+
+
+def set_trial(integrator: openmm.CustomIntegrator, trial: Trial | None) -> None:
+    """Set the variables of each trial that a program makes without this package, if it makes any."""
+    for name, value in trials.variables(trial).items() if trial is not None else ():
+        integrator.setGlobalVariableByName(name, value)
 
 
 def guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:

@@ -26,7 +26,7 @@ import openmm
 from openmm_sier.dynamics.flow import Flow
 from openmm_sier.engines.native.program import THERMAL
 from openmm_sier.engines.program import CONSTRAIN_V, START_V, START_X, TRIAL_VECTORS, Program, Statement, Trials
-from openmm_sier.engines.trials import Trial
+from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system import tables
 
@@ -62,9 +62,6 @@ GLOBALS = (
     *(STEPS, CHANCES, SHARE, WANTED, THRESHOLD, *CENTRE),
     *(START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED),
 )
-
-#: Global variables in which an ensemble counts trials, with the error of the first end of the last one in kT.
-TRIALS, ACCEPTED, ERROR = (PREFIX + name for name in ("trials", "accepted", "error"))
 
 #: An error above this counts as infinite, kT.
 INFINITE = 1e300
@@ -256,12 +253,16 @@ class Numbers(NamedTuple):
     stopped: float
 
 
+def variables(trial: Trial) -> dict[str, float]:
+    """Return the global variables that describe a trial, by name."""
+    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
+    return dict(zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True))
+
+
 def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
     """Let OpenMM make a trial."""
-    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
-    write = integrator.setGlobalVariableByName
-    for name, value in zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True):
-        write(name, value)
+    for name, value in variables(trial).items():
+        integrator.setGlobalVariableByName(name, value)
     openmm.CustomIntegrator.step(integrator, 1)
     start, error, taken, ends, kinetic, stopped = map(
         integrator.getGlobalVariableByName, (START, FIRST_ERROR, TAKEN, ENDS, KINETIC, STOPPED)
