@@ -29,7 +29,7 @@ from openmm_sier.analysis.observables import energy_walk
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.equilibration import make_context
-from openmm_sier.prepare.pme import DIRECT_SHARE
+from openmm_sier.prepare.pme import AT_CONSTANT_ENERGY
 from openmm_sier.stability.step_check import WATER
 from openmm_sier.system import find_bodies
 from studies import boxes, records, style, text
@@ -56,7 +56,7 @@ INTERVAL = 24.0
 WALK_LAGS = (5, 20)
 
 #: What a point of the table has in common; its runs differ in their seeds alone. `share` is the ratio of the tolerances
-#: of PME's two sums, `prepare.pme.DIRECT_SHARE`.
+#: of PME's two sums, `prepare.pme.AT_CONSTANT_ENERGY`.
 POINT = ["liquid", "molecules", "time", "tolerance", "share", "method", "step"]
 
 PME = {"PME": "{tolerance:g}/{share:g}"}
@@ -122,7 +122,7 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
     """Yield all runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
     chosen(settings.liquids, LIQUIDS, "liquid")
     chosen(settings.methods, CONSTANT_ENERGY, "method")
-    shared = {"time": settings.time, "tolerance": settings.tolerance, "share": DIRECT_SHARE}
+    shared = {"time": settings.time, "tolerance": settings.tolerance, "share": AT_CONSTANT_ENERGY.direct_share}
     seeds = range(settings.seed, settings.seed + settings.starts)
     for seed, liquid, name in product(seeds, settings.liquids, settings.methods or CONSTANT_ENERGY):
         method, repeated = CONSTANT_ENERGY[name], LIQUIDS[liquid][0].endswith("-512.pdb")

@@ -21,6 +21,7 @@ from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.observe import openmm_integrators
+from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.preparation import prepare_system
 from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
@@ -93,6 +94,9 @@ class SimulatedSystem:
         self.bodies = bodies
         preparation = prepare_system(box.system, self.bodies)
         self.fast = preparation.fastForceGroups
+        if settings.hydrogen_mass is not None and settings.ensemble != "nve" and meshed_forces(box.system):
+            # As prepare_system does where it sets the masses, which the System has already.
+            balance_pme(box.system, constantEnergy=False)
         if settings.rigid:
             for change in preparation.done:
                 note(change)

@@ -17,7 +17,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
     Usual steps: 9 fs with heavy hydrogens and a friction of 5/ps, or 4 fs with the masses as they are and 1/ps.
 
     >>> print(prepare_system(system, hydrogenMass=4*dalton))
-    The sums of PME are balanced.
+    The sums of PME are balanced for a heat bath.
     ...
     >>> integrator = SIERLangevinIntegrator(300*kelvin, 5/picosecond, 9*femtoseconds, pressure=1*bar)
     >>> integrator.setRandomNumberSeed(1)

@@ -1,6 +1,7 @@
 """Balance the direct and reciprocal sums of PME for integrators of high order."""
 
 import math
+from typing import NamedTuple
 
 import openmm
 from openmm import unit
@@ -10,26 +11,41 @@ from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces, pme_parameters
 from openmm_sier.system.user_warnings import warn
 
-#: Ratio of the mesh's tolerance to that of the direct sum. By OpenMM's rule it is 1, and the error of the direct sum is
-#: 15 to 25 times that of the mesh. In water forces are most accurate with 10 to 20, for tolerances from 1e-5 to 5e-4
-#: and cut-offs of 0.9 and 1.2 nm. But each pair that crosses the cut-off changes the energy by the jump of its force,
-#: and over a run the energy performs a random walk: with 20, at 4 fs and a tolerance of 1e-4, twice as fast as with
-#: 200; larger ratios do not slow it further.
-DIRECT_SHARE = 200
 
-#: Mesh points along an edge over OpenMM's choice, for a mesh as exact as with a share of 20.
-FINER = 1.1
+class Split(NamedTuple):
+    """Hold the division of PME between its two sums.
+
+    By OpenMM's rule both numbers are 1, and the error of the direct sum is 15 to 25 times that of the mesh.
+
+    Attributes:
+        direct_share: ratio of the mesh's tolerance to that of the direct sum.
+        finer: mesh points along an edge over OpenMM's choice.
+    """
+
+    direct_share: float
+    finer: float
+
+
+#: In a bath. In water forces are most accurate with a share of 10 to 20, for tolerances from 1e-5 to 5e-4 and cut-offs
+#: of 0.9 and 1.2 nm.
+IN_BATH = Split(20, 1.0)
+
+#: At constant energy each pair that crosses the cut-off changes the energy by the jump of its force, and over a run the
+#: energy performs a random walk: with a share of 20, at 4 fs and a tolerance of 1e-4, twice as fast as with 200; larger
+#: shares do not slow it further. The mesh is as exact as with a share of 20.
+AT_CONSTANT_ENERGY = Split(200, 1.1)
+
+#: The same for Forces of multipoles: with a mesh a tenth finer their forces in water would be half as exact again as
+#: OpenMM's.
+MULTIPOLES = Split(200, 1.5)
 
 #: Range of tolerances for which balancing helps. OpenMM's default is 5e-4. With 1e-2 and a short cut-off forces would
 #: become worse; from 2e-2 on meshes would be too small for OpenMM's splines.
 TOLERANCES = (1e-10, 1e-3)
 
-#: The same for Forces of multipoles: with `FINER` their forces in water would be half as exact again as OpenMM's.
-FINER_MULTIPOLES = 1.5
 
-
-def balance_pme(system: openmm.System) -> None:
-    """Balance the two sums of PME better than OpenMM does, with a mesh a tenth finer.
+def balance_pme(system: openmm.System, constantEnergy: bool = True) -> None:
+    """Balance the two sums of PME better than OpenMM does.
 
     `prepare_system` calls this function. Call it only if you need nothing else of the preparation, after box, cut-off
     and tolerance of the System are set and before a Context is created.
@@ -37,9 +53,12 @@ def balance_pme(system: openmm.System) -> None:
     >>> balance_pme(system)
 
     At the cut-off the energy jumps, and the forces do not account for it. With OpenMM's rule for `ewaldErrorTolerance`
-    this jump limits energy conservation. A larger Ewald parameter makes it two hundred times smaller. In return the
-    error of the mesh, and the small net force of PME on the box, are two to three times larger. Forces in water take as
-    long and are four to seven times as accurate (cut-off of 0.9 nm, tolerances from 1e-5 to 5e-4).
+    this jump limits energy conservation. A larger Ewald parameter makes it two hundred times smaller, with a mesh a
+    tenth finer. In return the error of the mesh, and the small net force of PME on the box, are two to three times
+    larger. Forces in water are four to seven times as accurate (cut-off of 0.9 nm, tolerances from 1e-5 to 5e-4).
+
+    In a heat bath and in hybrid Monte Carlo a jump twenty times smaller is enough, which takes no more mesh points than
+    OpenMM's rule. Forces in water are then eight to nine times as accurate (tolerances from 1e-4 to 5e-4).
 
     The function calls `setPMEParameters` of each NonbondedForce, ConstantPotentialForce, AmoebaMultipoleForce and
     HippoNonbondedForce with PME, also inside an ATMForce or a CustomCVForce, and replaces earlier parameters. The
@@ -47,6 +66,7 @@ def balance_pme(system: openmm.System) -> None:
 
     Args:
         system: the System, which changes.
+        constantEnergy: whether it is simulated at constant energy. False takes OpenMM's mesh, except for multipoles.
 
     Raises:
         ValueError: no Force of the System uses PME or LJPME; a cut-off is not positive or a tolerance outside
@@ -60,7 +80,8 @@ def balance_pme(system: openmm.System) -> None:
         )
     box = system.getDefaultPeriodicBoxVectors()
     edges = [vector.value_in_unit(unit.nanometer)[axis] for axis, vector in enumerate(box)]
-    parameters = [_parameters(force, edges) for force in forces]
+    split = AT_CONSTANT_ENERGY if constantEnergy else IN_BATH
+    parameters = [_parameters(force, edges, split) for force in forces]
     for force, (alpha, mesh) in zip(forces, parameters, strict=True):
         force.setPMEParameters(alpha, *mesh)
 
@@ -87,8 +108,8 @@ def _has_mesh(force: openmm.Force) -> bool:
     return methods is not None and (not methods or force.getNonbondedMethod() in methods)
 
 
-def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[int]]:
-    """Return the Ewald parameter in 1/nm and the mesh."""
+def _parameters(force: openmm.Force, edges: list[float], split: Split) -> tuple[float, list[int]]:
+    """Return the Ewald parameter in 1/nm and the mesh; multipoles have a split of their own."""
     tolerance = force.getEwaldErrorTolerance()
     cutoff = force.getCutoffDistance().value_in_unit(unit.nanometer)
     least, largest = TOLERANCES
@@ -96,8 +117,9 @@ def _parameters(force: openmm.Force, edges: list[float]) -> tuple[float, list[in
         raise ValueError(f"ewaldErrorTolerance must be from {least:g} to {largest:g}, got {tolerance:g}")
     if not 0 < cutoff < math.inf:
         raise ValueError(f"the cut-off distance must be positive, got {cutoff:g} nm")
-    usual = math.sqrt(-math.log(2 * tolerance)) / cutoff
+    if kind_of(force).charges == "multipoles":
+        split = MULTIPOLES
     # The formulas of OpenMM's user guide, "Coulomb interaction with particle mesh Ewald".
-    finer = FINER_MULTIPOLES if kind_of(force).charges == "multipoles" else FINER
-    mesh = [math.ceil(finer * 2 * usual * edge / (3 * tolerance**0.2)) for edge in edges]
-    return math.sqrt(-math.log(2 * tolerance / DIRECT_SHARE)) / cutoff, mesh
+    usual = math.sqrt(-math.log(2 * tolerance)) / cutoff
+    mesh = [math.ceil(split.finer * 2 * usual * edge / (3 * tolerance**0.2)) for edge in edges]
+    return math.sqrt(-math.log(2 * tolerance / split.direct_share)) / cutoff, mesh

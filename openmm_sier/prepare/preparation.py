@@ -59,7 +59,8 @@ def prepare_system(
 
     The forces on bodies and the potential energy do not change, apart from the accuracy of PME:
 
-    - The two sums of PME are balanced, also in an ATMForce or a CustomCVForce; see `balance_pme`.
+    - The two sums of PME are balanced, also in an ATMForce or a CustomCVForce; see `balance_pme`. They are balanced for
+      constant energy, or with a `hydrogenMass` for a heat bath, with the mesh that OpenMM would choose.
     - Bonds, angles and torsions of molecules that are not rigid get a separate force group, where every SIER integrator
       finds them. Rigid bodies on which they act turn in the inner steps too. Terms on virtual sites or frozen atoms
       stay slow. A Force with such terms is divided into two, unless its energy is an expression or it is inside another
@@ -107,7 +108,7 @@ def prepare_system(
                 "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, "
                 "hydrogenMass=…) before RigidBodies.from_system"
             )
-        done = _balance(system)
+        done = _balance(system, constant_energy=heavy is None)
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
     if heavy is not None:
@@ -131,12 +132,12 @@ def _refuse_others_in(group: int, forces: FastForces) -> None:
         )
 
 
-def _balance(system: openmm.System) -> list[str]:
+def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
     """Balance the sums of PME, if there are any; return a description."""
     if not meshed_forces(system):
         return []
-    balance_pme(system)
-    return ["The sums of PME are balanced."]
+    balance_pme(system, constant_energy)
+    return ["The sums of PME are balanced." if constant_energy else "The sums of PME are balanced for a heat bath."]
 
 
 def _join(system: openmm.System, forces: FastForces) -> list[str]:

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator, ensembles
+from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator, balance_pme, ensembles
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.methods import ENSEMBLES, THERMOSTATS
 from openmm_sier.cli.new_run import NewRun
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.prepare.pme import meshed_forces
+from openmm_sier.system.inner_forces import pme_parameters
 from tests.support.commands import SMALL, complaint, log, rewrite_notes, run
 from tests.support.matrices import representatives
 
@@ -107,6 +109,16 @@ def test_the_command_has_all_ensembles_that_scripts_have(box):
             assert integrator.binding.ensemble.temperature == 297
             assert integrator.binding.ensemble.pressure == (1 if ensemble == "npt" else None)
     assert made == set(ensembles.ENSEMBLES.values())
+
+
+@pytest.mark.parametrize("ensemble", ["nve", "nvt"])
+def test_pme_with_heavy_hydrogens_is_balanced_for_a_bath_if_there_is_one(box, ensemble):
+    beginning = NewRun({"box": box, "ensemble": ensemble, "hydrogen_mass": 4.0})
+    system = SimulatedSystem(beginning.settings, beginning.sources).box.system
+    (pme,) = meshed_forces(system)
+    balanced = pme_parameters(pme)
+    balance_pme(system, constantEnergy=ensemble == "nve")
+    assert balanced == pme_parameters(pme)
 
 
 def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):

@@ -20,7 +20,8 @@ def water():
     return periodic_system("tip3p", 64)
 
 
-def test_the_mesh_is_a_tenth_finer_than_that_of_openmm(water):
+@pytest.mark.parametrize(("constant_energy", "finer"), [(True, 1.1), (False, 1.0)], ids=["constant energy", "bath"])
+def test_the_mesh_is_that_of_openmm_or_a_tenth_finer(water, constant_energy, finer):
     _, positions, system = water
     a, b, c = (np.array(vector._value) for vector in system.getDefaultPeriodicBoxVectors())
     system.setDefaultPeriodicBoxVectors(a, 1.3 * b + 0.2 * a, 1.7 * c - 0.3 * a)
@@ -29,11 +30,11 @@ def test_the_mesh_is_a_tenth_finer_than_that_of_openmm(water):
         pme.setEwaldErrorTolerance(tolerance)
         pme.setPMEParameters(0, 0, 0, 0)
         usual = pme.getPMEParametersInContext(plain_context(system, positions))
-        balance_pme(system)
+        balance_pme(system, constant_energy)
         balanced = pme.getPMEParametersInContext(plain_context(system, positions))
         # Both are rounded up.
         for points, theirs in zip(balanced[1:], usual[1:], strict=True):
-            assert 1.1 * (theirs - 1) <= points < 1.1 * theirs + 1
+            assert finer * (theirs - 1) <= points < finer * theirs + 1
         assert balanced[0] > usual[0]
 
 
@@ -82,17 +83,18 @@ def energy(system, positions) -> float:
 
 
 @pytest.mark.parametrize("tolerance", [5e-4, 1e-5])
-def test_the_step_at_the_cutoff_is_smaller(tolerance):
+@pytest.mark.parametrize(("constant_energy", "share"), [(True, 200), (False, 20)], ids=["constant energy", "bath"])
+def test_the_step_at_the_cutoff_is_smaller(constant_energy, share, tolerance):
     # Within 2e-10 nm the energy of forces of 200 kJ/mol/nm changes by 4e-8 kJ/mol besides; the least jump is 2e-6.
     step = np.zeros(2)
     for balanced in (0, 1):
         for side in (-1, 1):
             system, positions = two_charges(0.9 + side * 1e-10, 2.4, tolerance)
             if balanced:
-                balance_pme(system)
+                balance_pme(system, constant_energy)
             step[balanced] += side * energy(system, positions)
-    # erfc(x) is about exp(-x^2) / (x sqrt(pi)): a share of 200 by the definition, and 22 to 33 % by x.
-    assert 235 < step[0] / step[1] < 275
+    # erfc(x) is about exp(-x^2) / (x sqrt(pi)): the share by the definition, and 12 to 30 % by x.
+    assert 1.1 * share < step[0] / step[1] < 1.32 * share
 
 
 @pytest.mark.thorough

@@ -19,6 +19,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.schemes import SIER4, SIER4G
 from openmm_sier.dynamics.species import Species
 from openmm_sier.prepare.close_pairs import NAME, OPPOSITE, fast_force_groups
+from openmm_sier.system.inner_forces import pme_parameters
 from openmm_sier.system.tables import masses
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, started, system_of
@@ -155,6 +156,15 @@ def test_water_is_prepared_and_told_of_what_limits_it():
     force = force_of(system, openmm.NonbondedForce)
     force.setUseSwitchingFunction(True)
     assert prepare_system(system).limits == ()
+
+
+def test_with_heavy_hydrogens_pme_is_balanced_for_a_bath():
+    _, _, system = periodic_system("tip3p", 64)
+    balanced = copy.deepcopy(system)
+    balance_pme(balanced, constantEnergy=False)
+    assert "PME are balanced for a heat bath" in str(prepare_system(system, hydrogenMass=4))
+    parameters = [pme_parameters(force_of(each, openmm.NonbondedForce)) for each in (system, balanced)]
+    assert parameters[0] == parameters[1]
 
 
 # --- later changes ---

@@ -15,8 +15,8 @@ LIMIT = 1800
 #: For a box and a method: the launches of a step of which OpenMM must not need more, and those that follow from the
 #: program alone. These are the same whatever OpenMM's forces are made of.
 HELD = {
-    ("tip4p-512", "sier2"): (40, {"atoms": 4, "constraints, positions": 2, "constraints, velocities": 1}),
-    ("peptide", "sier2"): (56, {"atoms": 7, "constraints, positions": 9, "constraints, velocities": 2}),
+    ("tip4p-512", "sier2"): (39, {"atoms": 3, "constraints, positions": 2, "constraints, velocities": 1}),
+    ("peptide", "sier2"): (55, {"atoms": 6, "constraints, positions": 9, "constraints, velocities": 2}),
     ("tip3p-512", "sier4g"): (94, {"atoms": 11, "constraints, positions": 16, "constraints, velocities": 2}),
 }
 

@@ -226,8 +226,10 @@ def _half_drift_to_bath(counts_heat: bool) -> tuple[Statement, ...]:
 
     Velocities are constrained first. What they have along the constraints would move atoms here, and the bath would
     change it before the second half corrects the velocities for that.
+
+    Positions change only in the second half: OpenMM computes what follows such a change in another kernel.
     """
-    return Statement(CONSTRAIN_V), *((BEFORE,) if counts_heat else ()), Statement("x", "x + d*v")
+    return Statement(CONSTRAIN_V), *((BEFORE,) if counts_heat else ()), Statement(KEPT, "x + d*v")
 
 
 def _half_drift_from_bath(counts_heat: bool) -> tuple[Statement, ...]:
@@ -238,7 +240,7 @@ def _half_drift_from_bath(counts_heat: bool) -> tuple[Statement, ...]:
     is taken away where velocities are constrained next.
     """
     after = (Statement(CONSTRAIN_V), AFTER) if counts_heat else ()
-    return *_constrained_motion("(2*d)"), *after
+    return *_constrained_motion(KEPT, "(2*d)"), *after
 
 
 def _lines(
@@ -272,13 +274,13 @@ def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
     where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
     """
     weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
-    return Line("drift", _constrained_motion("d"), tuple(fraction * weight for weight in weights), unit)
+    return Line("drift", _constrained_motion("x", "d"), tuple(fraction * weight for weight in weights), unit)
 
 
-def _constrained_motion(time: str) -> tuple[Statement, ...]:
-    """Write free motion for a time d, constraints, and the velocities that these change over a time."""
+def _constrained_motion(start: str, time: str) -> tuple[Statement, ...]:
+    """Write free motion from a start for a time d, constraints, and the velocities that these change over a time."""
     return (
-        Statement(KEPT, "x + d*v"),
+        Statement(KEPT, f"{start} + d*v"),
         Statement("x", KEPT),
         Statement(CONSTRAIN_X),
         Statement("v", f"v + (x - {KEPT})/{time}"),
