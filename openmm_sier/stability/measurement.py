@@ -223,8 +223,9 @@ def _moved_most(force: openmm.Force, owners: np.ndarray, velocities: np.ndarray)
 
 def _terms(force: openmm.Force) -> np.ndarray:
     """Return particles of each term of a Force, (t, k); none of a Force without terms."""
-    if kind_of(force).terms is not None:
+    kind = kind_of(force)
+    if kind.terms is not None:
         return bonded_terms(force)
-    if isinstance(force, openmm.CustomCompoundBondForce):
-        return np.array([force.getBondParameters(i)[0] for i in range(force.getNumBonds())], dtype=np.int64)
+    if kind.term_particles is not None:
+        return np.array(kind.term_particles(force), dtype=np.int64)
     return np.empty((0, 0), dtype=np.int64)

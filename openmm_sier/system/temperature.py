@@ -25,6 +25,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
 
 #: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
@@ -109,11 +110,10 @@ class MomentumConservation:
 
 def _is_external(force: openmm.Force) -> bool:
     """Return whether the energy of a Force changes when all particles are shifted together."""
-    if isinstance(force, openmm.CustomExternalForce):
+    kind = kind_of(force)
+    if kind.acts_on == "particles":
         return force.getNumParticles() > 0
-    if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
-        return COORDINATE.search(force.getEnergyFunction()) is not None
-    return False
+    return kind.has_coordinates and COORDINATE.search(force.getEnergyFunction()) is not None
 
 
 def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
