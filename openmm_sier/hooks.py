@@ -1,18 +1,19 @@
 """All methods that are replaced in OpenMM's own classes.
 
 OpenMM tells a Python integrator nothing about its Context. So a Context with a SIER integrator becomes a `SIERContext`
-(`integrators/context.py`), whose methods do more than OpenMM's; others stay as they are. The methods below belong to no
-Context. They do exactly what OpenMM's do unless they get a SIER integrator or its Context. Each stands beside what goes
-wrong without it:
+(`integrators/context.py`), whose methods extend OpenMM's; other Contexts do not change. The methods below do not belong
+to a Context. They are OpenMM's unless they get a SIER integrator or its Context. Their purposes, and the consequences
+without them:
 
 - `Context.__init__`: writes the integrator's program for the System, and makes the engine and the `SIERContext`.
-  *Without*: there is no engine, and a System that it cannot move is refused by nobody.
-- `updateParametersInContext` of every Force: tells the integrator. *Without*: kicks use the forces of before.
-- `LocalEnergyMinimizer.minimize`: keeps bodies rigid where no constraint holds them, or OpenMM's solvers cannot, and
-  warns of overlaps that it leaves. *Without*: it tears them apart.
-- `XmlSerializer._serializeIntegrator`, `_deserializeIntegrator` and `_cloneIntegrator`, of which `serialize`,
-  `deserialize` and `clone` of an integrator consist: write one that OpenMM can execute without this package, and give
-  back the SIER integrator that was stored. *Without*: they write one without a program, and give a CustomIntegrator
+  *Without*: there is no engine, and a System that it cannot move is not refused.
+- `updateParametersInContext` of every Force: notifies the integrator. *Without*: kicks use cached forces of the old
+  parameters.
+- `LocalEnergyMinimizer.minimize`: keeps bodies rigid that have no constraints, or constraints that OpenMM's solvers
+  cannot satisfy, and warns of remaining overlaps. *Without*: it tears these bodies apart.
+- `XmlSerializer._serializeIntegrator`, `_deserializeIntegrator` and `_cloneIntegrator`, which `serialize`,
+  `deserialize` and `clone` call for integrators: write an integrator that OpenMM can execute without this package, and
+  return the SIER integrator that was stored. *Without*: they write one without a program, and return a CustomIntegrator
   whose steps are not those of the scheme.
 """
 
@@ -31,27 +32,27 @@ from openmm_sier.system import tables
 
 
 def install() -> None:
-    """Replace the methods above. Calling it again changes nothing."""
+    """Replace the methods above. A second call changes nothing."""
     _replace(openmm.Context, "__init__", _bind)
     _replace(openmm.LocalEnergyMinimizer, "minimize", _keep_bodies)
     for cls in [member for member in vars(openmm).values() if isinstance(member, type)]:
         if "updateParametersInContext" in vars(cls):
-            _replace(cls, "updateParametersInContext", _tell_of_new_forces)
+            _replace(cls, "updateParametersInContext", _notify_integrator)
     _replace(openmm.XmlSerializer, "_serializeIntegrator", _write_integrator)
     for name in ("_deserializeIntegrator", "_cloneIntegrator"):
         _replace(openmm.XmlSerializer, name, _revive)
 
 
 def is_replaced(function: Callable[..., Any]) -> bool:
-    """Return whether `install` has put a function in the place of a method, its `__wrapped__`."""
+    """Return whether a function replaces a method of OpenMM, its `__wrapped__`, by `install`."""
     return hasattr(function, "_of_openmm_sier")
 
 
 def _replace(cls: type, name: str, instead: Callable[..., Any]) -> None:
-    """Replace a method by a function; one that replaced it earlier is removed.
+    """Replace a method by a function; an earlier replacement is removed.
 
-    The function gets OpenMM's method, and then the arguments of each call. Where it reads an argument, that has
-    OpenMM's name and default, `object` too, so that calls by keyword work.
+    The function gets OpenMM's method, followed by the arguments of each call. Arguments that it reads have OpenMM's
+    names and defaults, even `object`, so that calls by keyword work.
     """
     is_static = isinstance(vars(cls)[name], staticmethod)
     method = getattr(cls, name)
@@ -73,7 +74,7 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
     # OpenMM's constructor takes its arguments by position.
     system, integrator, platform = (*args, None, None, None)[:3]
     if integrator is not None:
-        _refuse_parts(integrator)
+        _refuse_compound(integrator)
         revived(integrator, SIERIntegrator)
     if not isinstance(integrator, SIERIntegrator):
         method(context, *args, **kwargs)
@@ -87,17 +88,17 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
         integrator.binding.bind(context)
 
 
-def _refuse_parts(integrator: openmm.Integrator) -> None:
-    """Refuse a CompoundIntegrator that contains a SIER integrator, since it would not call its Python part."""
+def _refuse_compound(integrator: openmm.Integrator) -> None:
+    """Refuse a CompoundIntegrator with a SIER integrator, whose Python part it would not call."""
     if not isinstance(integrator, openmm.CompoundIntegrator):
         return
     for i in range(integrator.getNumIntegrators()):
-        part = integrator.getIntegrator(i)
-        if isinstance(part, openmm.CustomIntegrator) and is_stored(part):
+        member = integrator.getIntegrator(i)
+        if isinstance(member, openmm.CustomIntegrator) and is_stored(member):
             raise openmm.OpenMMException("A SIER integrator cannot be part of a CompoundIntegrator")
 
 
-def _tell_of_new_forces(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
+def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
         context.binding.changed(Change.FORCES)

@@ -30,7 +30,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.prepare.pme import AT_CONSTANT_ENERGY
-from openmm_sier.stability.step_check import WATER
+from openmm_sier.stability.step_rules import WATER
 from openmm_sier.system import find_bodies
 from studies import boxes, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command

@@ -72,8 +72,8 @@ def shear_viscosity(
     xx, yy, zz, xy, xz, yz = np.asarray(tensors, dtype=float).T * BAR
     shears = np.stack([xy, xz, yz, (xx - yy) / 2, (xx + yy - 2 * zz) / math.sqrt(12)])
     integrals = []
-    for part in np.array_split(shears, max(1, min(PARTS, n // (10 * lags))), axis=1):
-        correlations = np.stack([mean_products(component, lags) for component in part])
+    for block in np.array_split(shears, max(1, min(PARTS, n // (10 * lags))), axis=1):
+        correlations = np.stack([mean_products(component, lags) for component in block])
         integrals.append(correlations.sum(axis=1) - (correlations[:, 0] + correlations[:, -1]) / 2)
     scale = volume / (GAS_CONSTANT * temperature) * interval * KJ_PER_NM3_PS
     return of_independent(np.concatenate(integrals)).times(scale)
@@ -107,8 +107,8 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
     times = lags * interval - lags.mean() * interval
     slopes = np.zeros(origins)
     for lag, weight in zip(lags, times / (times @ times), strict=True):
-        moved = centres[lag : lag + origins] - centres[:origins]
-        slopes += weight * (moved**2).sum(axis=2).mean(axis=1)
+        displacements = centres[lag : lag + origins] - centres[:origins]
+        slopes += weight * (displacements**2).sum(axis=2).mean(axis=1)
     return mean_and_error(slopes).times(NM2_PER_PS / 6)
 
 

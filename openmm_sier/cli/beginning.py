@@ -1,4 +1,4 @@
-"""How a run begins: anew, or from its checkpoint. The rest of a run is the same."""
+"""Beginnings of a run: a new one, or the restart from a checkpoint. The rest of a run is the same."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from openmm_sier.inputs.source_files import SourceFile
 
 
 class Beginning(ABC):
-    """The beginning of a run, whose methods `openmm_sier.cli.run` calls in the order in which they stand here.
+    """The beginning of a run, whose methods `openmm_sier.cli.run` calls in this order.
 
     Attributes:
         settings: of the run.
         checkpoint: path of its checkpoint.
         sources: files of the input, by purpose.
-        notes: of the checkpoint that the run goes on from; None for a new run.
+        notes: of the checkpoint that is continued; None for a new run.
         unsettled: how a doubtful equilibration ended, in words; None without one.
         may_replace: whether a picture and settings of an earlier run are replaced.
     """
@@ -36,16 +36,16 @@ class Beginning(ABC):
 
     @abstractmethod
     def check_inputs(self, outputs: Outputs) -> None:
-        """Refuse inputs that are not those of the run, and a run that has nothing left to do.
+        """Refuse inputs of another run, and a run without any steps left.
 
         Raises:
-            NothingLeft: the run has reached its last step, and its files are there.
+            NothingLeft: the run has reached its last step, and its files exist.
             RunError, RecordError, OSError: as their messages say.
         """
 
     @abstractmethod
     def check_outputs(self, outputs: Outputs) -> None:
-        """Refuse outputs that are not those of the run, or would be lost. They are locked.
+        """Refuse outputs of another run, or whose content would be lost. They are locked.
 
         Raises:
             RunError, RecordError, OSError: as their messages say.
@@ -62,5 +62,5 @@ class Beginning(ABC):
         """
 
     def remarks(self, context: openmm.Context) -> Sequence[str]:
-        """Return in words in what the run does not go on as before."""
+        """Return differences from the run before, in words."""
         return ()

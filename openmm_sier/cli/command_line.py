@@ -33,10 +33,10 @@ EXIT_CODES = """Exit codes:
   included, and --restart continues the run
 """
 
-#: Options by names of other programs, for which the parser would suggest a wrong one.
+#: Options by their names in other programs, for which the parser would suggest a wrong one.
 OF_OTHER_PROGRAMS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
 
-#: Settings of a run as options, none of which is necessary.
+#: Settings of a run as options, all optional.
 if TYPE_CHECKING:
     OfRun = Options
     OfTuning = Options
@@ -80,7 +80,7 @@ app = App(
     version=f"{PROGRAM} {version(PROGRAM)}",
     help_format="markdown",
     result_action="return_value",
-    # Of an option that is given twice the last value counts. The help of each has its default in words.
+    # The last value of an option counts. Helps have defaults in words.
     default_parameter=Parameter(
         consume_multiple=True, allow_repeating=True, negative_iterable="", show_default=False, show_choices=False
     ),
@@ -239,16 +239,16 @@ def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) ->
 
 
 def _execute(command: str, *arguments: Any, **named: Any) -> None:
-    """Call `execute` of the module of a command, which is imported when it is needed."""
+    """Import the module of a command, and call its `execute`."""
     import_module(f"openmm_sier.cli.{command}").execute(*arguments, **named)
 
 
 class Call(NamedTuple):
-    """Hold what a command line asks for.
+    """A parsed command line.
 
     Attributes:
-        carry_out: does it.
-        debug: whether errors are to show where they come from.
+        carry_out: function that executes the command.
+        debug: whether errors have a traceback.
     """
 
     carry_out: Callable[[], Any]
@@ -256,7 +256,7 @@ class Call(NamedTuple):
 
 
 def parse(arguments: Sequence[str] | None = None) -> Call:
-    """Return what a command line asks for.
+    """Parse a command line, by default that of the process.
 
     Raises:
         Misused: arguments are wrong.
@@ -288,7 +288,7 @@ def _described(error: CycloptsError) -> str:
 
 
 def _meant(error: UnknownOptionError) -> str:
-    """Return the command's option for a name of other programs, or nearly one; else ""."""
+    """Return the command's option for a name, or nearly a name, of other programs; else ""."""
     options_here = {name for argument in error.argument_collection or () for name in argument.names}
     name = (error.token.keyword or error.token.value).split("=")[0]
     close = get_close_matches(name, OF_OTHER_PROGRAMS, n=1, cutoff=0.9)

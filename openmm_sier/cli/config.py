@@ -22,20 +22,20 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-#: Settings of one call of the command that a file has where the user gave them: they change how a new run begins.
+#: Settings of one call of the command that a file contains if the user gave them: they change how a new run begins.
 OF_A_BEGINNING = "start", "equilibrate", "minimize", "platform", "plot"
 
-#: What a file of `--save-config` begins with.
+#: Beginning of a file of `--save-config`.
 MARK = f"# A run of {PROGRAM} ".encode()
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """Return the settings that a TOML file gives, by name. Paths are relative to the current directory.
+    """Return the settings in a TOML file, by name. Paths are relative to the current directory.
 
     Raises:
-        RunError: it is no TOML.
-        Misused: it has a setting that is unknown or wrong; the message names the file and the setting.
-        OSError: it cannot be read.
+        RunError: the file is not TOML.
+        Misused: a setting is unknown or wrong; the message names the file and the setting.
+        OSError: the file cannot be read.
     """
     try:
         with open_regular(path) as file:
@@ -45,7 +45,7 @@ def read_config(path: Path) -> dict[str, Any]:
     named = {name.replace("-", "_"): value for name, value in table.items()}
     model = options(RunSettings, SETTINGS)
     try:
-        # As JSON, files are texts, and a text is no number.
+        # In JSON, paths are strings, and a string is no number.
         return model.model_validate_json(json.dumps(named, default=str), strict=True).chosen()
     except ValidationError as error:
         raise Misused(f"{path}: {': '.join(refusal(error, model))}") from None
@@ -54,8 +54,8 @@ def read_config(path: Path) -> dict[str, Any]:
 def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a TOML file; those of the command line override them."""
     has_length = any(name in of_line for name in LENGTHS)
-    kept = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
-    return kept | dict(of_line)
+    from_file = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
+    return from_file | dict(of_line)
 
 
 def write_config(path: Path, settings: RunSettings) -> None:

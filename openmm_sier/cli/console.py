@@ -16,7 +16,7 @@ from openmm_sier.inputs.report import Advance, Report
 PS_PER_NS = 1000.0
 SECONDS_PER_DAY = 86400.0
 
-#: Time in seconds, of which only differences mean anything.
+#: Time in seconds, from an arbitrary origin.
 clock = time.perf_counter
 
 #: Seconds until the first line about progress where there is no terminal.
@@ -24,16 +24,16 @@ LINE_AFTER = 30.0
 
 
 class Pace:
-    """When lines about progress are due: the first after `LINE_AFTER` s, later ones less often.
+    """Times at which lines about progress are due: the first after `LINE_AFTER` s, later ones less often.
 
-    There is one every ten minutes at least.
+    A line is due at least every ten minutes.
     """
 
     def __init__(self) -> None:
         self._started = self._last = clock()
 
     def is_due(self) -> bool:
-        """Return whether a line is due now, which counts as printed then."""
+        """Return whether a line is due, and count it as printed."""
         now = clock()
         interval = min(20 * LINE_AFTER, max(LINE_AFTER, (now - self._started) / 20))
         is_due = now - self._last >= interval
@@ -69,14 +69,14 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
 def progress_bar(description: str, total: float, ps: float | None = None, begun: int = 0) -> Iterator[Advance]:
     """Show a progress bar on standard error, or occasional lines where that is not a terminal.
 
-    The value is a function that takes how much has been done in all and, optionally, a new description. A closed
-    terminal does not stop the program.
+    The value is a function of the progress so far and, optionally, a new description. A closed terminal does not stop
+    the program.
 
     Args:
         description: in front of the bar.
-        total: number of steps, or what counts as the whole.
-        ps: length of a step; None where no steps are counted.
-        begun: how much was done before the bar is started, as after a restart.
+        total: number of steps, or another measure of the whole.
+        ps: length of a step; None if progress is not counted in steps.
+        begun: progress before the bar is started, as after a restart.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
@@ -86,16 +86,16 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
     started = clock()
     pace = Pace()
 
-    def advance(done: float, description: str | None = None) -> None:
+    def advance(completed: float, description: str | None = None) -> None:
         nonlocal shown
         shown = description or shown
         elapsed = clock() - started
-        if done <= begun or not elapsed:
+        if completed <= begun or not elapsed:
             return
-        state = _state(done, total, (done - begun) / elapsed, ps)
+        state = _state(completed, total, (completed - begun) / elapsed, ps)
         with suppress(OSError):
             if not bar.disable:
-                bar.update(task, completed=done, description=shown, state=state)
+                bar.update(task, completed=completed, description=shown, state=state)
             elif pace.is_due():
                 print(f"{shown}: {state}", file=sys.stderr, flush=True)
 
@@ -110,13 +110,14 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
             bar.stop()
 
 
-def _state(done: float, total: float, rate: float, ps: float | None) -> str:
-    """Return in words how much is done, at what speed, and how long the rest takes."""
-    percent = f"{100 * done / total:.0f} %"
-    left = f"{timedelta(seconds=round((total - done) / rate))} left"
+def _state(completed: float, total: float, rate: float, ps: float | None) -> str:
+    """Return progress, speed and remaining time, in words."""
+    percent = f"{100 * completed / total:.0f} %"
+    remaining = f"{timedelta(seconds=round((total - completed) / rate))} left"
     if ps is None:
-        return f"{percent}, {left}"
-    return f"{done:.0f}/{total:.0f} steps, {percent}, {rate * ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day, {left}"
+        return f"{percent}, {remaining}"
+    speed = f"{rate * ps / PS_PER_NS * SECONDS_PER_DAY:.2f} ns/day"
+    return f"{completed:.0f}/{total:.0f} steps, {percent}, {speed}, {remaining}"
 
 
 class ConsoleReport(Report):

@@ -1,4 +1,4 @@
-"""Settings of a run that contradict each other, and settings that do nothing beside the others."""
+"""Settings of a run that contradict each other, and settings that have no effect with the others."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
 if TYPE_CHECKING:
     from openmm_sier.cli.settings import RunSettings
 
-#: Two settings of which a user may choose one.
+#: Two settings of the same quantity, of which a user may choose one.
 LENGTHS = "steps", "time"
 
-#: Settings that do nothing beside some others: what they need in words, and whether that is there.
+#: Settings that have an effect only with others: these in words, and a function that checks them.
 DEPENDENT: dict[str, tuple[str, Callable[[RunSettings], bool]]] = {
     "thermostat": (
         "--ensemble nvt or npt, and a scheme of this package",
@@ -34,10 +34,10 @@ DEPENDENT: dict[str, tuple[str, Callable[[RunSettings], bool]]] = {
 
 
 def contradiction(settings: RunSettings, chosen: Collection[str]) -> str | None:
-    """Return why no run has these settings, in words; None for settings that a run can have.
+    """Return the reason why no run can have these settings; None if a run can.
 
     Args:
-        settings: of which each has a value that it can have.
+        settings: each within its range.
         chosen: names of the settings that a user chose.
     """
     return next(_contradictions(settings, chosen), None)
@@ -92,5 +92,5 @@ def _of_files(settings: RunSettings) -> Iterator[str]:
 
 
 def useless(settings: RunSettings) -> list[str]:
-    """Return the names of settings that do nothing beside the others."""
+    """Return the names of settings that have no effect with the others."""
     return [name for name, (_, does_something) in DEPENDENT.items() if not does_something(settings)]

@@ -7,7 +7,7 @@ from typing import Any
 from openmm_sier.cli.methods import FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method, is_heavy
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 
-#: The default scheme of each ensemble, by the name that `--scheme` takes.
+#: The default scheme of each ensemble, by its name for `--scheme`.
 RECOMMENDED = {"nve": "sier4g", "nvt": "sier2", "npt": "sier2", "hmc": "sier2v2"}
 
 #: K; the temperature of the systems that come with the project.
@@ -16,7 +16,7 @@ TEMPERATURE = 297.0
 #: ps; the length of a run.
 TIME = 10.0
 
-#: Values of the settings before one, by name, from which its default follows.
+#: Values of earlier settings, by name, from which a default follows.
 Earlier = Mapping[str, Any]
 
 
@@ -26,7 +26,7 @@ def listed(meanings: Mapping[str, str]) -> str:
 
 
 def motion_of(ensemble: str, thermostat: str) -> str:
-    """Return the ensemble whose schemes and steps are the usual ones: between rescalings the energy is constant."""
+    """Return the ensemble whose schemes and steps apply: between rescalings the energy is constant."""
     return "nve" if ensemble in ("nvt", "npt") and thermostat == "rescaling" else ensemble
 
 
@@ -55,12 +55,12 @@ def friction(earlier: Earlier) -> float:
 
 
 def pressure(earlier: Earlier) -> float | None:
-    """Return the default pressure, bar; None where the volume is constant."""
+    """Return the default pressure, bar; None at constant volume."""
     return 1.0 if earlier["ensemble"] == "npt" else None
 
 
 def steps_per_trial(earlier: Earlier) -> int:
-    """Return the steps of a usual trial of hybrid Monte Carlo; one in other ensembles."""
+    """Return the number of steps of a usual trial of hybrid Monte Carlo; 1 in other ensembles."""
     return usual_steps(earlier["dt"] / 1000) if earlier["ensemble"] == "hmc" else 1
 
 
@@ -70,18 +70,18 @@ def steps(earlier: Earlier) -> int:
 
 
 def out(earlier: Earlier) -> Path:
-    """Return the trajectory of a run for which none is named."""
+    """Return the default trajectory of a run."""
     return trajectory_of(earlier["box"])
 
 
 def report(earlier: Earlier) -> Path:
-    """Return the log of a run for which none is named."""
+    """Return the default log of a run."""
     trajectory: Path = earlier["out"]
     return trajectory.with_suffix(".csv")
 
 
 def trajectory_of(box: Path) -> Path:
-    """Return the default trajectory of a run of these coordinates, after which its other files are named."""
+    """Return the default trajectory of a run of these coordinates; other files are named after it."""
     return Path(f"{box.stem}.dcd")
 
 
@@ -95,5 +95,5 @@ def steps_in_words() -> str:
         )
         return f"{method.usual_step('nve'):g}, {bath}" + (f", {trials}" if "hmc" in method.ensembles else "")
 
-    each = "; ".join(f"{name} {described(method)}" for name, method in METHODS.items())
-    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {each}"
+    steps = "; ".join(f"{name} {described(method)}" for name, method in METHODS.items())
+    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {steps}"

@@ -1,4 +1,4 @@
-"""Kinds of settings: fields of pydantic, each with its range, unit and help, and what is said of a wrong value.
+"""Kinds of settings: fields of pydantic, each with range, unit, help, and the message for a wrong value.
 
 Command lines, TOML files and checkpoints are checked by the same fields.
 """
@@ -12,14 +12,14 @@ from cyclopts import Parameter
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
 from pydantic.fields import FieldInfo
 
-#: What a restart does with a setting: it keeps the value in the checkpoint, and refuses another; or it may have
-#: another. Settings "of the call" say how one call of the command goes about it, and are not in checkpoints.
+#: Whether a restart keeps the value of a setting in the checkpoint, and refuses another, or may change it. Settings "of
+#: the call" apply to one call of the command, and are not in checkpoints.
 Restart = Literal["keeps", "may change", "of the call"]
 
-#: Gives the default of a field from the values of those before it.
+#: Returns the default of a field from the values of earlier fields.
 Follows = Callable[[dict[str, Any]], Any]
 
-#: Which values a name of a file and other names are, for messages.
+#: Descriptions of names of files and of other names, for messages.
 FILE, NAME = "the name of a file", "a name"
 
 
@@ -27,7 +27,7 @@ FILE, NAME = "the name of a file", "a name"
 
 
 def is_utf8(text: str) -> bool:
-    """Return whether a text, such as a name of a file, can be written in UTF-8, as JSON and TOML need it."""
+    """Return whether a text, such as a name of a file, can be encoded in UTF-8, as JSON and TOML require."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -49,7 +49,7 @@ def _check_name(name: str) -> str:
 
 
 def one_of(names: Collection[str]) -> AfterValidator:
-    """Return what lets a field take only these names."""
+    """Return a validator that accepts only these names."""
 
     def check(name: str) -> str:
         if name not in names:
@@ -62,7 +62,7 @@ def one_of(names: Collection[str]) -> AfterValidator:
 File = Annotated[Path, AfterValidator(_check_file)]
 Name = Annotated[str, AfterValidator(_check_name)]
 
-#: What is on only where somebody asks for it.
+#: A flag that is off by default.
 Switch = Annotated[bool, Parameter(negative="")]
 
 
@@ -79,29 +79,29 @@ def setting(
     restart: Restart = "keeps",
     shows_values: bool = False,
     positional: bool = False,
-    known: dict[str, Any] | None = None,
+    details: dict[str, Any] | None = None,
     **limits: Any,
 ) -> Any:
     """Return a field of a model of settings.
 
     Args:
-        help: what it is, in words.
-        expected: which values it takes, in words.
-        default: without one, the setting is necessary.
-        follows: gives the default in place of that.
-        otherwise: the default in words, where there is no single value.
+        help: description of the setting.
+        expected: description of its values.
+        default: its value if none is given; without a default the setting is required.
+        follows: function that returns the default.
+        otherwise: the default in words, if it is no single value.
         restart: see `Restart`.
-        shows_values: whether the help has `expected`.
+        shows_values: whether the help includes `expected`.
         positional: whether a command line may have its value without a flag.
-        known: what else messages and commands need: "each", which values the items of a list are; "remark", a function
-            of a wrong value; "writes", that it names an output.
+        details: for messages and commands: "each" describes the items of a list; "remark" is a function of a wrong
+            value; "writes" means that the setting names an output.
         limits: of pydantic.
     """
     if not otherwise and default not in (..., None, False):
         otherwise = f"{default:g}" if isinstance(default, float) else str(default)
     description = (f"{help}: {expected}" if shows_values else help) + (f" (default: {otherwise})" if otherwise else "")
     of_default: dict[str, Any] = {"default_factory": follows} if follows else {"default": default}
-    extra = {"expected": expected, "restart": restart, **(known or {})}
+    extra = {"expected": expected, "restart": restart, **(details or {})}
     return Field(description=description, json_schema_extra=extra, kw_only=not positional, **of_default, **limits)
 
 
@@ -134,7 +134,7 @@ def step(help: str, least: float, most: float, **more: Any) -> Any:
         is_in_ps = least <= meant <= most and meant < 1000 * least
         return f" fs. It is in fs, not in ps: did you mean {meant:g}?" if is_in_ps else ""
 
-    return number(help, "fs", least, most, known={"remark": remark}, **more)
+    return number(help, "fs", least, most, details={"remark": remark}, **more)
 
 
 def whole(help: str, default: Any = None, *, least: int = 1, most: int = 2**31 - 1, **more: Any) -> Any:
@@ -151,14 +151,14 @@ def choice(help: str, names: Collection[str], default: Any = None, **more: Any) 
 
 def file(help: str, default: Any = None, *, writes: bool = False, **more: Any) -> Any:
     """Return a field for a file that a command reads or writes; see `setting`."""
-    return setting(help, FILE, default, known={"writes": writes}, **more)
+    return setting(help, FILE, default, details={"writes": writes}, **more)
 
 
-def several(help: str, each: str, count: int = 0, **more: Any) -> Any:
-    """Return a field for a list of so many items, or of one or more; `each` says what they are. See `setting`."""
+def several(help: str, item: str, count: int = 0, **more: Any) -> Any:
+    """Return a field for a list of `count` items, or of one or more; `item` describes them. See `setting`."""
     expected = f"a list of {count} values" if count else "a list with at least one value"
     limits: dict[str, Any] = {"min_length": count or 1, "max_length": count or None}
-    return setting(help, expected, None, known={"each": each}, **limits, **more)
+    return setting(help, expected, None, details={"each": item}, **limits, **more)
 
 
 def switch(help: str, default: bool | None = False, **more: Any) -> Any:
@@ -166,8 +166,8 @@ def switch(help: str, default: bool | None = False, **more: Any) -> Any:
     return setting(help, "true or false", default, **more)
 
 
-def known_of(field: FieldInfo) -> dict[str, Any]:
-    """Return what `setting` stored for a field: `expected`, `restart` and others."""
+def details_of(field: FieldInfo) -> dict[str, Any]:
+    """Return the details of a field that `setting` stored: `expected`, `restart` and others."""
     extra = field.json_schema_extra
     return dict(extra) if isinstance(extra, dict) else {}
 
@@ -176,7 +176,7 @@ def known_of(field: FieldInfo) -> dict[str, Any]:
 
 
 class Options(BaseModel):
-    """Some of the fields of a model, none of which is necessary."""
+    """Some of the fields of a model, all optional."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -192,7 +192,7 @@ def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
         field = copy(model.model_fields[name])
         annotation = field.rebuild_annotation() | None
         field.default, field.default_factory = None, None
-        field.metadata = [each for each in field.metadata if isinstance(each, Parameter)]
+        field.metadata = [entry for entry in field.metadata if isinstance(entry, Parameter)]
         fields[name] = annotation, field
     return create_model("Options", __base__=Options, **fields)
 
@@ -201,20 +201,20 @@ def options(model: type[BaseModel], names: Iterable[str]) -> type[Options]:
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
-    """Return the name of the first field with a wrong value, and what was expected and what came.
+    """Return the name of the first field with a wrong value, and a message with expected and given values.
 
-    Where fields contradict each other the name is empty.
+    The name is empty if fields contradict each other.
     """
-    # An error of a default that follows from a wrong value is an error of its own.
-    first = next(each for each in error.errors() if each["type"] != "default_factory_not_called")
+    # Defaults that follow from a wrong value are errors too.
+    first = next(entry for entry in error.errors() if entry["type"] != "default_factory_not_called")
     if not first["loc"]:
         return "", str(first["ctx"]["error"]) if "ctx" in first else first["msg"]
     name, *items = map(str, first["loc"])
     if first["type"] == "extra_forbidden":
         return name, "there is no such option"
-    known = known_of(model.model_fields[name])
-    expected = known["each"] if items else known["expected"]
+    details = details_of(model.model_fields[name])
+    expected = details["each"] if items else details["expected"]
     if first["type"] == "missing":
         return name, f"expected {expected}, got nothing"
-    remark = known["remark"](first["input"]) if "remark" in known else ""
+    remark = details["remark"](first["input"]) if "remark" in details else ""
     return name, f"expected {expected}, got {first['input']!r}{remark}"

@@ -21,7 +21,7 @@ MOTIONS = dict(zip(TEMPERATURES, ("translation", "rotation", "flexible molecules
 
 
 def verdict(runs: Runs) -> str:
-    """Say whether the runs had settled, and from which part of them all means are taken."""
+    """Return a sentence on whether the runs had settled, and on the part that means are taken from."""
     length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length - runs.skipped, runs.begin))
     left_out = f"Means leave out the first {begin}"
     if runs.drifting:
@@ -69,7 +69,7 @@ def warnings_of(runs: Runs) -> list[str]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Names in a sentence."""
+    """Return names as in a sentence."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
 
@@ -95,7 +95,7 @@ def _of_heat(heat: Estimate) -> str:
 
 
 def _of_temperatures(runs: Runs) -> str:
-    """Say which temperature is off most by its own error, from the bath or from translation."""
+    """Return a sentence on the temperature that differs most, in units of its error, from bath or translation."""
     columns = [column for column in MOTIONS if np.isfinite(runs.first.log[column]).all()]
     if any(SETTLES[column] in runs.drifting for column in columns):
         return "Temperatures have not settled"
@@ -110,7 +110,7 @@ def _of_temperatures(runs: Runs) -> str:
         reference = MOTIONS[first]
     if not off:
         return f"The temperature is {_over(runs, lambda _, log: mean_and_error(log[columns[0]]))} K"
-    if not all(math.isfinite(each.error) for each in off.values()):
+    if not all(math.isfinite(difference.error) for difference in off.values()):
         return "The runs are too short to tell temperatures apart"
     worst = max(off, key=lambda column: abs(off[column].value) - _least_difference(off[column]))
     if not _is_significant(off[worst]):
@@ -150,10 +150,10 @@ def _difference_from(
 
 def _least_difference(estimate: Estimate) -> float:
     """Return the least difference that is significant for a value with this error."""
-    # An error from few samples is as little as half of what it should be.
+    # An error from few samples is too small by up to a factor of two.
     return SIGNIFICANT * estimate.error * (2 if estimate.samples < FEWEST else 1)
 
 
 def _is_significant(estimate: Estimate) -> bool:
-    """Return whether a value is more than its error."""
+    """Return whether a value differs from 0 by more than its error explains."""
     return abs(estimate.value) > _least_difference(estimate)

@@ -1,4 +1,4 @@
-"""The command `openmm-sier info`: what moves in an input, as rigid bodies and as points."""
+"""The command `openmm-sier info`: the rigid bodies and points of an input."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from openmm_sier.system.find_bodies import RigidBodies
 #: Moments that differ by less than this fraction of the largest are called equal.
 EQUAL = 1e-6
 
-#: Tops by whether their two lower moments are equal, and their two upper ones.
+#: Names of tops: whether the two lower moments are equal, and the two upper ones.
 TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
 
 COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
@@ -35,7 +35,7 @@ def execute(options: Mapping[str, Any]) -> None:
         options: of the user by name, see `RunSettings`.
 
     Raises:
-        RunError: a setting would do nothing with the topology.
+        RunError: a setting has no effect with the topology.
         ForceFieldError, RigidityError, OSError: as their messages say.
     """
     if "box" not in options:
@@ -84,7 +84,7 @@ def kind(moments: np.ndarray) -> str:
 
 
 def _virtual_sites(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
-    """Virtual sites that depend on the atoms of a body, by the first atom of that body."""
+    """Return virtual sites that depend on the atoms of a body, by the first atom of the body."""
     body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
     sites: dict[int, list[int]] = {}
     for i in range(system.getNumParticles()):

@@ -25,7 +25,7 @@ from openmm_sier.cli.settings import CONTINUED, RunSettings, checkpoint_of
 from openmm_sier.dynamics.correlation import is_constant
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
-#: Columns without which there is nothing to tell.
+#: Required columns.
 NEEDED = ("Step", "Time (ps)", POTENTIAL, "Total Energy (kJ/mole)", CONSERVED, *TEMPERATURES)
 
 #: Options in which runs of one kind may differ.
@@ -64,12 +64,12 @@ class Run:
 
     @property
     def has_trials(self) -> bool:
-        """Return whether the run is of hybrid Monte Carlo."""
+        """Whether the run is of hybrid Monte Carlo."""
         return ACCEPTANCE in self.log
 
     @property
     def ensemble(self) -> str | None:
-        """Return the ensemble, which the checkpoint has. A log alone knows only that of hybrid Monte Carlo."""
+        """Ensemble by the checkpoint; without one only hybrid Monte Carlo is recognized, and others are None."""
         if self.plan is not None:
             return self.plan.ensemble
         return "hmc" if self.has_trials else None
@@ -87,9 +87,9 @@ class Run:
         return column - column[0]
 
     def after(self, begin: float) -> dict[str, np.ndarray]:
-        """Columns of the log from a time of its clock on."""
-        kept = self.clock >= begin
-        return {name: column[kept] for name, column in self.log.items()}
+        """Return the columns of the log from a time of its clock on."""
+        is_later = self.clock >= begin
+        return {name: column[is_later] for name, column in self.log.items()}
 
     def quantities(self, begin: float, ensemble: str | None) -> list[Quantity]:
         """Return all quantities of the log from a time of its clock on, in an ensemble if that is known."""
@@ -124,45 +124,47 @@ class Runs(NamedTuple):
 
     @property
     def first(self) -> Run:
-        """Return the first run, which shows of what kind they are."""
+        """First run, whose kind is that of all."""
         return self.runs[0]
 
     @property
     def ensemble(self) -> str | None:
-        """Return the ensemble of the runs; None where no checkpoint has it."""
+        """Ensemble of the runs; None where no checkpoint has it."""
         return next((run.ensemble for run in self.runs if run.ensemble), None)
 
     @property
     def unit(self) -> str:
-        """Return the unit of the clocks of the runs."""
+        """Unit of the clocks of the runs."""
         return "trials" if self.first.has_trials else "ps"
 
     @property
     def length(self) -> float:
-        """Return how far all runs go."""
+        """Length of the shortest run."""
         return min(float(run.clock[-1]) for run in self.runs)
 
     @property
     def title(self) -> str:
-        """Return number and length of the runs, and method and ensemble where a checkpoint tells them."""
+        """Number and length of the runs, and method and ensemble if a checkpoint has them."""
         plan = self.first.plan
         number = self.first.path.name if len(self.runs) == 1 else f"{len(self.runs)} runs"
         return f"{number}, {self.length:g} {self.unit}" + (f", {plan.title}" if plan else "")
 
     def means(self) -> list[tuple[Quantity, list[Quantity]]]:
-        """Each quantity over all runs, and in each of them."""
-        each = zip(*(run.quantities(self.begin, self.ensemble) for run in self.runs), strict=True)
-        return [(same[0]._replace(value=over_runs([one.value for one in same])), list(same)) for same in each]
+        """Return each quantity over all runs, and in each of them."""
+        by_run = zip(*(run.quantities(self.begin, self.ensemble) for run in self.runs), strict=True)
+        return [
+            (same[0]._replace(value=over_runs([quantity.value for quantity in same])), list(same)) for same in by_run
+        ]
 
 
-# --- to read them ---
+# --- reading ---
 
 
 def read_run(path: Path) -> Run:
-    """Read the log of a run, which may still be going on.
+    """Read the log of a run, which may still be running.
 
     Raises:
-        RunError: it is no log of a run, or has hardly begun.
+        RunError: it is not a log of a run, or has too few rows.
         RecordError: a row is damaged.
         OSError: it cannot be read.
     """
@@ -178,7 +180,7 @@ def read_run(path: Path) -> Run:
     if (rows := len(log["Step"])) < FEWEST_ROWS:
         raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")
     checkpoint = checkpoint_of(path)
-    # Without its checkpoint a log is read too.
+    # A log is also read without its checkpoint.
     with suppress(ValueError, LookupError, TypeError, OSError):
         notes = checkpoints.read_notes(checkpoint)
         plan = noted_settings(checkpoint, notes.plan)
@@ -188,7 +190,7 @@ def read_run(path: Path) -> Run:
 
 
 def read_logs(paths: Sequence[Path]) -> Runs:
-    """Runs of one kind, from their logs.
+    """Return runs of one kind, from their logs.
 
     Logs of one run count once. Warns of runs that are shorter than others, or whose options differ in more than the
     seed.
@@ -209,7 +211,7 @@ def read_logs(paths: Sequence[Path]) -> Runs:
         if not _are_of_one_kind(run, runs[0]):
             kinds = f"{run.path} is {_described(run)}, but {runs[0].path} is {_described(runs[0])}"
             raise RunError(f"{kinds}: give runs of one kind")
-    # Of logs of one length, one with its checkpoint is known better.
+    # Among logs of one length, one with its checkpoint comes first.
     longest_first = sorted(runs, key=lambda run: (-len(run.log["Step"]), run.plan is None))
     copies = groups(longest_first, _is_log_of)
     left_out = {path for _, *others in copies for path in others}
@@ -220,8 +222,8 @@ def read_logs(paths: Sequence[Path]) -> Runs:
 
 def _are_of_one_kind(one: Run, other: Run) -> bool:
     """Return whether two runs have the same columns and, as far as that is known, the same ensemble."""
-    known = {ENSEMBLES_IN_WORDS[run.ensemble] for run in (one, other) if run.ensemble}
-    return len(known) < 2 and one.moves_volume == other.moves_volume and one.log.keys() == other.log.keys()
+    ensembles = {ENSEMBLES_IN_WORDS[run.ensemble] for run in (one, other) if run.ensemble}
+    return len(ensembles) < 2 and one.moves_volume == other.moves_volume and one.log.keys() == other.log.keys()
 
 
 def _described(run: Run) -> str:
@@ -252,11 +254,11 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
             return
 
 
-# --- which of them are one ---
+# --- logs of one run ---
 
 
 def groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[list[Path], ...]:
-    """Return the paths of runs that are alike, for each group of several."""
+    """Return the paths of the runs in each group of two or more alike runs."""
     groups: list[list[Run]] = []
     for run in runs:
         alike = next((group for group in groups if is_alike(run, group[0])), None)
@@ -276,7 +278,7 @@ def _is_log_of(one: Run, other: Run) -> bool:
     is_equal: np.ndarray = np.isclose(columns[:, 0], columns[:, 1], rtol=0, atol=0, equal_nan=True).all(axis=0)
     if is_equal.all() and len(steps) > 1:
         return True
-    # Where forces are not repeated to the bit, as on a GPU, later rows differ.
+    # Later rows differ if forces are not repeated to the bit, as on a GPU.
     return bool(is_equal[0]) and _are_alike(one, other)
 
 
@@ -292,5 +294,5 @@ def _are_alike(one: Run, other: Run) -> bool:
 
 
 def _differing(one: RunSettings, other: RunSettings) -> list[str]:
-    """Return the names of settings that differ, without those in which runs of one kind may."""
+    """Return the names of settings that differ, without those in `MAY_DIFFER`."""
     return [name for name in CONTINUED if name not in MAY_DIFFER and getattr(one, name) != getattr(other, name)]

@@ -1,4 +1,4 @@
-"""Carries out command lines of `openmm-sier`. Each command has a module of its own, imported when it is needed."""
+"""Execute command lines of `openmm-sier`. The module of each command is imported when it is needed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FAILED, SIGNALLED = 1, 128
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Execute a command line, that of this process unless given, and return the exit code."""
+    """Execute a command line, by default that of the process, and return the exit code."""
     streams.escape(sys.stdout)
     try:
         call = _parse(arguments)
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
     except BrokenPipeError:
-        # Whatever read our output has ended, as `head` does: there is nobody to tell.
+        # The reader of the output has ended, as `head` does.
         streams.discard(sys.stdout)
         streams.discard(sys.stderr)
         return FAILED
@@ -61,7 +61,7 @@ def _parse(arguments: list[str] | None) -> Call:
 
 
 def _execute(carry_out: Callable[[], Any]) -> None:
-    """Do what a command line asks for, with warnings among its notes."""
+    """Execute a command, with warnings among its notes."""
     with warnings.catch_warnings():
         warnings.showwarning = streams.note_warning
         try:

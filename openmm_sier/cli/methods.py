@@ -1,13 +1,13 @@
-"""List what there is for a run: ensembles, thermostats, and methods that move the molecules.
+"""Ensembles, thermostats and methods of runs.
 
-Methods are the schemes of this package and, to compare them with, OpenMM's integrators.
+Methods are the schemes of this package and, for comparison, OpenMM's integrators.
 """
 
 from typing import NamedTuple
 
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 
-#: What is constant.
+#: Constant quantities of each ensemble.
 ENSEMBLES = {
     "nve": "the energy",
     "nvt": "the temperature",
@@ -15,13 +15,13 @@ ENSEMBLES = {
     "hmc": "the temperature, and the pressure if one is given, without an error of the step, by hybrid Monte Carlo",
 }
 
-#: What keeps the temperature with nvt and npt.
+#: Thermostats of nvt and npt.
 THERMOSTATS = {
     "langevin": "friction and noise on each molecule",
     "rescaling": "one factor on all velocities now and then, which hardly disturbs the motion",
 }
 
-#: Dalton, from which hydrogens bear the usual steps of heavy ones.
+#: Dalton. Hydrogens of at least this mass have the usual steps of heavy ones.
 HEAVY = 3.0
 
 #: 1/ps, of a bath. In the long steps of heavy hydrogens a weaker one leaves rotations warmer than translations.
@@ -32,18 +32,18 @@ STEP_OF_OPENMM = 0.002
 
 
 def is_heavy(hydrogen_mass: float | None) -> bool:
-    """Tell whether hydrogens of a mass in dalton bear long steps; those of the force field, None, do not."""
+    """Return whether hydrogens of a mass in dalton allow long steps; those of the force field, None, do not."""
     return hydrogen_mass is not None and hydrogen_mass >= HEAVY
 
 
 class Method(NamedTuple):
-    """Hold what moves the molecules of a run.
+    """A method that moves the molecules of a run.
 
     Attributes:
         name: for titles and messages.
         order: of its energy error in the step.
         ensembles: in which it can run, the default first.
-        scheme: of this package's integrators; None where the integrator is one of OpenMM's own.
+        scheme: of this package's integrators; None for OpenMM's own integrators.
         leapfrog: whether velocities are half a step behind positions.
     """
 

@@ -1,4 +1,4 @@
-"""A run that begins anew: from coordinates, or from the checkpoint of another run."""
+"""A new run, from coordinates or from the checkpoint of another run."""
 
 import math
 from collections.abc import Mapping
@@ -24,14 +24,14 @@ from openmm_sier.observe import openmm_integrators
 
 
 class Origin(NamedTuple):
-    """The checkpoint of another run, from which one starts, and the settings of that run."""
+    """The checkpoint of another run, with which a run starts, and the settings of that run."""
 
     checkpoint: Path
     settings: RunSettings
 
 
 def read_origin(checkpoint: Path | None) -> Origin | None:
-    """Return the checkpoint that a new run starts from; None without one.
+    """Return the origin of a new run; None without a checkpoint.
 
     Raises:
         RecordError, RunError, OSError: as their messages say.
@@ -47,7 +47,7 @@ class NewRun(Beginning):
     notes = None
 
     def __init__(self, options: Mapping[str, Any]):
-        """Plan a run by the options of a user, and open its files of coordinates and topology.
+        """Plan a run by the options of a user, and open its coordinates and topology.
 
         Raises:
             Misused, RunError, ForceFieldError, RecordError, OSError: as their messages say.
@@ -63,7 +63,7 @@ class NewRun(Beginning):
         self.may_replace = self.settings.overwrite
 
     def check_inputs(self, outputs: Outputs) -> None:
-        """Accept all inputs: a new run may read any."""
+        """Accept all inputs."""
 
     def check_outputs(self, outputs: Outputs) -> None:
         """Refuse to replace files, unless a user allows it."""
@@ -73,7 +73,7 @@ class NewRun(Beginning):
     def context(self, simulated: SimulatedSystem) -> openmm.Context:
         """Return the Context of the run after its equilibration, if it has one.
 
-        All methods begin alike: OpenMM's own integrators go on from a start that one of this package has made.
+        OpenMM's own integrators continue from a start that an integrator of this package has made.
         """
         settings = self.settings
         started = simulated.context_of(simulated.integrator(settings.stand_in))
@@ -98,7 +98,7 @@ class NewRun(Beginning):
 
 
 def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, context: openmm.Context) -> None:
-    """Take positions, velocities and box of a checkpoint."""
+    """Set positions, velocities and box of a checkpoint in a Context."""
     start = origin.checkpoint
     redraws = origin.settings.hydrogen_mass != settings.hydrogen_mass
     try:
@@ -123,7 +123,7 @@ def _start_from(origin: Origin, state: openmm.State, settings: RunSettings, cont
 
 
 def _equilibrate(context: openmm.Context, settings: RunSettings, positions: Any, minimize: bool | None) -> str | None:
-    """Equilibrate; return how that ended if it is doubtful, in words."""
+    """Equilibrate; return the end of a doubtful equilibration in words, else None."""
     time = settings.equilibrate
     try:
         equilibration = prepare(context, positions, settings.temperature, settings.seed, time, minimize, REPORT)

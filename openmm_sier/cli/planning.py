@@ -1,4 +1,4 @@
-"""The settings of a run from the options of a user: of a new run, or of one that a checkpoint holds."""
+"""The settings of a run from the options of a user: of a new run, or of the run of a checkpoint."""
 
 import json
 import os
@@ -34,13 +34,13 @@ def new_settings(options: Mapping[str, Any], origin: RunSettings | None = None) 
     """Return the settings of a new run.
 
     Args:
-        options: of the user, by name, each with a value that it can have.
+        options: of the user, by name, each within its range.
         origin: settings of the run from whose checkpoint this one starts. They define the System.
 
     Raises:
-        Misused: settings contradict each other, or the topology, or would do nothing.
-        RunError: files that make the System must be named again.
-        ForceFieldError, OSError: the topology is none, or cannot be read.
+        Misused: settings contradict each other or the topology, or have no effect.
+        RunError: files that define the System must be named again.
+        ForceFieldError, OSError: the topology is not one, or cannot be read.
     """
     values: dict[str, Any] = {}
     if origin is not None:
@@ -65,7 +65,7 @@ def _checked(values: Mapping[str, Any], chosen: Collection[str]) -> RunSettings:
 
 
 def _settings_in_topology(topology: Path | None, chosen: Collection[str]) -> tuple[str, ...]:
-    """Return the names of settings that do nothing with a topology.
+    """Return the names of settings that have no effect with a topology.
 
     Args:
         topology: its file; None without one.
@@ -73,7 +73,7 @@ def _settings_in_topology(topology: Path | None, chosen: Collection[str]) -> tup
 
     Raises:
         Misused: one of them was chosen.
-        ForceFieldError, OSError: the topology is none, or cannot be read.
+        ForceFieldError, OSError: the topology is not one, or cannot be read.
     """
     if topology is None:
         return ()
@@ -88,7 +88,7 @@ def _settings_in_topology(topology: Path | None, chosen: Collection[str]) -> tup
 
 
 def noted_settings(checkpoint: Path, plan: Mapping[str, object]) -> RunSettings:
-    """Return the settings that a checkpoint holds, with files relative to the current directory.
+    """Return the settings in a checkpoint, with files relative to the current directory.
 
     Args:
         checkpoint: its path.
@@ -113,14 +113,14 @@ def noted_settings(checkpoint: Path, plan: Mapping[str, object]) -> RunSettings:
         raise RunError(f"{checkpoint} has settings that no run has: {reason}") from None
     here = os.path.dirname(checkpoint)
     files = {name: path for name in FILES if (path := getattr(settings, name)) is not None}
-    beside = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}
-    return settings.model_copy(update=beside)
+    paths = {name: Path(os.path.normpath(os.path.join(here, path))) for name, path in files.items()}
+    return settings.model_copy(update=paths)
 
 
 def continued_settings(options: Mapping[str, Any], checkpoint: Path, plan: Mapping[str, object]) -> RunSettings:
-    """Return the settings of a checkpoint, with another length if one is asked for.
+    """Return the settings of a checkpoint, with another length if the user gives one.
 
-    Options must not contradict the checkpoint, and files that do not lie beside it must be named again.
+    Options must not contradict the checkpoint, and files outside its folder must be named again.
 
     Args:
         options: of the user, by name.
@@ -128,7 +128,7 @@ def continued_settings(options: Mapping[str, Any], checkpoint: Path, plan: Mappi
 
     Raises:
         Misused: options contradict each other.
-        RunError: they contradict the checkpoint, or it holds no settings.
+        RunError: options contradict the checkpoint, or it has no settings.
     """
     noted = noted_settings(checkpoint, plan)
     for name in CONTINUED:
@@ -148,13 +148,13 @@ def continued_settings(options: Mapping[str, Any], checkpoint: Path, plan: Mappi
 
 
 def _refuse_unnamed(names: Sequence[str], settings: RunSettings, chosen: Collection[str], checkpoint: Path) -> None:
-    """Refuse files that only a checkpoint names, if they are not beside it.
+    """Refuse files outside the folder of a checkpoint that only the checkpoint names.
 
     Args:
-        names: of the settings that the checkpoint gives and that name a file.
+        names: settings of the checkpoint that name a file.
         settings: those of the checkpoint and of the user.
         chosen: names of the settings that the user chose.
-        checkpoint: which may be from anybody.
+        checkpoint: its path; it may be crafted.
 
     Raises:
         RunError: naming the file, and the argument that names it again.
@@ -172,10 +172,10 @@ def _refuse_unnamed(names: Sequence[str], settings: RunSettings, chosen: Collect
 def refuse_foreign_force_field(
     settings: RunSettings, chosen: Collection[str], checkpoint: Path, box: SourceFile
 ) -> None:
-    """Refuse a force field that only a checkpoint names, if it could execute code or is not beside the checkpoint.
+    """Refuse a force field that only a checkpoint names, if it could execute code or is outside its folder.
 
     Args:
-        settings, chosen, checkpoint: as for other files that only a checkpoint names.
+        settings, chosen, checkpoint: see `_refuse_unnamed`.
         box: coordinates, which may name the force field.
 
     Raises:
@@ -210,7 +210,7 @@ def _force_field(settings: RunSettings, box: SourceFile) -> Sequence[str]:
     try:
         return pick(box)[0]
     except ForceFieldError:
-        # It names none, which is refused when the file is read.
+        # A file without a force field is refused when it is read.
         return []
 
 

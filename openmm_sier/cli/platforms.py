@@ -1,4 +1,4 @@
-"""The platform of a run: a restart keeps that of its checkpoint, and says what of it is different."""
+"""The platform of a run: a restart keeps that of its checkpoint, and reports differences."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ NAME, PROPERTIES = "Platform", ("Precision", "Threads")
 
 
 def check_platform(name: str | None) -> None:
-    """Refuse a platform that was asked for and that OpenMM does not have here.
+    """Refuse a platform that OpenMM does not have here.
 
     Raises:
         Misused: naming those that it has.
@@ -28,19 +28,19 @@ def _platforms() -> list[str]:
 
 
 def platform_of(context: openmm.Context) -> dict[str, str]:
-    """Return the platform of a Context as a checkpoint notes it."""
+    """Return the platform of a Context for the notes of a checkpoint."""
     platform = context.getPlatform()
-    known = [name for name in PROPERTIES if name in platform.getPropertyNames()]
-    return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in known}}
+    properties = [name for name in PROPERTIES if name in platform.getPropertyNames()]
+    return {NAME: platform.getName(), **{name: platform.getPropertyValue(context, name) for name in properties}}
 
 
 def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, str]) -> RunSettings:
-    """Return the settings of a restart, on the platform of its checkpoint unless another is asked for.
+    """Return the settings of a restart, on the platform of its checkpoint unless the user chose another.
 
     Args:
         settings: of the run.
         checkpoint: its path.
-        noted: by the checkpoint, as `platform_of` gave it.
+        noted: platform in the checkpoint, see `platform_of`.
 
     Raises:
         RunError: OpenMM does not have the platform here.
@@ -57,13 +57,13 @@ def keep_platform(settings: RunSettings, checkpoint: Path, noted: Mapping[str, s
 
 
 def differences(context: openmm.Context, checkpoint: Path, noted: Mapping[str, str]) -> list[str]:
-    """Return in words that a run continues with another platform, precision or number of threads, if it does."""
-    now = platform_of(context)
-    if noted == now:
+    """Return a message if a run continues with another platform, precision or number of threads."""
+    current = platform_of(context)
+    if noted == current:
         return []
     return [
-        f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(now)}: the two round "
-        "forces differently"
+        f"{checkpoint} was written on {_described(noted)}, and the run continues on {_described(current)}: the two "
+        "round forces differently"
     ]
 
 

@@ -1,4 +1,4 @@
-"""A run that goes on from its checkpoint, without a gap."""
+"""A run that continues from its checkpoint, without a gap."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,20 +19,20 @@ from openmm_sier.cli.settings import checkpoint_of
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.inputs.inputs import sources_of
 
-#: Relative difference allowed between the energy of a checkpoint's positions and the energy noted in it. Platforms
-#: differ by single precision.
+#: Allowed relative difference between the energy of a checkpoint's positions and its noted energy. Platforms differ by
+#: single precision.
 ENERGY_TOLERANCE = 1e-4
 
 
 def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path | None:
-    """Return the checkpoint from which a run is to go on: the one of `restart`, or with `resume` its own.
+    """Return the checkpoint of `restart`, or with `resume` that of the run; None for a new run.
 
-    It is locked before anybody looks for it or reads it, so that nobody makes or replaces it from here on. Where the
-    file is missing, a run that has just removed it says so by its lock.
+    It is locked before it is looked for or read, so that no other command creates or replaces it. A run that has just
+    removed it still holds the lock.
 
     Raises:
-        Misused: options say different things of it.
-        RunError: another command writes there.
+        Misused: options contradict each other.
+        RunError: another command writes the checkpoint.
     """
     checkpoint: Path | None = options.get("restart")
     if options.get("resume"):
@@ -48,13 +48,13 @@ def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path
 
 
 class Restart(Beginning):
-    """The beginning of a run that goes on from its checkpoint."""
+    """The beginning of a run that continues from its checkpoint."""
 
     notes: Notes
     may_replace = True
 
     def __init__(self, options: Mapping[str, Any], checkpoint: Path):
-        """Plan a run by a checkpoint, which is locked, and the options of a user.
+        """Plan a run by a locked checkpoint and the options of a user.
 
         Raises:
             Misused, RunError, RecordError, OSError: as their messages say.
@@ -69,7 +69,7 @@ class Restart(Beginning):
         self._cuts: list[cuts.Cut] = []
 
     def check_inputs(self, outputs: Outputs) -> None:
-        """Refuse files that are not those of the run, and a run that has reached its last step."""
+        """Refuse inputs of another run, and a run that has reached its last step."""
         self._refuse_other_files()
         step, settings = self.notes.step, self.settings
         if step < settings.steps:
@@ -84,7 +84,7 @@ class Restart(Beginning):
         raise NothingLeft(message)
 
     def _refuse_other_files(self) -> None:
-        """Refuse inputs that are not those of the run, which may hold another system of nearly its energy."""
+        """Refuse inputs of another run, even if their system has nearly the same energy."""
         noted = self.notes.inputs
         for purpose, file in self.sources.items():
             if file.fingerprint != noted.get(purpose):
@@ -98,7 +98,7 @@ class Restart(Beginning):
             )
 
     def check_outputs(self, outputs: Outputs) -> None:
-        """Refuse files that are not those of the run, or would lose more than a killed run leaves."""
+        """Refuse outputs of another run, or from which more would be cut than a killed run leaves."""
         outputs.check_noted(self.notes)
         self._cuts = cuts.find_cuts(self.settings, self.notes)
         if not self.settings.overwrite:
@@ -121,7 +121,7 @@ class Restart(Beginning):
         return context
 
     def remarks(self, context: openmm.Context) -> Sequence[str]:
-        """Return in words how the run goes on otherwise than before, and what is cut from its files."""
+        """Return differences from the run before, and the cuts in its files, in words."""
         remarks = platforms.differences(context, self.checkpoint, self.notes.platform)
         if self._cuts:
             remarks.append(cuts.describe(self._cuts, self.settings, self.checkpoint, self.notes.step))

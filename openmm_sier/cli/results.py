@@ -18,7 +18,7 @@ DENSITY = "Density (g/mL)"
 #: Columns of hybrid Monte Carlo.
 ACCEPTANCE, ENERGY_ERROR = "Acceptance", "Energy Error (kT)"
 
-#: Fewest rows of a log of which there are means.
+#: Fewest rows of a log for means.
 FEWEST_ROWS = 3
 
 
@@ -27,9 +27,9 @@ class Quantity(NamedTuple):
 
     Attributes:
         name: for tables.
-        value: with its error where there is one.
+        value: with its error, if it has one.
         unit: of both.
-        form: of a value without an error, as Python formats it; three digits unless given.
+        form: Python's format of a value without an error; "" for three digits.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Quantity(NamedTuple):
         return "-" if text in ("-", "nan") else f"{text} {self.unit}"
 
     def single(self, value: float) -> str:
-        """Return a value of this quantity in one run, with as many digits as the mean has where that has an error."""
+        """Return a value of this quantity in one run, with the digits of the mean if that has an error."""
         mean = self.value
         if not isinstance(mean, Estimate):
             return f"{value:{self.form}}" if self.form else format_number(value, digits=3)
@@ -53,13 +53,13 @@ class Quantity(NamedTuple):
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
-    """Names and values of the wall time of a run, without the time for its files.
+    """Return names and values of the wall time of a run, without the time for its files.
 
     Args:
-        steps: number of them.
-        ps: length of each.
-        seconds: that they took.
-        evaluations: force evaluations that the integrator counted.
+        steps: number of steps.
+        ps: length of a step.
+        seconds: wall time of the steps.
+        evaluations: number of force evaluations.
     """
     if not steps or not seconds:
         return []
@@ -71,32 +71,32 @@ def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[t
 
 
 def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[tuple[str, str]]:
-    """Names and values for the table at the end.
+    """Return names and values for the table at the end.
 
     Args:
         log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
         ensemble: of the run.
         moves_volume: whether the pressure was constant.
     """
-    named = [(each.name, str(each)) for each in (*energies(log, ensemble), *temperatures(log))]
-    # Trials draw momenta anew, that of the whole box included: it says nothing there.
+    named = [(quantity.name, str(quantity)) for quantity in (*energies(log, ensemble), *temperatures(log))]
+    # Trials draw new momenta, so that the total momentum means nothing.
     if ACCEPTANCE not in log:
         momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
         named.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
     further = [density(log)] if moves_volume else []
-    return named + [(each.name, str(each)) for each in (*further, *trials(log))]
+    return named + [(quantity.name, str(quantity)) for quantity in (*further, *trials(log))]
 
 
 def energies(log: dict[str, np.ndarray], ensemble: str | None) -> list[Quantity]:
     """Return energies of a log.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
-    rms and that of V are about their means over the whole log. In a bath its drift is the heat of the steps, and rms(H)
-    says nothing.
+    rms and that of V are relative to their means over the whole log. In a bath its drift is the heat of the steps, and
+    rms(H) means nothing.
 
     Args:
         log: its columns.
-        ensemble: of the run; None where nobody knows it.
+        ensemble: of the run; None if unknown.
     """
     if ensemble == "nve":
         return _conservation(log)
@@ -129,7 +129,7 @@ def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
 
 
 def temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
-    """Means of the temperatures, those of flexible molecules only where there are any."""
+    """Return means of the temperatures, that of flexible molecules only if there are any."""
     named = [(name, log[column]) for name, column in zip(NAMES_OF_TEMPERATURES, TEMPERATURES, strict=True)]
     return [
         Quantity(name, mean_and_error(values), "K")

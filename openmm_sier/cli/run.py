@@ -74,12 +74,12 @@ def execute(
 
 
 def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: StopRequests) -> None:
-    """Make a run, from its beginning to the table at its end."""
+    """Execute a run, from its beginning to the table at its end."""
     settings = beginning.settings
     outputs = Outputs(settings, beginning.checkpoint)
-    # Settings may take the place of those that they are from.
-    read = [config] if config and config != settings.save_config else []
-    outputs.check([*beginning.sources.values(), *read], beginning.may_replace)
+    # Settings may be written to the file that they are from.
+    inputs = [config] if config and config != settings.save_config else []
+    outputs.check([*beginning.sources.values(), *inputs], beginning.may_replace)
     try:
         beginning.check_inputs(outputs)
     except NothingLeft:
@@ -108,7 +108,7 @@ def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: 
 
 
 def _warn_of_settings(settings: RunSettings) -> None:
-    """Say which settings are seldom meant."""
+    """Print notes on settings that are seldom intended."""
     if 0 < settings.temperature < COLD:
         note(f"{settings.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
     if settings.ensemble == "nve" and is_heavy(settings.hydrogen_mass):
@@ -155,23 +155,23 @@ class RunningSimulation:
         Raises:
             Runaway: the energy or the temperature ran away.
             RunError: a file cannot be written.
-            Stopped: a signal ended the run. Both say how to go on.
+            Stopped: a signal ended the run. The messages say how to continue.
             openmm.OpenMMException: as its message says.
         """
         integrator, settings, outputs = self._context.getIntegrator(), self._settings, self._outputs
         begun = step = self._context.getStepCount()
         evaluations, seconds, longest = integrator.forceEvaluations, 0.0, 1
         progress = progress_bar(settings.method.name, settings.steps, settings.step_time, begun)
-        with self._saying_how_to_go_on(), progress as show:
+        with self._explained_errors(), progress as show:
             if outputs.saved_step is None:
                 self._write(["log", "checkpoint"])
             while step < settings.steps and requests.received is None:
                 chunk = min(outputs.next_due(step), settings.steps, step + longest) - step
                 start = clock()
                 integrator.step(chunk)
-                spent = clock() - start
-                longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / spent)))
-                seconds += spent
+                elapsed = clock() - start
+                longest = max(1, min(LONGEST_CHUNK, int(LONGEST_WAIT * chunk / elapsed)))
+                seconds += elapsed
                 step += chunk
                 self._write(outputs.due(step))
                 show(step)
@@ -197,24 +197,24 @@ class RunningSimulation:
             openmm_integrators.continue_as_restart(context, self._settings.seed)
 
     @contextmanager
-    def _saying_how_to_go_on(self) -> Iterator[None]:
+    def _explained_errors(self) -> Iterator[None]:
         """Add to errors the step, the likely cause and the last checkpoint."""
         try:
             yield
         except openmm.OpenMMException as error:
             if not run_checks.is_runaway(error):
                 raise
-            cause, kept = run_checks.likely_cause(self._settings), self._kept("--start begins a new run from it")
-            message = f"the run became unstable at step {self._where()}: {first_line(error)}; {cause}. {kept}"
+            cause, saved = run_checks.likely_cause(self._settings), self._saved("--start begins a new run from it")
+            message = f"the run became unstable at step {self._where()}: {first_line(error)}; {cause}. {saved}"
             raise run_checks.Runaway(message) from error
         except OSError as error:
-            kept = self._kept("--restart continues from it")
-            raise RunError(f"{error.filename}: {error.strerror}, at step {self._where()}. {kept}") from error
+            saved = self._saved("--restart continues from it")
+            raise RunError(f"{error.filename}: {error.strerror}, at step {self._where()}. {saved}") from error
 
     def _where(self) -> str:
         return self._settings.length(self._context.getStepCount())
 
-    def _kept(self, use: str) -> str:
+    def _saved(self, use: str) -> str:
         outputs = self._outputs
         if outputs.saved_step is None:
             return "There is no checkpoint yet"

@@ -1,9 +1,8 @@
-"""When a run stops because its temperature runs away, and when its table warns of a long step.
+"""Checks of a run: it stops if its temperature runs away, and its table warns of a long step.
 
-The temperatures of translation, rotation and flexible molecules are held against the bounds of `stability.runaway`
-before anything is written, also with OpenMM's integrators. What a bath takes up, or what has not yet become hot, shows
-in the fluctuation of the conserved energy H, the total energy less the heat that a heat bath and moves of the volume
-have added.
+The temperatures of translation, rotation and flexible molecules are compared with the bounds of `stability.runaway`
+before anything is written, also with OpenMM's integrators. Heat that a bath takes up, or that is still small, is
+visible in the fluctuation of the conserved energy H, the total energy less the heat of a heat bath and of volume moves.
 """
 
 from collections.abc import Mapping
@@ -20,19 +19,19 @@ from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 from openmm_sier.stability.runaway import RunawayError, hottest
 from openmm_sier.system.temperature import DegreesOfFreedom
 
-#: Exit code of a run that was stopped for this reason.
+#: Exit code of a run that ran away.
 EXIT_CODE = 3
 
 #: rms(H)/rms(V) above which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
 #: order 0.01 to 0.41 %, by water model; these bounds are two to three times the largest values.
 LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
 
-#: Fewest rows of a log that tell a fluctuation.
+#: Fewest rows of a log for an estimate of the fluctuation.
 FEWEST_ROWS = 10
 
 
 class Runaway(RuntimeError):
-    """End a run, since a temperature has run away, or positions and forces are no longer finite."""
+    """The end of a run whose temperature has run away, or whose positions or forces are not finite."""
 
     exit_code = EXIT_CODE
 
@@ -42,15 +41,15 @@ Bounds = dict[str, float]
 
 
 def bounds(plan: RunSettings, dof: DegreesOfFreedom) -> Bounds:
-    """Return the temperatures that a run with these degrees of freedom does not exceed."""
+    """Return upper bounds of the temperatures of a run with these degrees of freedom."""
     return {name: hottest(plan.temperature, number) for name, number in dof._asdict().items() if number}
 
 
 def check(context: openmm.Context, bounds: Bounds) -> None:
-    """Refuse to go on with a Context that is too hot.
+    """Refuse to continue with a Context that is too hot.
 
     Raises:
-        RunawayError: a temperature is above its bound, or no number.
+        RunawayError: a temperature is above its bound, or not a number.
     """
     temperatures = context.getIntegrator().computeTemperatures().in_kelvin()
     for name, bound in bounds.items():
@@ -59,14 +58,14 @@ def check(context: openmm.Context, bounds: Bounds) -> None:
 
 
 def is_runaway(error: BaseException) -> bool:
-    """Tell whether a step failed because it made the System too hot, or forces or positions are not finite."""
+    """Return whether a step failed because it made the System too hot, or forces or positions are not finite."""
     # OpenMM has one class for all its errors.
     broken = isinstance(error, TrajectoryError | RunawayError) or isinstance(error.__context__, NotFiniteError)
     return broken or "coordinate is NaN" in str(error)
 
 
 def likely_cause(plan: RunSettings) -> str:
-    """Return why a run with these settings may have run away, and what to do."""
+    """Return the likely cause of a runaway with these settings, and a remedy."""
     usual, name = plan.usual_step, plan.method.name
     if plan.dt > usual:
         return f"the step of {plan.dt:g} fs is too long for {name}, for which {usual:g} fs is usual: --dt {usual:g}"
@@ -81,14 +80,14 @@ def likely_cause(plan: RunSettings) -> str:
 def fluctuation_warning(plan: RunSettings, log: Mapping[str, np.ndarray]) -> str | None:
     """Return a warning if the energy fluctuates more than with the scheme's usual step, else None.
 
-    Only constant energy draws one, and only what H does within 1 ps counts, so that a drift does not.
+    Only at constant energy, and only by the fluctuation of H within 1 ps, without its drift.
 
     Args:
         plan: of the run.
         log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
     """
     t, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
-    # Where the potential energy hardly changes, the ratio shows only rounding to single precision.
+    # If the potential energy hardly changes, the ratio is rounding to single precision.
     if plan.ensemble != "nve" or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
         return None
     bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]

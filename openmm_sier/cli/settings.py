@@ -1,4 +1,4 @@
-"""The settings of a run: one model, from which come the command line, TOML files and what checkpoints hold."""
+"""The settings of a run: one model for the command line, TOML files and checkpoints."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ from openmm_sier.inputs.pdb_files import LONGEST
 from openmm_sier.prepare.masses import LIGHTEST_HYDROGEN
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
-#: Most steps of a run: doubles count them exactly, with room.
+#: Largest number of steps of a run, which doubles count exactly.
 MOST_STEPS = 10**15
 
 #: nm; the shortest and the longest edge of a box.
@@ -25,10 +25,10 @@ EDGES = 0.1, LONGEST
 
 
 class RunSettings(BaseModel):
-    """Hold all settings of a run, checked, with defaults for those that were not given.
+    """All settings of a run, checked, with defaults.
 
-    Times are in ps, but `dt` is in fs. Hybrid Monte Carlo is at constant volume where `pressure` is None, and draws
-    momenta anew where `friction` is 0.
+    Times are in ps, but `dt` is in fs. Hybrid Monte Carlo is at constant volume if `pressure` is None, and draws all
+    momenta independently if `friction` is 0.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -216,44 +216,44 @@ class RunSettings(BaseModel):
     def _refuse_contradictions(self, info: ValidationInfo) -> "RunSettings":
         """Refuse settings that contradict each other.
 
-        The context of the validation may have `chosen`, the names of the settings that a user chose. Without it these
-        are all that are not left to their defaults.
+        The context of the validation may have `chosen`, the names of the settings that a user chose. Without it, these
+        are all settings with a value.
         """
         chosen = (info.context or {}).get("chosen", self.model_fields_set)
         if reason := contradiction(self, chosen):
             raise ValueError(reason)
         return self
 
-    # --- what follows from them ---
+    # --- properties that follow from the settings ---
 
     @property
     def equilibrates(self) -> bool:
-        """Tell whether a new run begins with an equilibration. From a checkpoint it does so only if asked to."""
+        """Whether a new run begins with an equilibration; from a checkpoint, only if the user chose one."""
         return self.start is None or bool(self.equilibrate or self.minimize)
 
     @property
     def moves_volume(self) -> bool:
-        """Tell whether the pressure is constant."""
+        """Whether the pressure is constant."""
         return self.ensemble in ("npt", "hmc") and self.pressure is not None
 
     @property
     def method(self) -> Method:
-        """Return the method that moves the molecules."""
+        """Method that moves the molecules."""
         return METHODS[self.scheme]
 
     @property
     def rescales(self) -> bool:
-        """Tell whether a factor on all velocities keeps the temperature."""
+        """Whether a factor on all velocities keeps the temperature."""
         return self.ensemble in ("nvt", "npt") and self.thermostat == "rescaling"
 
     @property
     def usual_step(self) -> float:
-        """Return the usual step of the method, fs."""
+        """Usual step of the method, fs."""
         return self.method.usual_step(motion_of(self.ensemble, self.thermostat), self.hydrogen_mass)
 
     @property
     def stand_in(self) -> "RunSettings":
-        """Return these settings with a method of this package, with which all runs begin."""
+        """Settings for the equilibration: these, with a method of this package."""
         if self.method.scheme:
             return self
         scheme = RECOMMENDED[self.ensemble]
@@ -262,7 +262,7 @@ class RunSettings(BaseModel):
 
     @property
     def interactions(self) -> Interactions:
-        """Return the settings of the interactions' cut-off."""
+        """Settings of the interactions' cut-off."""
         return Interactions(self.cutoff, self.switch, self.tolerance, self.hydrogen_mass)
 
     @property
@@ -289,7 +289,7 @@ class RunSettings(BaseModel):
         return f"{steps} ({steps * self.step_time:g} ps)"
 
     def noted(self, checkpoint: Path) -> dict[str, Any]:
-        """Return what a checkpoint holds as JSON, with files relative to the checkpoint."""
+        """Return the settings in a checkpoint as JSON, with files relative to the checkpoint."""
         here = os.path.dirname(checkpoint) or "."
         values = self.model_dump(mode="json", include=set(NOTED))
         return values | {name: os.path.relpath(values[name], here) for name in FILES if values[name]}
@@ -300,30 +300,30 @@ def checkpoint_of(trajectory: Path) -> Path:
     return trajectory.with_suffix(".chk")
 
 
-#: All settings by name, in the order of `--help`, and what is known of them.
-SETTINGS = {name: fields.known_of(field) for name, field in RunSettings.model_fields.items()}
+#: Details of all settings by name, in the order of `--help`, see `fields.setting`.
+SETTINGS = {name: fields.details_of(field) for name, field in RunSettings.model_fields.items()}
 
-#: Settings that a restart keeps, and all those that stand in a checkpoint.
-CONTINUED = tuple(name for name, known in SETTINGS.items() if known["restart"] == "keeps")
-NOTED = tuple(name for name, known in SETTINGS.items() if known["restart"] != "of the call")
+#: Settings that a restart keeps, and all settings in a checkpoint.
+CONTINUED = tuple(name for name, details in SETTINGS.items() if details["restart"] == "keeps")
+NOTED = tuple(name for name, details in SETTINGS.items() if details["restart"] != "of the call")
 
-#: Those that checkpoints of earlier versions lack, which had their defaults.
+#: Settings that checkpoints of earlier versions lack. They had their defaults.
 LATER = ("thermostat",)
 
-#: Those that name one file each. A checkpoint notes them relative to itself.
+#: Settings that name one file each. In a checkpoint they are relative to it.
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
 
-#: Those of them that a run writes, and those that it reads.
+#: Settings that name an output, and those that name an input.
 OUTPUTS = tuple(name for name in FILES if SETTINGS[name].get("writes"))
 INPUTS = tuple(name for name in FILES if name not in OUTPUTS)
 
-#: Settings that make the System. A run with `--start` takes them from the other run unless they are given.
+#: Settings that define the System. A run with `--start` takes them from the other run by default.
 OF_THE_SYSTEM = (
     *("topology", "forcefield", "edges", "rigid", "constraints"),
     *("cutoff", "switch", "tolerance", "hydrogen_mass"),
 )
 
-#: Those of `openmm-sier tune`, which make the System and its start, and with which the search begins; and of `info`.
+#: Settings of `openmm-sier tune`, for the System, its start and the begin of the search; and of `openmm-sier info`.
 OF_TUNING = (
     *("box", *OF_THE_SYSTEM, "scheme", "dt", "steps_per_trial", "friction", "pressure"),
     *("temperature", "equilibrate", "minimize", "seed", "platform", "start"),

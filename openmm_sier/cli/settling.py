@@ -1,4 +1,4 @@
-"""Where runs settled: from which time on their means are taken, and which quantities still drift."""
+"""The equilibrated part of runs: the time from which means are taken, and quantities that still drift."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from openmm_sier.cli.logged_runs import Runs, read_logs
 from openmm_sier.cli.results import DENSITY
 from openmm_sier.observe.conservation import POTENTIAL, TEMPERATURES
 
-#: Bins of time in which a run is searched for the moment from which on it is settled.
+#: Number of bins of time in which the begin of the equilibrated part is searched for.
 BINS = 400
 
-#: Of a run that has not settled, the part that means leave out.
+#: Fraction of a run that has not settled, at its beginning, that means leave out.
 LEFT_OUT = 0.5
 
 #: Quantities that settle, in words, by their columns.
@@ -29,27 +29,28 @@ SETTLES = {
 
 
 def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> np.ndarray:
-    """Means (count,) of values in bins of a clock; NaN where a bin has none. What comes after the last bin is left out.
+    """Return means (count,) of values in bins of a clock; NaN for an empty bin.
 
     Args:
-        clock, values: (n,).
+        clock, values: (n,). Values after the last bin are left out.
         width: of a bin, which includes its end; the first includes 0 too.
         count: number of bins.
     """
-    # Times are sums of steps, whose rounding must not move a row into the next bin.
+    # The rounding of times, which are sums of steps, must not move a row into the next bin.
     places = np.maximum(np.ceil(np.round(clock / width, 6)).astype(int) - 1, 0)
-    kept = (places < count) & np.isfinite(values)
-    numbers = np.bincount(places[kept], minlength=count)
-    sums = np.bincount(places[kept], values[kept], minlength=count)
+    is_binned = (places < count) & np.isfinite(values)
+    numbers = np.bincount(places[is_binned], minlength=count)
+    sums = np.bincount(places[is_binned], values[is_binned], minlength=count)
     return np.divide(sums, numbers, out=np.full(count, math.nan), where=numbers > 0)
 
 
 def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
-    """Runs of one kind, from their logs, and where they settled.
+    """Return runs of one kind with their equilibrated part, from their logs.
 
     Args:
         paths: of the logs, see `openmm_sier.cli.logged_runs.read_logs`.
-        skip: what to leave out of each in any case, ps or trials; None for what had not settled.
+        skip: time or number of trials to leave out at the beginning, ps or trials; None for the part before
+            equilibrium.
 
     Raises:
         RunError: nothing is left.
@@ -62,11 +63,11 @@ def read_runs(paths: Sequence[Path], skip: float | None = None) -> Runs:
 
 
 def _with_settling(runs: Runs, skip: float | None) -> Runs:
-    """Return runs with the time from which the means over all of them have settled, and the quantities that have not.
+    """Return runs with the begin of their common equilibrated part, and the quantities that have not settled.
 
     Args:
-        runs: none of whose quantities was looked at.
-        skip: time of their clocks that is left out in any case; None leaves out what had not settled.
+        runs: as `read_logs` returns them.
+        skip: time of their clocks that is left out; None for the part before equilibrium.
     """
     begin = skip or 0.0
     logs = [run.after(begin) for run in runs.runs]
@@ -81,17 +82,17 @@ def _with_settling(runs: Runs, skip: float | None) -> Runs:
         if column == DENSITY and not runs.first.moves_volume:
             continue
         series = np.mean([binned(c, log[column], width, count) for c, log in zip(clocks, logs, strict=True)], axis=0)
-        (kept,) = np.nonzero(np.isfinite(series))
-        if not len(kept):
+        (indices,) = np.nonzero(np.isfinite(series))
+        if not len(indices):
             continue
-        settled = settling(series[kept])
-        if settled.begin == len(kept):
+        equilibrated = settling(series[indices])
+        if equilibrated.begin == len(indices):
             drifting.append(name)
             continue
-        begins.append(float(kept[settled.begin]) * width if settled.begin else 0.0)
-        if settled.samples < FEWEST:
+        begins.append(float(indices[equilibrated.begin]) * width if equilibrated.begin else 0.0)
+        if equilibrated.samples < FEWEST:
             unclear.append(name)
-        elif settled.begin:
+        elif equilibrated.begin:
             moving.append(name)
     if skip is not None:
         # Quantities that settle later have a trend in the means.

@@ -1,4 +1,4 @@
-"""The command `openmm-sier setup`: from a structure of an archive to coordinates that `openmm-sier run` reads."""
+"""The command `openmm-sier setup`: complete a structure of an archive for `openmm-sier run`."""
 
 import shlex
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def execute(
 
     Raises:
         Misused: the file to write is not a PDB file by its name.
-        RunError: it is in the way.
+        RunError: it exists.
         ForceFieldError, OSError, ModuleNotFoundError: as their messages say.
     """
     path = out or Path(f"{structure.stem}-water.pdb")
@@ -49,9 +49,9 @@ def execute(
         refuse_to_replace(path, "--out")
     files = tuple(map(str, forcefield or FILES))
     note(f"{structure}: for the force field {' '.join(files)}")
-    whole = complete(structure, files, leave_out or (), ends, ph, seed)
-    made = solvate(whole, shape, padding, salt, seed, structure.parent)
-    records.replace(path, memoryview(as_pdb(made).encode()))
-    title = f"{path}, {made.topology.getNumResidues()} residues, {made.topology.getNumAtoms()} atoms"
-    table(title, ("", ""), made.changes, left=2)
+    completed = complete(structure, files, leave_out or (), ends, ph, seed)
+    solvated = solvate(completed, shape, padding, salt, seed, structure.parent)
+    records.replace(path, memoryview(as_pdb(solvated).encode()))
+    title = f"{path}, {solvated.topology.getNumResidues()} residues, {solvated.topology.getNumAtoms()} atoms"
+    table(title, ("", ""), solvated.changes, left=2)
     note(f"wrote {path}; continue with: {shlex.join([PROGRAM, 'run', argument(path), '--ensemble', 'npt'])}")

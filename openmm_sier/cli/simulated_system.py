@@ -54,7 +54,7 @@ def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box
 
 
 class SimulatedSystem:
-    """Hold an input and its System, which is prepared for long steps.
+    """An input and its System, prepared for long steps.
 
     Attributes:
         settings: of the run.
@@ -130,9 +130,9 @@ class SimulatedSystem:
         return make_context(self.box.system, integrator, self.settings.platform)
 
     def integrator(self, settings: RunSettings) -> SIERIntegrator:
-        """Return an integrator of this package, with SIER4G where settings have a method of OpenMM."""
+        """Return an integrator of this package, with SIER4G if settings have a method of OpenMM."""
         step, scheme = settings.dt / 1000, settings.method.scheme or SIER4G
-        # The exact engine, which runs on GPUs too, has what the native one lacks: bodies that no constraints hold.
+        # Bodies without constraints need the exact engine, which runs on GPUs too.
         engine = "exact" if settings.rigid else "auto"
         shared: dict[str, Any] = {"bodies": self.bodies, "engine": engine, "fastForceGroups": self.fast}
         if settings.ensemble == "nve":
@@ -149,7 +149,7 @@ class SimulatedSystem:
             thermostat = VelocityRescaling(temperature, friction, pressure=pressure)
             integrator = SIERThermostatIntegrator(thermostat, step, scheme, **shared)
         else:
-            # The log has the conserved energy, on every platform.
+            # For the conserved energy in the log, on every platform.
             shared |= {"pressure": pressure, "countsHeat": True}
             integrator = SIERLangevinIntegrator(temperature, friction, step, scheme, **shared)
         integrator.setRandomNumberSeed(settings.seed)

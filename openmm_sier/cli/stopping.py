@@ -23,11 +23,10 @@ class Stopped(KeyboardInterrupt):
 class StopRequests:
     """Signals that arrive inside this context manager.
 
-    Until `defer` is called, a signal ends the process at once, from within OpenMM too. After that the first one is only
-    noted in `received`, so that the step can be completed and the files written. SIGQUIT and SIGKILL do not wait.
+    Until `defer` is called, a signal ends the process at once, also within OpenMM. After that the first one is only
+    stored in `received`, so that the step can be completed and the files written. SIGQUIT and SIGKILL do not wait.
 
-    Nothing is raised where a signal arrives: from within OpenMM's wrappers that would come as a SystemError, or not at
-    all.
+    Handlers raise nothing: within OpenMM's wrappers an exception would become a SystemError, or be lost.
 
     Attributes:
         received: number of the first signal; None before it.
@@ -38,7 +37,7 @@ class StopRequests:
         self._previous: dict[int, Any] = {}
 
     def defer(self) -> None:
-        """From now on note the first signal instead of ending the process."""
+        """Store the first signal from now on, instead of ending the process."""
         for signum in self._previous:
             signal.signal(signum, self._handle)
 
@@ -52,8 +51,8 @@ class StopRequests:
 
     def __exit__(self, *_: object) -> None:
         for signum, handler in self._previous.items():
-            # The process is about to end by a signal. The same one once more must not end it sooner: `timeout` sends
-            # it to a process and to its group.
+            # A process that ends by a signal ignores a second one, which would end it sooner: `timeout` sends two, to
+            # the process and to its group.
             is_ending = self.received is not None and handler == signal.SIG_DFL
             signal.signal(signum, signal.SIG_IGN if is_ending else handler)
 
@@ -66,7 +65,7 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
     """Return the KeyboardInterrupt that caused an error, or None.
 
     Python runs the handlers of signals also within calls of OpenMM's wrappers. These are made by SWIG, and return as if
-    nothing had been raised; Python then raises a SystemError, whose cause is what the handler had raised.
+    nothing had been raised; Python then raises a SystemError, whose cause is the exception of the handler.
     """
     while isinstance(error, SystemError):
         error = error.__cause__ or error.__context__

@@ -8,21 +8,21 @@ from typing import TextIO
 
 PROGRAM = "openmm-sier"
 
-#: What the extra `cli` brings.
+#: Libraries of the extra `cli`.
 LIBRARIES = ("cyclopts", "filelock", "mdtraj", "pydantic", "rich", "tomli")
 
 
 def escape(stream: TextIO | None) -> None:
-    """Let a stream take every text, as Python's standard error does: letters that it does not have are escaped."""
-    # There may be none, or one of a program that calls the command, which is not ours to change.
+    """Let a stream escape characters that its encoding does not have, as Python's standard error does."""
+    # Streams of a program that calls the command stay as they are.
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="backslashreplace")
 
 
 def printable(text: str) -> str:
-    """Return a text, lines included, with escapes in place of what would control a terminal.
+    """Return a text in which control characters, except line breaks, are escaped.
 
-    All lines and tables of the command go through here, since names and texts of files may hold anything.
+    All lines and tables of the command are printed this way, since names and texts in files may contain them.
     """
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
@@ -49,7 +49,7 @@ def in_one_line(message: Warning | BaseException | str) -> str:
 
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
-    """Show a warning as one line among the notes; it takes the place of `warnings.showwarning`."""
+    """Print a warning as one line among the notes; replaces `warnings.showwarning`."""
     print(printable(f"warning: {in_one_line(message)}"), flush=True)
 
 

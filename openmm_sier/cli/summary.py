@@ -17,7 +17,7 @@ from openmm_sier.cli.results import Quantity
 from openmm_sier.cli.settling import read_runs
 from openmm_sier.version import __version__
 
-#: What a file of `--json` begins with.
+#: Beginning of a file of `--json`.
 MARK = b'{\n "openmm_sier": "'
 
 
@@ -26,9 +26,9 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
 
     Args:
         logs: of runs of one kind.
-        json: where the numbers are written too; None for nowhere.
+        json: file for the numbers; None for none.
         plot: the picture; None for none.
-        skip: what means leave out, ps or trials; None for what had not settled.
+        skip: part that means leave out, ps or trials; None for the part before equilibrium.
 
     Raises:
         RunError, RecordError, OSError, ModuleNotFoundError: as their messages say.
@@ -40,7 +40,7 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
         canvas.check(plot, logs, may_replace=True, outputs=[json] if json else [])
     runs = read_runs(logs, skip)
     means = runs.means()
-    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, each)] for over_all, each in means]
+    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, by_run)] for over_all, by_run in means]
     table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
     for text in (verdict(runs), *findings(runs), *warnings_of(runs)):
         note(text)
@@ -57,13 +57,13 @@ def _counted(runs: Runs) -> str:
     return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
 
 
-def _extremes(runs: Runs, over_all: Quantity, each: list[Quantity]) -> list[str]:
+def _extremes(runs: Runs, over_all: Quantity, by_run: list[Quantity]) -> list[str]:
     """Return the least and the greatest value of single runs with the names of their logs."""
-    named = [(_number(mine), run.path.stem) for run, mine in zip(runs.runs, each, strict=True)]
-    known = [(value, name) for value, name in named if math.isfinite(value)]
-    if not known or len(runs.runs) == 1:
+    named = [(_number(quantity), run.path.stem) for run, quantity in zip(runs.runs, by_run, strict=True)]
+    finite = [(value, name) for value, name in named if math.isfinite(value)]
+    if not finite or len(runs.runs) == 1:
         return ["-", "-"]
-    return [f"{over_all.single(value)} ({name})" for value, name in (min(known), max(known))]
+    return [f"{over_all.single(value)} ({name})" for value, name in (min(finite), max(finite))]
 
 
 def _number(quantity: Quantity) -> float:
@@ -71,7 +71,7 @@ def _number(quantity: Quantity) -> float:
 
 
 def _as_json(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> str:
-    """Return all numbers as JSON, with null for what is unknown."""
+    """Return all numbers as JSON, with null for unknown ones."""
     content = {
         "openmm_sier": __version__,
         "runs": [os.fspath(run.path) for run in runs.runs],
@@ -84,8 +84,13 @@ def _as_json(runs: Runs, means: list[tuple[Quantity, list[Quantity]]]) -> str:
         "drifting": list(runs.drifting),
         "too_short_to_tell": list(runs.unclear),
         "means": [
-            {"name": over_all.name, "unit": over_all.unit, **_pair(over_all), "runs": [_pair(one) for one in each]}
-            for over_all, each in means
+            {
+                "name": over_all.name,
+                "unit": over_all.unit,
+                **_pair(over_all),
+                "runs": [_pair(single) for single in by_run],
+            }
+            for over_all, by_run in means
         ],
     }
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"

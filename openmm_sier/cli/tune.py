@@ -33,12 +33,12 @@ def execute(options: Mapping[str, Any], acceptance: float | None, trials: int, s
     settings = beginning.settings
     context = beginning.context(SimulatedSystem(settings, beginning.sources))
     schemes = [options["scheme"]] if "scheme" in options else None
-    several = len(schemes or SCHEMES)
+    count = len(schemes or SCHEMES)
     note(f"{settings.title} on the {context.getPlatform().getName()} platform: tunes scheme, step and length of trials")
-    # Each of the four lengths has as many steps in all; a step is found by some four attempts.
-    note(f"this takes some {4 * samples + 4 * trials * several} trials of {settings.step_time:g} ps")
+    # Each of the four lengths has the same number of steps; a step is found by some four attempts.
+    note(f"this takes some {4 * samples + 4 * trials * count} trials of {settings.step_time:g} ps")
     tuning = tune(context, acceptance, trials, samples, schemes=schemes)
-    # The run below has the scheme, whatever this Context has.
+    # The run below sets the scheme, whether this Context has it or not.
     note(str(tuning._replace(isSet=True)))
     note(f"Do not take averages over these trials. To run with the result:\n{run_line(options, tuning)}")
 

@@ -174,8 +174,8 @@ class BodySet:
     def owners(self) -> np.ndarray:
         """Body index of each particle, (N,); -1 without a body."""
         owners = np.full(self.n_particles, -1)
-        for species, part in zip(self.species, self.parts, strict=True):
-            owners[species.atoms] = np.arange(part.start, part.stop)[:, None]
+        for species, columns in zip(self.species, self.parts, strict=True):
+            owners[species.atoms] = np.arange(columns.start, columns.stop)[:, None]
         return owners
 
     def _check(self) -> None:
@@ -203,8 +203,8 @@ class BodySet:
         """
         indices = np.asarray(bodies, dtype=np.int64)
         kinds = []
-        for species, part in zip(self.species, self.parts, strict=True):
-            rows = indices[(indices >= part.start) & (indices < part.stop)] - part.start
+        for species, columns in zip(self.species, self.parts, strict=True):
+            rows = indices[(indices >= columns.start) & (indices < columns.stop)] - columns.start
             if rows.size:
                 kinds.append(species.of_atoms(species.atoms[rows]))
         between = self.constraints.restricted(indices)
@@ -213,9 +213,9 @@ class BodySet:
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return the particle indices of a body."""
-        for s, part in zip(self.species, self.parts, strict=True):
-            if part.start <= body < part.stop:
-                return s.atoms[body - part.start]
+        for s, columns in zip(self.species, self.parts, strict=True):
+            if columns.start <= body < columns.stop:
+                return s.atoms[body - columns.start]
         raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
 
     def describe(self, body: int) -> str:
@@ -259,20 +259,20 @@ class BodySet:
         """Like `fit`, but also return the largest distance of an atom of each body from its site: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
-        for s, part in zip(self.species, self.parts, strict=True):
+        for s, columns in zip(self.species, self.parts, strict=True):
             x = positions[s.atoms]
             centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
-            q[:, part] = centre.T
+            q[:, columns] = centre.T
             if not np.isfinite(centre).all():
-                body = part.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
+                body = columns.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
                 raise RigidityError(f"the positions of {self.describe(body)} are not finite")
             arms = x - centre[:, None, :]
-            A[:, :, part], misfit[part] = s.fit(arms, None if previous is None else previous.A[:, :, part])
-            self._refuse_mirrored(s, part, misfit[part], arms)
+            A[:, :, columns], misfit[columns] = s.fit(arms, None if previous is None else previous.A[:, :, columns])
+            self._refuse_mirrored(s, columns, misfit[columns], arms)
         self._refuse_torn(misfit)
         return q, A, misfit
 
-    def _refuse_mirrored(self, species: Species, part: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
+    def _refuse_mirrored(self, species: Species, columns: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
         # Atoms less than half way from the body to its mirror image cannot fit the image better by the margin.
         suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
         if species.mirror_distance == 0 or not suspects.size:
@@ -280,7 +280,7 @@ class BodySet:
         mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
         if mirrored.any():
             raise RigidityError(
-                f"{self.describe(part.start + int(suspects[mirrored.argmax()]))} is the mirror image of its rigid "
+                f"{self.describe(columns.start + int(suspects[mirrored.argmax()]))} is the mirror image of its rigid "
                 f"shape ({np.count_nonzero(mirrored)} bodies of this kind in all). Correct the positions, or make "
                 "the bodies from them"
             )
@@ -395,11 +395,11 @@ class BodySet:
     @cached_property
     def point_particles(self) -> np.ndarray:
         """Whether each particle is a point body, (N,)."""
-        alone = np.zeros(self.n_particles, dtype=bool)
+        is_point = np.zeros(self.n_particles, dtype=bool)
         for species in self.species:
             if species.atoms.shape[1] == 1:
-                alone[species.atoms] = True
-        return alone
+                is_point[species.atoms] = True
+        return is_point
 
     # --- observables ---
 

@@ -1,10 +1,10 @@
 """The operators of a splitting scheme for point bodies with distance constraints, alongside rigid bodies.
 
 The phase space is that of positions on the constraint manifold with momenta tangent to it; `Constraints` has the
-algebra. Within a step, momenta that differ along the bonds alone stand for the same phase point, since a drift takes
-that part away. They are projected once, after the step. A scheme's operators are what they are in flat space:
+algebra. Within a step, momenta that differ only along the bonds represent the same phase point, since a drift removes
+that part. They are projected once, after the step. A scheme's operators are those of flat space:
 
-- kick: the flow of the potential alone. Momenta change by h F(q), as those of free points do.
+- kick: the flow of the potential alone. Momenta change by h F(q), as for free points.
 - drift: the flow of the kinetic energy alone, a geodesic.
 - gradient kick: the flow of the modified potential V - (s/2) |P F|^2, with |f|^2 = f M^-1 f.
 
@@ -15,7 +15,7 @@ along any curve on the manifold that starts at q with velocity a. To first order
 
     P(q) P(q_s) F(q_s),    q_s: q + s M^-1 F brought back onto the constraints along their gradients at q,
 
-which takes away what F has along them.
+which removes the components of F along them.
 
 Projecting at q_s is essential: P(q) F(q_s) lacks the curvature term P (dP/ds) F, and the scheme falls to second order.
 As in flat space the map is reversible, and symplectic up to terms of the order h s^2 = O(h^5) a step.
@@ -56,7 +56,7 @@ def constrained_operators(
     groups: ArrayLike | None = None,
     composition: Sequence[float] = SUZUKI,
 ) -> dict[str, Operator]:
-    """Return the operators of all schemes without a heat bath, for bodies some of which are constrained to each other.
+    """Return the operators of all schemes without a heat bath, for bodies with constraints between them.
 
     Args:
         bodies: all bodies; those that are constrained are points.
@@ -64,7 +64,7 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
-        composition: fractions of a drift that its RATTLE steps take, see `constraints.geodesic`.
+        composition: RATTLE steps as fractions of a drift, see `constraints.geodesic`.
     """
     drift = constrained_drift(operators.drift(bodies, rotation), constraints, composition)
     return {
@@ -76,7 +76,7 @@ def constrained_operators(
 
 
 def projection(constraints: Constraints) -> Operator:
-    """Return an operator that gives the same phase point with tangent momenta."""
+    """Return an operator that projects momenta onto the tangent space."""
     if not len(constraints.pairs):
         return lambda state: state
 
@@ -95,28 +95,29 @@ def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -
 
     Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
     k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are projected too,
-    for the heat is the kinetic energy that the tangent momenta gain; `ledger` has what the bath has counted.
+    since the heat is the gain in kinetic energy of the tangent momenta; it corrects the heat that the bath has counted
+    in `ledger`.
     """
     tangent = projection(constraints)
 
     def apply(state: BodyState, h: float) -> BodyState:
         warmed = bath(tangent(state), h)
         p = constraints.project(state.q, warmed.p)
-        part = constraints.members
-        taken = 0.5 * float(((warmed.p[:, part] ** 2 - p[:, part] ** 2) / constraints.masses[part]).sum())
-        ledger.heat -= taken
+        columns = constraints.members
+        removed = 0.5 * float(((warmed.p[:, columns] ** 2 - p[:, columns] ** 2) / constraints.masses[columns]).sum())
+        ledger.heat -= removed
         return replace(warmed, p=p)
 
     return apply
 
 
 def bath_operator(bath: Thermostat, bodies: BodySet, ledger: Ledger) -> Operator:
-    """Return a bath as an operator on bodies, some of which may be constrained to each other.
+    """Return a bath as an operator on bodies, with or without constraints between them.
 
     Args:
         bath: the heat bath.
-        bodies: on which it acts.
-        ledger: gives it random numbers, and counts its heat and its draws.
+        bodies: all bodies.
+        ledger: source of random numbers, which counts heat and draws.
     """
     operator, constraints = bath.operator(bodies, ledger), bodies.constraints
     return constrained_bath(operator, constraints, ledger) if len(constraints.pairs) else operator
@@ -125,9 +126,9 @@ def bath_operator(bath: Thermostat, bodies: BodySet, ledger: Ledger) -> Operator
 def constrained_gradient_kick(
     bodies: BodySet, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
-    """Return the gradient kick of bodies some of which are constrained; see the module and `operators.gradient_kick`.
+    """Return the gradient kick of bodies with constraints; see the module and `operators.gradient_kick`.
 
-    The operator raises ConstraintError where no positions near the displaced ones satisfy the constraints.
+    The operator raises ConstraintError if no positions near the displaced ones satisfy the constraints.
     """
     displaced = DisplacedForces(constraints, groups)
     grouped = np.flatnonzero(displaced.grouped)
@@ -135,8 +136,8 @@ def constrained_gradient_kick(
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
         q, A = bodies.displaced(state.q, state.A, F, tau, shift)
-        part = constraints.members
-        q[:, part] = constraints.displaced(state.q, F, shift)[:, part]
+        columns = constraints.members
+        q[:, columns] = constraints.displaced(state.q, F, shift)[:, columns]
         F, tau = forces.at(q, A)
         p, L = operators.momenta_kicked_at(q, state, displaced(state.q, q, F), tau, h)
         L[:, grouped] = state.L[:, grouped]
@@ -151,33 +152,33 @@ class DisplacedForces:
     Where a group lies on a line or is a single point, errors of its torque are of second order in the displacement.
 
     Attributes:
-        grouped: which bodies are in a group, (n,). The others take up torques about their own centres.
+        grouped: which bodies are in a group, (n,). Torques act on the others about their centres.
     """
 
     def __init__(self, constraints: Constraints, groups: ArrayLike | None):
         """
         Args:
             constraints: in the numbering of the bodies.
-            groups: number of each point's group, (n,); -1 for those that are in none. None: one for each connected
-                component of the constraints.
+            groups: number of each point's group, (n,); -1 without a group. None: one group for each connected component
+                of the constraints.
         """
         groups = constraints.groups if groups is None else np.asarray(groups)
         numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
-        part = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
+        columns = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
         self._constraints, self.grouped = constraints, groups >= 0
-        self._part = part[np.argsort(group[part], kind="stable")]
-        starts = np.flatnonzero(np.diff(group[self._part], prepend=-1))
-        self._edges = np.append(starts, len(self._part))
-        self._masses = constraints.masses[self._part]
+        self._columns = columns[np.argsort(group[columns], kind="stable")]
+        starts = np.flatnonzero(np.diff(group[self._columns], prepend=-1))
+        self._edges = np.append(starts, len(self._columns))
+        self._masses = constraints.masses[self._columns]
 
     def __call__(self, q: np.ndarray, at: np.ndarray, F: np.ndarray) -> np.ndarray:
         """Return the forces, (3, n), of the gradient kick on bodies at q with forces F, from displaced positions.
 
-        They exert the torque of the displaced forces on each group, and need be projected at q.
+        They exert the torque of the displaced forces on each group, and must be projected at q.
         """
         F = self._constraints.project(at, F)
-        if len(self._part):
-            kernels.constraints.turn_groups(self._edges, self._part, self._masses, q, at, F)
+        if len(self._columns):
+            kernels.constraints.turn_groups(self._edges, self._columns, self._masses, q, at, F)
         return F
 
 
@@ -185,9 +186,9 @@ class DisplacedForces:
 
 
 def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float]) -> Operator:
-    """Return the drift of all bodies, of which constrained ones follow geodesics by a composition of RATTLE steps.
+    """Return the drift of all bodies: constrained ones follow geodesics by a composition of RATTLE steps.
 
-    The operator raises ConstraintError where momenta are far too large for the time.
+    The operator raises ConstraintError if momenta are far too large for the time.
     """
     if not len(constraints.pairs):
         return drift
@@ -205,7 +206,7 @@ Advance = Callable[[BodyState, float], BodyState]
 
 
 def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operator:
-    """Return the drift of all bodies, some of which do not move freely but under fast forces.
+    """Return the drift of all bodies, in which some move under fast forces.
 
     The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
     the composite has the order of the outer scheme if the inner steps have it and are proportional to the outer ones.
@@ -219,34 +220,34 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
 
     Args:
         drift: of all bodies.
-        members: columns of the bodies on which fast forces act, (m,), ascending; they must include all that are
-            constrained to one of them.
-        within: moves the members, such as `equal_steps`.
+        members: columns of the bodies on which fast forces act, (m,), ascending, with all bodies that are constrained
+            to one of them.
+        within: motion of the members, such as `equal_steps`.
     """
-    part = as_slice(np.asarray(members))
-    #: Places of all bodies at the end of the last drift, and those of the members as they were computed.
+    columns = as_slice(np.asarray(members))
+    #: Positions and attitudes of all bodies at the end of the last drift, and the same of the members.
     last: list[np.ndarray] = []
 
     def places(state: BodyState) -> tuple[np.ndarray, np.ndarray]:
         if last and last[0] is state.q and last[1] is state.A:
             return last[2], last[3]
-        return state.q[:, part].copy(), state.A[:, :, part].copy()
+        return state.q[:, columns].copy(), state.A[:, :, columns].copy()
 
     def apply(state: BodyState, h: float) -> BodyState:
         q, A = places(state)
-        member_state = within(BodyState(q, state.p[:, part].copy(), A, state.L[:, part].copy()), h)
+        member_state = within(BodyState(q, state.p[:, columns].copy(), A, state.L[:, columns].copy()), h)
         free = drift(state, h)
-        moved = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
-        moved.q[:, part], moved.p[:, part] = member_state.q, member_state.p
-        moved.A[:, :, part], moved.L[:, part] = member_state.A, member_state.L
-        last[:] = moved.q, moved.A, member_state.q, member_state.A
-        return moved
+        new_state = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
+        new_state.q[:, columns], new_state.p[:, columns] = member_state.q, member_state.p
+        new_state.A[:, :, columns], new_state.L[:, columns] = member_state.A, member_state.L
+        last[:] = new_state.q, new_state.A, member_state.q, member_state.A
+        return new_state
 
     return apply
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Return indices, (k,), as a slice where their spacing is even: a slice of an array is no copy."""
+    """Return indices, (k,), as a slice if their spacing is even, since a slice of an array is no copy."""
     if indices.size == 1:
         return slice(int(indices[0]), int(indices[0]) + 1)
     step = int(indices[1] - indices[0]) if indices.size else 0
@@ -296,17 +297,18 @@ def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[st
 
     The drifts to the bath and from it, together one drift, are an odd number of equal steps, each a whole kick and a
     drift. So the bath stands between two half drifts, as in `Scheme.with_bath`, and harmonic motion under fast forces
-    has the right averages at the end of the drifts, however long the inner steps are. A bath between steps of velocity
-    Verlet would leave the positions of a mode (omega h)^2/4 too spread out: 12 % for a bond of 19 fs and steps of 2 fs.
+    has the right averages at the end of the drifts, however long the inner steps are. With a bath between steps of
+    velocity Verlet the variance of the positions of a mode would be too large by a share (omega h)^2/4: 12 % for a bond
+    of 19 fs and steps of 2 fs.
 
-    Momenta at the end lag half an inner kick of the fast forces behind, as they do half a kick of the others.
+    Momenta at the end lag behind by half an inner kick of the fast forces, and by half a kick of the others.
 
     Args:
         within: operators of the members, see `constrained_operators`.
         longest: upper bound of the steps, ps.
 
     Returns:
-        What moves the members, by the names of the drifts to a bath and from one.
+        Motion of the members, by the names of the drifts to a bath and from one.
 
     Raises:
         ValueError: `longest` is not positive.
@@ -343,5 +345,5 @@ def inner_steps(h: float, longest: float) -> int:
 
 
 def steps_with_bath(h: float, longest: float) -> int:
-    """Return that number where the bath is in the middle of a step: an odd one."""
+    """Return the number of inner steps with a bath in the middle of one, which is odd."""
     return 2 * (inner_steps(h, longest) // 2) + 1

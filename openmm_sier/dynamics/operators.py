@@ -65,15 +65,15 @@ class CachedForces:
         """Discard cached forces, after a change of the potential."""
         self._q: np.ndarray | None = None
         self._A: np.ndarray | None = None
-        self._found: tuple[np.ndarray, ...] = ()
+        self._forces: tuple[np.ndarray, ...] = ()
 
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
             # Free the memory of old forces before computing new ones.
-            self._q, self._A, self._found = None, None, ()
-            self._found = self.at(state.q, state.A)
+            self._q, self._A, self._forces = None, None, ()
+            self._forces = self.at(state.q, state.A)
             self._q, self._A = state.q, state.A
-        return self._found
+        return self._forces
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return forces and torques at other positions and attitudes, without caching them.
@@ -85,7 +85,7 @@ class CachedForces:
         results = self._compute(q, A)
         for vectors in results:
             if vectors.shape != q.shape:
-                shapes = " and ".join(str(each.shape) for each in results)
+                shapes = " and ".join(str(result.shape) for result in results)
                 raise ValueError(f"forces must have the shape {q.shape} of the positions, got {shapes}")
         return results
 
@@ -164,7 +164,7 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
 
 def _exact_drift(bodies: BodySet) -> FreeMotion:
     rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
-    edges = np.array([0, *(part.stop for part in bodies.parts)], dtype=np.int64)
+    edges = np.array([0, *(columns.stop for columns in bodies.parts)], dtype=np.int64)
     inverse_masses = bodies.inverse_masses
 
     def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
@@ -180,9 +180,9 @@ def _exact_drift(bodies: BodySet) -> FreeMotion:
 def _drift_by(bodies: BodySet, rotation: Rotation) -> FreeMotion:
     def move(state: BodyState, h: float) -> tuple[np.ndarray, ...]:
         A, L = state.A.copy(), state.L.copy()
-        for species, part in zip(bodies.species, bodies.parts, strict=True):
+        for species, columns in zip(bodies.species, bodies.parts, strict=True):
             if species.moments.any():
-                A[:, :, part], L[:, part] = rotation(A[:, :, part], L[:, part], species.moments, h)
+                A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], species.moments, h)
         return state.q + (h * bodies.inverse_masses) * state.p, A, L
 
     return move

@@ -100,15 +100,15 @@ class Scheme:
 
         One for each kick at positions that a drift has changed, and one for the displaced force of a gradient kick.
         """
-        moved, count = True, 0
+        has_moved, count = True, 0
         for _ in range(2):
             count = 0
             for stage in self.stages:
                 if stage.flow == DRIFT:
-                    moved = True
+                    has_moved = True
                 elif stage.flow == KICK:
-                    count += int(moved) + int(stage.operator == GRADIENT_KICK)
-                    moved = False
+                    count += int(has_moved) + int(stage.operator == GRADIENT_KICK)
+                    has_moved = False
         return count
 
     def with_bath(self) -> Scheme:

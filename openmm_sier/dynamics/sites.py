@@ -11,12 +11,12 @@ class AlikeSites:
     """Atoms of bodies that share one geometry.
 
     Attributes:
-        part: slice of these bodies.
+        bodies: slice of these bodies.
         atoms: particle indices, (m, k): m bodies of k atoms.
         places: atom positions in the principal frame, (3, k), nm.
     """
 
-    part: slice
+    bodies: slice
     atoms: np.ndarray
     places: np.ndarray
 
@@ -35,18 +35,20 @@ class Sites:
 
     def __init__(self, alike: Sequence[AlikeSites]) -> None:
         self.alike = tuple(alike)
-        sizes = [each.atoms.shape[1] for each in alike]
-        places, atoms = np.cumsum([0, *sizes]), np.cumsum([0, *(each.atoms.size for each in alike)])
+        sizes = [group.atoms.shape[1] for group in alike]
+        places, atoms = np.cumsum([0, *sizes]), np.cumsum([0, *(group.atoms.size for group in alike)])
         rows = zip(alike, sizes, places[:-1], atoms[:-1], strict=True)
-        self.sets = np.array([(each.part.start, each.part.stop, *row) for each, *row in rows], np.int64).reshape(-1, 5)
-        self.places = np.concatenate([np.empty((3, 0)), *(each.places for each in alike)], axis=1)
-        self.atoms = np.concatenate([np.empty(0, np.int64), *(each.atoms.ravel() for each in alike)], dtype=np.int64)
+        self.sets = np.array([(group.bodies.start, group.bodies.stop, *row) for group, *row in rows], np.int64).reshape(
+            -1, 5
+        )
+        self.places = np.concatenate([np.empty((3, 0)), *(group.places for group in alike)], axis=1)
+        self.atoms = np.concatenate([np.empty(0, np.int64), *(group.atoms.ravel() for group in alike)], dtype=np.int64)
         self.ones = np.ones(self.places.shape[1])
 
     def at(self, atoms: np.ndarray) -> "Sites":
         """Return the sites at which any body of a set has one of the given atoms, for all bodies of the set."""
         selected = []
-        for each in self.alike:
-            is_selected = np.isin(each.atoms, atoms).any(axis=0)
-            selected.append(replace(each, atoms=each.atoms[:, is_selected], places=each.places[:, is_selected]))
+        for group in self.alike:
+            is_selected = np.isin(group.atoms, atoms).any(axis=0)
+            selected.append(replace(group, atoms=group.atoms[:, is_selected], places=group.places[:, is_selected]))
         return Sites(selected)

@@ -171,7 +171,7 @@ class Species:
         mirror_misfit = self.mirrored().fit(arms)[1]
         return (mirror_misfit * MIRROR_MARGIN < misfit) & (mirror_misfit <= self.tolerance)
 
-    def fit(self, arms: np.ndarray, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fit(self, arms: np.ndarray, previous: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (3, 3, m) of m bodies, and the largest distance of an atom from its place, (m,), nm.
 
         The best rotation in the sense of mass-weighted least squares, from a singular value decomposition (Kabsch,
@@ -179,16 +179,16 @@ class Species:
 
         Args:
             arms: atom positions from the centres of mass, (m, k, 3), nm.
-            kept: attitudes that are returned unchanged if they fit to rounding.
+            previous: attitudes that are returned unchanged if they fit to rounding.
         """
         if not self.sites.any():
-            attitudes = np.repeat(np.eye(3)[:, :, None], len(arms), axis=2) if kept is None else kept
+            attitudes = np.repeat(np.eye(3)[:, :, None], len(arms), axis=2) if previous is None else previous
             return attitudes, np.linalg.norm(arms, axis=2).max(axis=1)
-        if kept is not None:
-            misfit = self._misfit(arms, kept)
+        if previous is not None:
+            misfit = self._misfit(arms, previous)
             # Atom positions carry the rounding of coordinates of some nm.
             if misfit.max() < 1e-13 * (1 + np.abs(arms).max()):
-                return kept, misfit
+                return previous, misfit
         correlation = np.einsum("k,ak,mkx->max", self.masses, self.sites, arms)
         u, _, vt = np.linalg.svd(correlation)
         u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
@@ -200,21 +200,21 @@ class Species:
         return np.linalg.norm(arms - places, axis=2).max(axis=1)
 
 
-def sites_of(species: Sequence[Species], parts: Sequence[slice]) -> tuple[Sites, np.ndarray]:
+def sites_of(species: Sequence[Species], slices: Sequence[slice]) -> tuple[Sites, np.ndarray]:
     """Return the atoms of bodies, and the fraction of the mass at each site, (k,).
 
     Consecutive points form one set whatever their masses; any other kind of body has a separate set.
 
     Args:
         species: kinds of body.
-        parts: slice of the bodies of each kind.
+        slices: slice of the bodies of each kind.
     """
     sets, fractions = [], [np.empty(0)]
-    kinds = zip(species, parts, strict=True)
+    kinds = zip(species, slices, strict=True)
     for _, same in groupby(kinds, key=lambda kind: kind[1].start if kind[0].sites.any() else -len(kind[0].masses)):
-        alike, their_parts = zip(*same, strict=True)
+        alike, their_slices = zip(*same, strict=True)
         # Arrays are not copied where there is one.
-        atoms = alike[0].atoms if len(alike) == 1 else np.concatenate([each.atoms for each in alike])
-        sets.append(AlikeSites(slice(their_parts[0].start, their_parts[-1].stop), atoms, alike[0].sites))
+        atoms = alike[0].atoms if len(alike) == 1 else np.concatenate([kind.atoms for kind in alike])
+        sets.append(AlikeSites(slice(their_slices[0].start, their_slices[-1].stop), atoms, alike[0].sites))
         fractions.append(alike[0].masses / alike[0].mass)
     return Sites(sets), np.concatenate(fractions)

@@ -70,17 +70,18 @@ class OrnsteinUhlenbeck(Thermostat):
         @lru_cache(maxsize=4)
         def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
-            (kept, gained), (kept_turning, turning) = map(_decay, (self.friction, self.rotational_friction), (h, h))
-            return (kept, kept_turning), np.concatenate([gained * spreads[0], turning * spreads[1]])
+            damping, width = _decay(self.friction, h)
+            rotational_damping, rotational_width = _decay(self.rotational_friction, h)
+            return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = ledger.noise().standard_normal((6, bodies.n))
-            kept, widths = decay(h)
-            p, L, gained = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
+            damping, widths = decay(h)
+            p, L, gains = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
             moving = state.p, state.A, state.L
-            kernels.bodies.bathe(bodies.n, *moving, *kept, widths, noise, *inverses, p, L, gained)
+            kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L, gains)
             ledger.draws += 1
-            ledger.heat += float(gained.sum())
+            ledger.heat += float(gains.sum())
             return BodyState(state.q, p, state.A, L)
 
         return apply

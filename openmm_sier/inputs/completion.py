@@ -267,12 +267,12 @@ def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.Forc
     except ForceFieldError as error:
         files = " ".join(structure.files)
         joined = {atom.residue for bond in topology.bonds() if bond[0].residue != bond[1].residue for atom in bond}
-        alone = [residue for residue in forcefield.getUnmatchedResidues(topology) if residue not in joined]
-        if not alone:
+        unknown = [residue for residue in forcefield.getUnmatchedResidues(topology) if residue not in joined]
+        if not unknown:
             raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
-        names = " ".join(dict.fromkeys(residue.name for residue in alone))
+        names = " ".join(dict.fromkeys(residue.name for residue in unknown))
         raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(alone)}: leave them out with "
+            f"{path}: the force field {files} has no template for {_listed(unknown)}: leave them out with "
             f"leave_out={names.split()} (--leave-out {names}), or add to `files` (--forcefield) a force field that has "
             "templates for them"
         ) from error

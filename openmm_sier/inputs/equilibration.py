@@ -212,20 +212,20 @@ def equilibrate(
     # Windows have nearly equal lengths, so that a short one does not count as much as a long one.
     window_steps = math.ceil(steps / max(1, round(steps * step / WINDOW)))
     windows: list[Means] = []
-    done, settled = 0, False
+    completed, has_settled = 0, False
     with report.progress(f"equilibration at {temperature:g} K", steps, step) as advance:
-        while done < steps and not (settled and time is None):
-            length = min(window_steps, steps - done)
-            windows.append(_window(bath, length, advance, done))
-            done += length
-            settled = _has_settled(windows, temperature, dof)
+        while completed < steps and not (has_settled and time is None):
+            length = min(window_steps, steps - completed)
+            windows.append(_window(bath, length, advance, completed))
+            completed += length
+            has_settled = _has_settled(windows, temperature, dof)
     last = Means(*np.mean(windows[-2:], axis=0)) if windows else Means(*4 * [math.nan])
     # A user may choose a time that is too short to settle.
-    doubtful = bool(done) and not settled and (time is None or not _are_within_bounds(last, temperature, dof))
-    described = _describe(last, done * step, temperature, dof) if done else ""
+    doubtful = bool(completed) and not has_settled and (time is None or not _are_within_bounds(last, temperature, dof))
+    described = _describe(last, completed * step, temperature, dof) if completed else ""
     _copy_atoms_and_box(context, bath)
-    outcome = Equilibration(done * step, last, settled, doubtful, described)
-    if done:
+    outcome = Equilibration(completed * step, last, has_settled, doubtful, described)
+    if completed:
         _report(outcome, report)
     return outcome
 
@@ -263,15 +263,15 @@ def _step_of(context: openmm.Context, temperature: float) -> float:
     return min(STEP, SHARE_OF_LONGEST * check.longest_step(SCHEME, groups & ~fast, groups & fast, temperature, context))
 
 
-def _window(bath: openmm.Context, steps: int, advance: Advance, done: int) -> Means:
+def _window(bath: openmm.Context, steps: int, advance: Advance, completed: int) -> Means:
     """Run for a number of steps after those already done, and average."""
     integrator, samples = bath.getIntegrator(), []
     for begin in range(0, steps, EVERY):
-        taken = min(EVERY, steps - begin)
-        integrator.step(taken)
+        count = min(EVERY, steps - begin)
+        integrator.step(count)
         potential = bath.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         samples.append((*integrator.computeTemperatures().in_kelvin()[1:], potential))
-        advance(done + begin + taken)
+        advance(completed + begin + count)
     return Means(*np.mean(samples, axis=0).tolist())
 
 

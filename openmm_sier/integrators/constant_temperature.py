@@ -17,17 +17,17 @@ from openmm_sier.system.arguments import ForceGroups, Quantity, quantity_to_floa
 
 
 class SIERThermostatIntegrator(SIERIntegrator):
-    """Keep the temperature constant, and the pressure if one is given, with a thermostat that you choose.
+    """Keep the temperature constant, and the pressure if one is given, with a thermostat of your choice.
 
-    Take `VelocityRescaling` where the bath should hardly disturb the motion. `SIERLangevinIntegrator` and
-    `SIERHMCIntegrator` are subclasses with thermostats of their own.
+    Take `VelocityRescaling` if the bath should hardly disturb the motion. `SIERLangevinIntegrator` and
+    `SIERHMCIntegrator` are subclasses with their own thermostats.
 
     >>> from openmm_sier.ensembles import VelocityRescaling
     >>> integrator = SIERThermostatIntegrator(VelocityRescaling(300*kelvin, 1/picosecond), 4*femtoseconds)
     >>> print(integrator.getTemperature())
     300.0 K
 
-    The noise is a function of the seed and of the number of draws so far. Checkpoints hold both.
+    The noise is a function of the seed and of the number of draws so far. Checkpoints contain both.
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class SIERThermostatIntegrator(SIERIntegrator):
             stepSize: the step, a time quantity or a number in ps.
             scheme: the splitting scheme or its name.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
-            rotation: you can skip this; see `SIERIntegrator`.
-            engine: you can skip this; see `SIERIntegrator`.
-            substeps: you can skip this; see `SIERIntegrator`.
-            fastForceGroups: you can skip this; see `SIERIntegrator`.
+            rotation: see `SIERIntegrator`.
+            engine: see `SIERIntegrator`.
+            substeps: see `SIERIntegrator`.
+            fastForceGroups: see `SIERIntegrator`.
 
         Raises:
             ValueError: the scheme cannot sample the thermostat's ensemble, or `SIERIntegrator` refuses a value.
@@ -93,8 +93,8 @@ class SIERThermostatIntegrator(SIERIntegrator):
     def getHeat(self) -> unit.Quantity:
         """Return the energy that the bodies got from the bath, volume moves and a CMMotionRemover, a quantity.
 
-        The total energy less this heat is conserved. The heat does not include the work P dV, nor the energy that a
-        thermostat or barostat of OpenMM in the System gives, which nobody counts.
+        The total energy less this heat is conserved. The heat does not include the work P dV, nor energy from a
+        thermostat or barostat of OpenMM in the System, which is not counted.
 
         Raises:
             openmm.OpenMMException: the native engine does not count it, see `SIERLangevinIntegrator`.

@@ -18,9 +18,9 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     """Sample the canonical ensemble by hybrid Monte Carlo, without any error of the step.
 
     `integrator.step(1)` makes a trial: it draws momenta, follows `stepsPerTrial` steps of the scheme, and accepts or
-    rejects the end by its true energy. A trajectory that would be rejected goes on, up to twice, and its next end may
+    rejects the end by its true energy. A trajectory that would be rejected continues, up to twice, and its next end may
     be accepted. After a rejection the Context is back at the start of the trial, with reversed velocities. A step that
-    is too long lowers the acceptance and causes no bias. Every state that the Context shows is a sample, also after an
+    is too long lowers the acceptance and causes no bias. Every state of the Context is a sample, also after an
     interrupt or an error.
 
     >>> integrator = SIERHMCIntegrator(300*kelvin, 6*femtoseconds, frictionCoeff=2/picosecond)
@@ -31,21 +31,21 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     2
 
     The usual step of SIER2V2, the default scheme, is 9 fs with heavy hydrogens, see `prepare_system`, and 6 fs
-    otherwise; other schemes have theirs as `heavy_trial_step` and `trial_step`.
+    otherwise; for other schemes see `heavy_trial_step` and `trial_step`.
 
     Note: `schemeStepSize`, `getSchemeStepSize` and `setSchemeStepSize` are for the step of the scheme (9 fs). A step
     of the integrator is a trial, so that `getStepSize` and `setStepSize` are for its length (72 fs with 8 steps), as
     are the Context's time and the times of reporters.
 
     A trial is also rejected if its trajectory has a force that is not finite or constraints that cannot be satisfied.
-    The first trajectory at each step size, or of longer trials, is also run backwards. If it misses its start, the
-    integrator stops; `reversalError` is the distance.
+    The first trajectory at each step size, or of longer trials, is also integrated backwards. If it does not reach its
+    start, the integrator stops; `reversalError` is the distance.
 
-    Random numbers are a function of the seed and of the number of draws so far. Checkpoints hold both, and a State
-    holds the number. The native engine takes the directions of momenta from OpenMM's random numbers, which checkpoints
-    hold. The total energy less the heat changes only by the energy errors of ends that are accepted.
+    Random numbers are a function of the seed and of the number of draws so far. Checkpoints contain both, and a State
+    the number. The native engine takes the directions of momenta from OpenMM's random numbers, which checkpoints
+    contain. The total energy less the heat changes only by the energy errors of accepted ends.
 
-    XML of the integrator is a CustomIntegrator whose every step is a trial where this package is not imported, too.
+    XML of the integrator is a CustomIntegrator whose steps are trials, also without this package.
 
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.
@@ -75,22 +75,20 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         Args:
             temperature: a quantity or a number in K, above zero.
             schemeStepSize: the step of the scheme, a time quantity or a number in ps.
-            scheme: the splitting scheme or its name. It must have no bath and read the same backwards.
+            scheme: the splitting scheme or its name. It must be a palindrome without a bath.
             stepsPerTrial: number of steps of the scheme in each trial, at least 1; None makes trials of 72 fs.
-            frictionCoeff: a quantity or a number in 1/ps, above zero; 1/ps unless you give it. Momenta keep a factor
-                exp(-friction t) in a trial of length t, and the rest is drawn anew. None draws all of them anew, which
-                is for trials of 0.15 ps or more.
+            frictionCoeff: a quantity or a number in 1/ps, above zero. Momenta keep a factor exp(-friction t) in a trial
+                of length t, and the rest is random. None draws all momenta at random, for trials of 0.15 ps or more.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume.
             barostatInterval: number of trials between attempts to change the volume, at least 1.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
-            rotation: you can skip this; see `SIERIntegrator`.
-            engine: you can skip this; see `SIERIntegrator`.
-            substeps: you can skip this; see `SIERIntegrator`. Fewer steps make a trial cheaper and its energy errors
-                larger; samples are exact with any number.
-            fastForceGroups: you can skip this; see `SIERIntegrator`.
-            extraChances: you can skip this. It is how many times a trajectory whose end would be rejected goes on by
-                `stepsPerTrial` steps; None lets trials of up to 72 fs go on twice, those of up to 108 fs once, and
-                longer ones not at all.
+            rotation: see `SIERIntegrator`.
+            engine: see `SIERIntegrator`.
+            substeps: see `SIERIntegrator`. Fewer steps make a trial cheaper and its energy errors larger; samples are
+                exact with any number.
+            fastForceGroups: see `SIERIntegrator`.
+            extraChances: number of times that a trajectory whose end would be rejected continues by `stepsPerTrial`
+                steps; None: 2 for trials of up to 72 fs, 1 up to 108 fs, and 0 for longer ones.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or the scheme has a bath or is not a palindrome.
@@ -102,7 +100,7 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         )
         super().__init__(trials, schemeStepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
-    # --- what users ask ---
+    # --- settings and statistics ---
 
     def getStepsPerTrial(self) -> int:
         """Return the number of steps of the scheme in each trial."""
@@ -116,11 +114,11 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
             self._counts[CHECKED_STEP] = 0.0
 
     def getExtraChances(self) -> int | None:
-        """Return how many times a trajectory may go on; None if that depends on the length of trials."""
+        """Return the number of times that a trajectory may continue; None if it depends on the length of trials."""
         return self.binding.ensemble.extra_chances
 
     def setExtraChances(self, chances: int | None) -> None:
-        """Set how many times a trajectory whose end would be rejected goes on; None takes the usual number."""
+        """Set the number of times that a trajectory whose end would be rejected continues; None: the usual number."""
         self._change_ensemble(extra_chances=chances)
         self._counts[CHECKED_STEP] = 0.0
 
@@ -133,56 +131,56 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
         self.binding.change(step=step_size(size))
 
     def getFriction(self) -> unit.Quantity:
-        """Return the friction for partial draws of momenta, a quantity in 1/ps; infinite if all are drawn anew."""
+        """Return the friction for partial draws of momenta, a quantity in 1/ps; infinite for complete draws."""
         friction = self.binding.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
     def setFriction(self, coeff: Quantity | None) -> None:
-        """Set the friction, a quantity or a number in 1/ps; None draws all momenta anew."""
+        """Set the friction, a quantity or a number in 1/ps; None draws all momenta at random."""
         self._change_ensemble(friction=coeff)
 
     @property
     def _counts(self) -> dict[str, float]:
-        """Return the numbers of the ledger, by name."""
+        """Numbers of the ledger, by name."""
         return self.binding.stored.ledger.counts
 
     @property
     def trials(self) -> int:
-        """Return the number of completed trials."""
+        """Number of completed trials."""
         return int(self._counts[TRIALS])
 
     @property
     def accepted(self) -> int:
-        """Return the number of accepted trials."""
+        """Number of accepted trials."""
         return int(self._counts[ACCEPTED])
 
     @property
     def acceptanceRate(self) -> float:
-        """Return the fraction of trials that were accepted; NaN before the first one."""
+        """Fraction of trials that were accepted; NaN before the first one."""
         return self.accepted / self.trials if self.trials else math.nan
 
     @property
     def lastEnergyError(self) -> float:
-        """Return the energy after `stepsPerTrial` steps of the last trial minus that at its start, in kT.
+        """Energy after `stepsPerTrial` steps of the last trial minus that at its start, in kT.
 
-        It is infinite if the trajectory failed, and says nothing of later ends, see `extraChances`. NaN before the
-        first trial and after `resetStatistics`.
+        Infinite if the trajectory failed. Later ends, see `extraChances`, do not count. NaN before the first trial and
+        after `resetStatistics`.
         """
         return self._counts[ERROR] if self.trials else math.nan
 
     @property
     def reversalError(self) -> float:
-        """Return how far from its start an atom was, at most, after the first trajectory went there and back, nm.
+        """Largest displacement of an atom after the first trajectory was integrated forwards and backwards, nm.
 
         NaN before the first trial, and after the trials were made longer.
         """
         return self._counts[REVERSAL] if self._counts[CHECKED_STEP] else math.nan
 
     def reported(self) -> dict[str, float]:
-        """Return two more columns for `ConservationReporter`: the fraction accepted, and the last energy error."""
+        """Return two more columns for `ConservationReporter`: the acceptance rate, and the last energy error."""
         return {"Acceptance": self.acceptanceRate, "Energy Error (kT)": self.lastEnergyError}
 
     def resetStatistics(self) -> None:
-        """Count trials from zero again."""
+        """Reset the counts of trials to zero."""
         for name in (TRIALS, ACCEPTED):
             self._counts[name] = 0.0

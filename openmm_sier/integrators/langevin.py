@@ -14,7 +14,7 @@ from openmm_sier.system.arguments import ForceGroups, Quantity
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
     """Sample averages in a heat bath, at constant volume or pressure, by Langevin dynamics of rigid bodies.
 
-    Usual steps: 9 fs with heavy hydrogens and a friction of 5/ps, or 4 fs with the masses as they are and 1/ps.
+    Usual steps: 9 fs with heavy hydrogens and a friction of 5/ps, or 4 fs with unchanged masses and 1/ps.
 
     >>> print(prepare_system(system, hydrogenMass=4*dalton))
     The sums of PME are balanced for a heat bath.
@@ -27,10 +27,10 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
     OpenMM's LangevinMiddleIntegrator. With other schemes half of it acts at either end.
 
     A checkpoint continues the same trajectory. With the exact engine a State does too if you set the same seed. With
-    the native engine it does not, since the noise is OpenMM's, which only checkpoints hold.
+    the native engine it does not, since OpenMM's noise is only in checkpoints.
 
     With `pressure`, Monte Carlo moves change the volume of the box, and a restarted run repeats them exactly. OpenMM's
-    barostats work with this integrator too, but no State holds their memory of earlier moves.
+    barostats work with this integrator too, but a State does not contain their memory of earlier moves.
     """
 
     def __init__(
@@ -57,17 +57,17 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             stepSize: the step, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. SIER2 is best here.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
-            rotation: you can skip this; see `SIERIntegrator`.
+            rotation: see `SIERIntegrator`.
             rotationalFriction: friction of the rotation, a quantity or a number in 1/ps; None takes `frictionCoeff`.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume. A move scales all
                 edges of the box by the same factor.
             barostatInterval: number of steps between attempts to change the volume, at least 1.
-            engine: you can skip this; see `SIERIntegrator`.
-            substeps: you can skip this; see `SIERIntegrator`.
-            fastForceGroups: you can skip this; see `SIERIntegrator`.
-            countsHeat: you can skip this. It tells whether the native engine counts the heat of the bath, for `getHeat`
-                and the conserved energy of reports, which takes up to a fifth of a step on a GPU. None counts it except
-                on GPUs. The exact engine always counts it.
+            engine: see `SIERIntegrator`.
+            substeps: see `SIERIntegrator`.
+            fastForceGroups: see `SIERIntegrator`.
+            countsHeat: whether the native engine counts the heat of the bath, for `getHeat` and the conserved energy of
+                reports, which takes up to a fifth of a step on a GPU. None counts it except on GPUs. The exact engine
+                always counts it.
 
         Raises:
             ValueError: a value is not finite or has the wrong sign, or `SIERIntegrator` refuses one.

@@ -1,4 +1,4 @@
-"""Former names of `SIERIntegrator` with a scheme, which go with the next release."""
+"""Deprecated names of `SIERIntegrator` with a scheme, which the next release removes."""
 
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ from openmm_sier.system.arguments import ForceGroups, Quantity, warn_of_former_n
 
 
 class IntegratorWithScheme(SIERIntegrator):
-    """Integrate by a scheme that the class fixes. Each object warns of its class's name."""
+    """Integrator with the scheme of its class. The constructor warns that the name is deprecated."""
 
     SCHEME: ClassVar[Scheme]
 

@@ -1,9 +1,9 @@
-"""Settings of an integrator: the checked arguments of its constructor, stored as JSON in what OpenMM serializes.
+"""Settings of an integrator: the checked arguments of its constructor, stored as JSON in the CustomIntegrator.
 
-XML, copies and caches keyed by XML so tell integrators apart. What is read may come from anywhere, and is given to the
-constructors that users call, `Settings`, `Scheme`, `RigidBodies` and those of ensembles, which check it. Nothing is
-imported because a text names it: free-rotation maps are those of this package and those that integrators were made with
-in this process; classes are those of this package and subclasses in modules that somebody has imported.
+This makes XML, copies and XML-keyed caches distinguish integrators. Stored settings may be crafted. They are checked by
+the constructors that users call: `Settings`, `Scheme`, `RigidBodies` and those of ensembles. No module is imported by
+name: free-rotation maps are those of this package and those of integrators made in this process; classes are those of
+this package and subclasses in modules that are already imported.
 """
 
 import json
@@ -27,17 +27,17 @@ from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.system.arguments import group_mask, rigid_bodies, step_size, whole_number
 from openmm_sier.system.find_bodies import RigidBodies
 
-#: The version of what is stored.
+#: Version of the stored settings.
 LAYOUT = 2
 
-#: The tabulated function whose values are the text. A CustomIntegrator has no better place: checkpoints hold its
-#: variables, and a checkpoint must not bring back the temperature of the run that wrote it.
+#: Tabulated function that stores the settings. Global variables will not do: loading a checkpoint would restore old
+#: settings.
 NAME = "sier settings"
 
-#: Bytes of text in each value: a double holds whole numbers of six bytes exactly.
+#: Bytes of text in each value: a double represents whole numbers of six bytes exactly.
 WIDTH = 6
 
-#: Free-rotation maps by name: those of this package, and any with which an integrator was made in this process.
+#: Free-rotation maps by name: those of this package, and those of integrators made in this process.
 ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
 
 
@@ -47,18 +47,18 @@ class SettingsError(openmm.OpenMMException):
 
 @dataclass(frozen=True)
 class Settings:
-    """Hold the arguments of an integrator; see `SIERIntegrator`, also for errors.
+    """The arguments of an integrator; see `SIERIntegrator`, also for errors.
 
     Attributes:
         kind: module and name of its class.
-        scheme: with a bath where the ensemble has one.
+        scheme: with a bath if the ensemble has one.
         step: of the scheme, ps.
-        engine: that was asked for.
-        substeps: into which a drift is divided; None leaves it to the engine.
+        engine: name of the engine, or "auto".
+        substeps: number of substeps of a drift; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts; None: those of a prepared System.
         bodies: the rigid bodies; None: those that the System's constraints form.
         rotation: free-rotation map.
-        ensemble: what happens between steps.
+        ensemble: rule for what happens between steps.
     """
 
     kind: str
@@ -85,7 +85,7 @@ class Settings:
             self._set("fast_groups", group_mask("fast_groups", self.fast_groups))
 
     def _check_types(self) -> None:
-        """Refuse what nothing else would notice."""
+        """Check the types of fields that are not checked elsewhere."""
         if not isinstance(self.kind, str):
             raise TypeError(f"kind must be the module and name of a class, got {self.kind!r}")
         if not isinstance(self.scheme, Scheme):
@@ -98,13 +98,13 @@ class Settings:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def flow(self, found: int = 0) -> Flow:
-        """Return what an engine is to follow.
+    def flow(self, prepared: int = 0) -> Flow:
+        """Return the flow for an engine.
 
         Args:
-            found: the fast force groups of the System, a bit mask, which count where none were asked for.
+            prepared: the fast force groups of the System, a bit mask, for settings without fast groups.
         """
-        fast_groups = found if self.fast_groups is None else self.fast_groups
+        fast_groups = prepared if self.fast_groups is None else self.fast_groups
         return self.ensemble.flow(Flow(self.scheme, self.step, self.rotation, self.substeps, fast_groups))
 
 
@@ -112,7 +112,7 @@ class Settings:
 
 
 def store(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Store settings in an openmm.CustomIntegrator, in place of those stored before."""
+    """Store settings in an openmm.CustomIntegrator; they replace earlier ones."""
     store_text(integrator, json.dumps(as_json(settings), separators=(",", ":"), allow_nan=False))
 
 
@@ -129,16 +129,15 @@ def store_text(integrator: openmm.CustomIntegrator, text: str) -> None:
 
 
 def is_stored(integrator: openmm.CustomIntegrator) -> bool:
-    """Return whether an openmm.CustomIntegrator carries settings of this package, in any layout."""
+    """Return whether an openmm.CustomIntegrator contains settings of this package, in any layout."""
     return NAME in _functions(integrator)
 
 
 def stored(integrator: openmm.CustomIntegrator) -> Settings:
-    """Return the settings that an openmm.CustomIntegrator carries, see `is_stored`.
+    """Return the settings in an openmm.CustomIntegrator, see `is_stored`.
 
     Raises:
-        SettingsError: they are damaged, of another version, or name what is not known here; the message says which
-            field.
+        SettingsError: they are damaged, of another version, or contain an unknown name; the message names the field.
     """
     values = integrator.getTabulatedFunction(_functions(integrator).index(NAME)).getFunctionParameters()
     try:
@@ -167,12 +166,11 @@ def as_json(settings: Settings) -> dict[str, Any]:
 
 
 def from_json(table: Any) -> Settings:
-    """Return the settings that `as_json` gave.
+    """Return settings from the result of `as_json`.
 
     Raises:
-        SettingsError: the table is of another version, names what is not known here, or has a value that cannot be
-            used.
-        TypeError, ValueError, OverflowError: it is no table, or a number or name in it is refused.
+        SettingsError: the table is of another version, or contains an unknown name or a value that cannot be used.
+        TypeError, ValueError, OverflowError: it is not a table, or a number or name in it is refused.
     """
     if not isinstance(table, dict):
         raise TypeError(f"expected a table, got {repr(table)[:80]}")
@@ -190,10 +188,10 @@ def from_json(table: Any) -> Settings:
             raise SettingsError(
                 f"The {name} of a stored SIER integrator cannot be used: {error}; it is {repr(values[name])[:80]}"
             ) from None
-    return _made(Settings, values)
+    return _from_table(Settings, values)
 
 
-def _made(kind: Any, values: Any) -> Any:
+def _from_table(kind: Any, values: Any) -> Any:
     """Return a dataclass from a table of all its fields."""
     names = {field.name for field in fields(kind)}
     if not isinstance(values, dict):
@@ -208,18 +206,18 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def _scheme(values: Any) -> Scheme:
-    return _made(Scheme, values)
+    return _from_table(Scheme, values)
 
 
 def _ensemble(values: Any) -> Ensemble:
     if not isinstance(values, dict) or values.get("name") not in ENSEMBLES:
         raise ValueError(f"expected a table with a name, one of {', '.join(ENSEMBLES)}")
-    return _made(ENSEMBLES[values["name"]], {name: value for name, value in values.items() if name != "name"})
+    return _from_table(ENSEMBLES[values["name"]], {name: value for name, value in values.items() if name != "name"})
 
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
-    """Return bodies bit for bit, without the names of residues."""
-    arrays = [{field.name: getattr(each, field.name).tolist() for field in fields(each)} for each in bodies.species]
+    """Return all numbers of bodies exactly, without the names of residues."""
+    arrays = [{field.name: getattr(kind, field.name).tolist() for field in fields(kind)} for kind in bodies.species]
     return {"particles": bodies.n_particles, "species": arrays}
 
 
@@ -233,20 +231,20 @@ def _bodies(values: Any) -> BodySet | None:
     ):
         raise TypeError("expected a table with `particles` (a number) and `species` (a list)")
     species = []
-    for each in values["species"]:
-        arrays = {name: np.array(numbers) for name, numbers in dict(each).items()}
-        species.append(_made(Species, arrays))
+    for kind in values["species"]:
+        arrays = {name: np.array(numbers) for name, numbers in dict(kind).items()}
+        species.append(_from_table(Species, arrays))
     return RigidBodies(species, whole_number("particles", values["particles"]))
 
 
 def name_of_rotation(function: Rotation) -> str:
-    """Return the name by which a free-rotation map is stored; it can be read back in this process from now on.
+    """Return the name by which a free-rotation map is stored, and register it in `ROTATIONS`.
 
-    Functions without a name of their own, such as lambdas, cannot be read back, but do not look alike.
+    Functions without a name, such as lambdas, cannot be restored, but have different texts.
     """
-    known = next((name for name, each in ROTATIONS.items() if each is function), None)
-    if known is not None:
-        return known
+    stored_name = next((name for name, rotation_map in ROTATIONS.items() if rotation_map is function), None)
+    if stored_name is not None:
+        return stored_name
     if "<" in getattr(function, "__qualname__", "<"):
         return repr(function)
     ROTATIONS[place_of(function)] = function
@@ -265,23 +263,23 @@ def _rotation(name: Any) -> Rotation:
 # --- classes ---
 
 
-def place_of(thing: Callable[..., Any] | type) -> str:
+def place_of(member: Callable[..., Any] | type) -> str:
     """Return module and name of a class or function."""
-    return f"{thing.__module__}:{thing.__qualname__}"
+    return f"{member.__module__}:{member.__qualname__}"
 
 
 def class_at(place: str, base: type) -> type:
-    """Return the subclass of `base` that a string from `place_of` names; no module is imported for it.
+    """Return the subclass of `base` with a name from `place_of`, without importing a module.
 
     Raises:
-        SettingsError: there is no such class in a module that is imported.
+        SettingsError: no imported module has such a class.
     """
     module, _, name = place.partition(":")
-    found: Any = sys.modules.get(module)
-    for part in name.split("."):
-        found = getattr(found, "__dict__", {}).get(part)
-    if not (isinstance(found, type) and issubclass(found, base)):
+    member: Any = sys.modules.get(module)
+    for attribute in name.split("."):
+        member = getattr(member, "__dict__", {}).get(attribute)
+    if not (isinstance(member, type) and issubclass(member, base)):
         raise SettingsError(
             f"The class {place} of a stored SIER integrator is not known here: import its module first, if you trust it"
         )
-    return found
+    return member

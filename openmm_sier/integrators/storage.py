@@ -1,8 +1,7 @@
-"""Integrators as OpenMM serializes and copies them.
+"""Serialization and copies of integrators.
 
-OpenMM knows a CustomIntegrator with settings, variables and a program, and nothing of Python. What is written is
-complete, so that OpenMM can execute it where this package is not imported. What is read becomes the SIER integrator
-that it was.
+For OpenMM an integrator is a CustomIntegrator with settings, variables and a program. Its XML is complete, so that
+OpenMM can execute it without this package. When it is read, it becomes the SIER integrator again.
 """
 
 import copy
@@ -19,9 +18,9 @@ from openmm_sier.integrators.binding import Binding
 
 
 def written(integrator: Any) -> openmm.CustomIntegrator:
-    """Return a plain CustomIntegrator that makes the steps of a SIER integrator and holds its settings.
+    """Return a plain CustomIntegrator with the steps and the settings of a SIER integrator.
 
-    Its program is right in any System, unlike that of a Context, which is written for one.
+    Its program is right for any System, while that of a Context is for its System only.
     """
     binding = integrator.binding
     binding.store()
@@ -33,47 +32,47 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
 
 
 def pickled(integrator: Any) -> str:
-    """Return the XML of what `unpickled` needs from OpenMM, which gets its program with a Context."""
+    """Return the XML for `unpickled`, without a program, which the integrator gets with a Context."""
     integrator.binding.store()
     return openmm.XmlSerializer.serialize(installation.without_program(integrator))
 
 
 def revived(integrator: openmm.Integrator, base: type) -> openmm.Integrator:
-    """Return the SIER integrator that a plain CustomIntegrator from XML was, and others as they are.
+    """Turn a plain CustomIntegrator from XML into its SIER class; return others unchanged.
 
     Args:
-        integrator: becomes the SIER integrator itself.
-        base: the class of all SIER integrators, of which its class must be a subclass.
+        integrator: openmm.Integrator, whose class changes.
+        base: the class of all SIER integrators, of which the stored class must be a subclass.
 
     Raises:
-        SettingsError: what is stored cannot be used here, as the message says.
+        SettingsError: stored settings cannot be used.
     """
     if type(integrator) is openmm.CustomIntegrator and settings.is_stored(integrator):
-        found = settings.stored(integrator)
-        _give_class(integrator, settings.class_at(found.kind, base), found)
+        values = settings.stored(integrator)
+        _give_class(integrator, settings.class_at(values.kind, base), values)
     return integrator
 
 
-def unpickled(xml: str, cls: type, given: settings.Settings, attributes: dict[str, Any]) -> Any:
-    """Return an integrator from its XML, with the settings, which XML does not hold in full.
+def unpickled(xml: str, cls: type, values: settings.Settings, attributes: dict[str, Any]) -> Any:
+    """Return an integrator from its XML and its settings, of which XML does not contain all.
 
     Args:
-        xml: what `pickled` returned.
-        cls: its class.
-        given: its settings.
-        attributes: others of a subclass, by name.
+        xml: result of `pickled`.
+        cls: class of the integrator.
+        values: its settings.
+        attributes: further attributes of a subclass, by name.
     """
     plain = inspect.unwrap(openmm.XmlSerializer._deserializeIntegrator)(xml)
-    _give_class(plain, cls, given)
+    _give_class(plain, cls, values)
     vars(plain).update(copy.deepcopy(attributes))
     return plain
 
 
-def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
-    """Turn a CustomIntegrator into one of a class of this package, with settings and without a program."""
+def _give_class(plain: Any, cls: type, values: settings.Settings) -> None:
+    """Turn a CustomIntegrator into a SIER integrator with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    required = {installation.PARTS, *found.ensemble.counts}
-    if found.flow().trial_steps:
+    required = {installation.PARTS, *values.ensemble.counts}
+    if values.flow().trial_steps:
         required |= set(trials.GLOBALS)
     if missing := required - variables:
         raise settings.SettingsError(
@@ -84,8 +83,8 @@ def _give_class(plain: Any, cls: type, found: settings.Settings) -> None:
     step = plain.getStepSize().value_in_unit(unit.picosecond) * native_steps
     installation.uninstall(plain)
     plain.__class__ = cls
-    plain.binding = Binding(plain, found)
+    plain.binding = Binding(plain, values)
     plain.binding.stored.load()
-    # The step may have been set where this package was not imported.
-    same = math.isclose(step, found.step, rel_tol=1e-12)
-    plain.binding.change(step=found.step if same else step)
+    # The step may have been set without this package.
+    same = math.isclose(step, values.step, rel_tol=1e-12)
+    plain.binding.change(step=values.step if same else step)

@@ -140,9 +140,9 @@ def _places(motions: Motions, bodies: BodySet) -> Iterator[_Place]:
     """Yield groups of bodies to be shifted, and groups of bodies to be turned."""
     for turns in (False, True):
         able = np.flatnonzero(motions.radii > 0) if turns else np.arange(bodies.n)
-        for part in np.array_split(able, min(PARTS, max(1, len(able)))):
-            if len(part):
-                yield _Place(part, turns)
+        for chosen in np.array_split(able, min(PARTS, max(1, len(able)))):
+            if len(chosen):
+                yield _Place(chosen, turns)
 
 
 def _errors(motions: Motions, place: _Place, numbers: list[int], times: int) -> dict[int, tuple[float, float]]:

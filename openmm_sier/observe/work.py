@@ -141,8 +141,8 @@ class Motions:
 
     def _acting(self, forces: np.ndarray, arms: np.ndarray, moves: Directions) -> np.ndarray:
         """Return forces on shifted bodies, and torques over radii on turning bodies."""
-        shifted, turned = (moves.velocity != 0).any(axis=1), (moves.spin != 0).any(axis=1)
-        torques = self._sums(np.cross(arms, forces))[turned] / self.radii[turned, None]
+        shifted, rotated = (moves.velocity != 0).any(axis=1), (moves.spin != 0).any(axis=1)
+        torques = self._sums(np.cross(arms, forces))[rotated] / self.radii[rotated, None]
         return np.concatenate([self._sums(forces)[shifted], torques])
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
@@ -153,8 +153,8 @@ class Motions:
 def _mismatch(energies: np.ndarray, powers: np.ndarray, force: float, interval: float) -> Mismatch:
     """Return the mismatch from energies and powers at equally spaced points, two per segment and one more."""
     work = interval / 3 * (powers[:-2:2] + 4 * powers[1:-1:2] + powers[2::2])
-    each = (work + np.diff(energies[::2])) / (2 * interval)
-    return Mismatch(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))), float(force))
+    errors = (work + np.diff(energies[::2])) / (2 * interval)
+    return Mismatch(float(errors.mean()), float(errors.std(ddof=1) / np.sqrt(len(errors))), float(force))
 
 
 def _by_groups(context: openmm.Context, batch: Sequence[int]) -> openmm.Context:

@@ -107,17 +107,17 @@ def _candidates(extents: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 def _divided(extents: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Divide a mass of 1 along the axes, the shortest first."""
-    rest, left = np.zeros(3), 1.0
+    rest, remaining = np.zeros(3), 1.0
     masses, corners = [], []
     for axis in np.flatnonzero(extents)[::-1]:
-        fraction, extent = fractions[axis], extents[axis] / np.sqrt(left)
+        fraction, extent = fractions[axis], extents[axis] / np.sqrt(remaining)
         corner = rest.copy()
         corner[axis] = extent * np.sqrt((1 - fraction) / fraction)
         rest[axis] = -extent * np.sqrt(fraction / (1 - fraction))
         corners.append(corner)
-        masses.append(left * fraction)
-        left *= 1 - fraction
-    return np.array([*masses, left]), np.array([*corners, rest])
+        masses.append(remaining * fraction)
+        remaining *= 1 - fraction
+    return np.array([*masses, remaining]), np.array([*corners, rest])
 
 
 def _clearance(corners: np.ndarray, places: np.ndarray) -> float:

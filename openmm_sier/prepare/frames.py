@@ -251,9 +251,9 @@ def with_frames(
         )
     framed = _copied(system)
     _hold(framed, frames)
-    held = np.concatenate([frame.atoms for frame in frames])
+    atoms = np.concatenate([frame.atoms for frame in frames])
     added = sum(len(frame.particles) for frame in frames)
-    add_to_forces(framed, AddedParticles(tables.masses(system), held, added))
+    add_to_forces(framed, AddedParticles(tables.masses(system), atoms, added))
     of_frames = [frame.particles.tolist() for frame in frames]
     named = None if topology is None else with_frame_atoms(topology, of_frames)
     framed_system = FramedSystem(framed, named, np.empty((0, 3)), rigid_bodies, frames)
@@ -274,12 +274,12 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet, x: np.ndarray) -> I
     followers = _virtual_sites(system, bodies)
     sited = _with_sites_placed(system, bodies.place(q, A, x.copy())) if followers else x
     number = bodies.n_particles
-    for species, part in zip(bodies.species, bodies.parts, strict=True):
+    for species, columns in zip(bodies.species, bodies.parts, strict=True):
         if not species.sites.any():
             continue
         free = ~tables.constraints(system).hold(species.atoms)
         solved = _is_solved(species)
-        for row, body in enumerate(range(part.start, part.stop)):
+        for row, body in enumerate(range(columns.start, columns.stop)):
             if solved and not free[row]:
                 continue
             sites = followers.get(body, [])
@@ -295,12 +295,12 @@ def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of a body of this kind."""
     if len(species.masses) > MOST_HELD or checks.is_line(species.masses, species.sites.T):
         return False
-    alone = openmm.System()
+    model = openmm.System()
     for mass in species.masses.tolist():
-        alone.addParticle(mass)
+        model.addParticle(mass)
     for i, j in combinations(range(len(species.masses)), 2):
-        alone.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
-    return not SolverTrial(alone).unsolved(lambda: species.sites.T)
+        model.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
+    return not SolverTrial(model).unsolved(lambda: species.sites.T)
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.BodySet) -> dict[int, list[int]]:
@@ -331,10 +331,10 @@ def _owner(site: openmm.VirtualSite, owners: np.ndarray) -> int:
 
 def _with_sites_placed(system: openmm.System, x: np.ndarray) -> np.ndarray:
     """Return positions (N, 3) with virtual sites placed by their parent particles."""
-    alone = _copied(system)
-    for number in reversed(range(alone.getNumForces())):
-        alone.removeForce(number)
-    context = reference_context(alone)
+    without_forces = _copied(system)
+    for number in reversed(range(without_forces.getNumForces())):
+        without_forces.removeForce(number)
+    context = reference_context(without_forces)
     context.setPositions(x)
     context.computeVirtualSites()
     return context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)

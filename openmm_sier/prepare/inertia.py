@@ -65,10 +65,10 @@ def set_inertia(
     system = checked_system(system)
     refuse_bound(system)
     x = checked_positions(positions, system.getNumParticles())
-    whole = quantity_to_float("mass", mass, unit.dalton, "dalton")
+    total = quantity_to_float("mass", mass, unit.dalton, "dalton")
     target = _checked_moments(moments)
-    if whole <= 0:
-        raise ValueError(f"mass must be positive, got {whole:g} dalton")
+    if total <= 0:
+        raise ValueError(f"mass must be positive, got {total:g} dalton")
     present = tables.masses(system)
     wholeness = Wholeness(system)
     new_masses: dict[int, float] = {}
@@ -79,7 +79,7 @@ def set_inertia(
             raise ValueError(f"a body must consist of atoms with mass, got {got}")
         wholeness.refuse_cut(x, atoms[None], _described)
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
-        masses = _masses(shape, whole, target, _described(atoms))
+        masses = _masses(shape, total, target, _described(atoms))
         new_masses |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))
     for atom, atom_mass in new_masses.items():
         system.setParticleMass(atom, atom_mass)
@@ -141,7 +141,7 @@ def _bounded(rows: np.ndarray, target: np.ndarray, least: float, name: str, mome
         if _are_right(rows, target, shares, least):
             return shares
     raise ValueError(
-        f"no choice of masses gives {name} the moments {', '.join(f'{each:.4g}' for each in moments)} dalton nm^2 "
+        f"no choice of masses gives {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} dalton nm^2 "
         f"about their centre and axes; {_range(rows, target, least)}. "
         "Add particles without interactions to the body, further out for larger moments and at its centre for smaller "
         "ones"

@@ -31,9 +31,9 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
     sizes = np.bincount(owner[atoms])
     ends = owner[tables.constraints(system).pairs]
     inside = ends[(ends[:, 0] == ends[:, 1]) & (ends[:, 0] >= 0), 0]
-    held = np.bincount(inside, minlength=len(sizes)) >= sizes * (sizes - 1) // 2
+    is_rigid = np.bincount(inside, minlength=len(sizes)) >= sizes * (sizes - 1) // 2
     pairs = np.column_stack([atoms[:-1], atoms[1:]])
-    pairs = pairs[(owner[pairs[:, 0]] == owner[pairs[:, 1]]) & ~held[owner[pairs[:, 0]]]]
+    pairs = pairs[(owner[pairs[:, 0]] == owner[pairs[:, 1]]) & ~is_rigid[owner[pairs[:, 0]]]]
     if not len(pairs):
         return 0
     force = openmm.HarmonicBondForce()

@@ -70,5 +70,5 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     if not counts:
         warn("hydrogenMass has no effect: the System has no hydrogens whose mass could be changed")
         return "There are no hydrogens whose mass could be changed."
-    said = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(counts.items()))
-    return f"{said}: averages of positions do not change, but motion is slower."
+    counted = " and ".join(f"{count} hydrogens have {each:g} dalton" for each, count in sorted(counts.items()))
+    return f"{counted}: averages of positions do not change, but motion is slower."

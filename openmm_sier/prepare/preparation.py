@@ -108,18 +108,18 @@ def prepare_system(
                 "The masses in `bodies` would not change with hydrogenMass: call prepare_system(system, "
                 "hydrogenMass=…) before RigidBodies.from_system"
             )
-        done = _balance(system, constant_energy=heavy is None)
+        sentences = _balance(system, constant_energy=heavy is None)
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
     if heavy is not None:
-        done.append(set_hydrogen_masses(system, heavy))
+        sentences.append(set_hydrogen_masses(system, heavy))
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
-        done += _join(system, forces) + gathered + _useless_terms(system, forces.owner)
+        sentences += _join(system, forces) + gathered + _useless_terms(system, forces.owner)
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
-    return Preparation(groups, tuple(done), limits)
+    return Preparation(groups, tuple(sentences), limits)
 
 
 def _refuse_others_in(group: int, forces: FastForces) -> None:
@@ -156,23 +156,23 @@ def _gather_fast_forces(
 ) -> tuple[list[openmm.Force], list[str]]:
     """Put fast forces into a group unless all motion is coarse; return them and descriptions."""
     fast = [] if coarse else _put_fast_forces(system, forces, group)
-    done = []
+    sentences = []
     if fast:
-        done += _add_close_pairs(system, forces, fast, group)
+        sentences += _add_close_pairs(system, forces, fast, group)
     elif coarse:
-        done.append(describe_coarse(coarse))
+        sentences.append(describe_coarse(coarse))
     elif not forces.slow and not forces.inner:
-        done.append("All molecules with bonded forces are rigid, so there are no fast forces.")
-    left = [force.getName() for force in forces.slow]
-    if left and not coarse:
+        sentences.append("All molecules with bonded forces are rigid, so there are no fast forces.")
+    slow = [force.getName() for force in forces.slow]
+    if slow and not coarse:
         why = "they act on virtual sites or frozen atoms"
-        done.append(f"These stay slow forces, since {why}: {', '.join(left)}.")
+        sentences.append(f"These stay slow forces, since {why}: {', '.join(slow)}.")
     if forces.inner:
-        done.append(
+        sentences.append(
             f"These stay slow forces, since another Force contains them: {', '.join(forces.inner)}. Add them "
             "to the System itself to make them fast, if the other Force does not change their effect."
         )
-    return fast, done
+    return fast, sentences
 
 
 def _coarse_motion(system: openmm.System, bodies: BodySet | BodyPlan, owner: np.ndarray) -> Stiffest | None:
@@ -216,13 +216,13 @@ def _useless_terms(system: openmm.System, owner: np.ndarray) -> list[str]:
 
 def _add_close_pairs(system: openmm.System, forces: FastForces, fast: list[openmm.Force], group: int) -> list[str]:
     """Add close pairs of bodies to the group of the fast forces; return descriptions."""
-    done = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
+    sentences = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
     edges = Links(system).covalent()
     edges = edges[forces.moving[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, forces.owner, group, periodic):
-        done.append(
+        sentences.append(
             f"Nonbonded forces between {count} close pairs (up to {close_pairs.REACH} bonds apart) count as fast too; "
             "the slow forces leave them out. The total energy is the same."
         )
-    return done
+    return sentences

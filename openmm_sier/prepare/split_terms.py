@@ -32,18 +32,18 @@ def divided(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> openm
     if kind.terms is None or not kind.is_divisible:
         return None
     element, strengths = kind.terms.element, kind.terms.strengths
-    moved = type(force)()
+    second = type(force)()
     term_atoms = bonded_terms(force)
     numbers = np.flatnonzero(do_work(term_atoms, owner) & moving[term_atoms].all(axis=1))
     for number in numbers.tolist():
         parameters = list(getattr(force, f"get{element}Parameters")(number))
         if all(parameters[place] == 0 * parameters[place] for place in strengths):
             continue
-        getattr(moved, f"add{element}")(*parameters)
+        getattr(second, f"add{element}")(*parameters)
         for place in strengths:
             parameters[place] *= 0
         getattr(force, f"set{element}Parameters")(number, *parameters)
-    moved.setName(force.getName() + OF_BODIES)
-    moved.setForceGroup(force.getForceGroup())
-    moved.setUsesPeriodicBoundaryConditions(force.usesPeriodicBoundaryConditions())
-    return moved if len(bonded_terms(moved)) else None
+    second.setName(force.getName() + OF_BODIES)
+    second.setForceGroup(force.getForceGroup())
+    second.setUsesPeriodicBoundaryConditions(force.usesPeriodicBoundaryConditions())
+    return second if len(bonded_terms(second)) else None

@@ -50,8 +50,8 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
     """
     masses, constraints = tables.masses(system), tables.constraints(system)
     # No atom of a body moves more easily than it would alone.
-    alone = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
-    mobility = alone if bodies is None else mobilities(bodies)
+    inverse_masses = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
+    mobility = inverse_masses if bodies is None else mobilities(bodies)
     fastest = Stiffest(math.inf, ())
     for force in system.getForces():
         if not len(working_terms(force, owner)):

@@ -1,4 +1,4 @@
-"""Word what is wrong with a step, and what helps."""
+"""Messages about steps, with remedies."""
 
 import math
 from functools import cached_property
@@ -18,7 +18,7 @@ LIGHT = 2.0
 
 _HEAVY = "prepare_system(system, hydrogenMass=4*dalton)"
 
-#: Remedies, for scripts and for the command, which prepares every System.
+#: Remedies, for scripts and for the command, which prepares all Systems.
 SHORTER_STEP = "take a shorter step (--dt)"
 PREPARE = (
     "call prepare_system(system) before the Context is made, so that bonds get inner steps; or take a shorter step "
@@ -54,8 +54,8 @@ def message(finding: str, *remedies: str, remark: str = "") -> str:
     """Return a message.
 
     Args:
-        finding: what is wrong.
-        remedies: any one of them helps.
+        finding: the problem.
+        remedies: any of them helps.
         remark: another fact; may be empty.
     """
     advice = ", or ".join(remedies)
@@ -68,32 +68,32 @@ def femtoseconds(time: float) -> str:
 
 
 def up_to(step: float) -> str:
-    """Return the remedy of a step up to this one, ps, which is rounded down to three digits."""
+    """Return the remedy of a step of at most `step`, ps, rounded down to three digits."""
     value, unit = (1000 * step, "fs") if step < 1 else (step, "ps")
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    # A step of 4 fs is 4.000000000000001 fs or a little less in binary numbers.
+    # In binary numbers a step of 4 fs may be 3.999999999999999 fs.
     return f"take up to {math.floor(value / digit * (1 + 1e-12)) * digit:.3g} {unit} (--dt)"
 
 
 def soften(force: str) -> str:
-    """Return the remedy of a Force that is less stiff, by its name."""
+    """Return the remedy of a softer Force, by its name."""
     return f"make {force} softer"
 
 
 def in_femtoseconds(step: float) -> str:
-    """Return the remedy of a unit for a step that was meant in fs."""
+    """Return the remedy for a step in fs without a unit."""
     return f"give {step:g}*unit.femtoseconds for {step:g} fs, since a plain number is a time in ps"
 
 
 class Remedies:
-    """Find the remedies that help a System's fast motions, by their atoms."""
+    """Remedies for a System's fast motions, by their atoms."""
 
     def __init__(self, system: openmm.System, bodies: BodySet, links: Links):
         """Take a System, its bodies, and its constraints and bonds."""
         self._owners = bodies.owners.copy()
         self._moving = bodies.owners >= 0
         self._points = bodies.point_particles
-        # Constraints join no rigid body to anything, so that they are no remedy in a molecule with such bodies.
+        # Constraints cannot join rigid bodies, so that they are no remedy in a molecule with rigid bodies.
         rigid = bodies.molecules[bodies.moments.any(axis=0)]
         self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
         # Terms between frozen atoms do no work, like those inside one body.
@@ -103,14 +103,14 @@ class Remedies:
 
     @cached_property
     def _hydrogens(self) -> set[int]:
-        """Return all hydrogens: not at the start, since few Systems need a remedy."""
+        """All hydrogens: not at the start, since few Systems need a remedy."""
         by_centre = hydrogens_among(self._masses, partners_of(self._masses, self._links))
         return {atom for atoms in by_centre.values() for atom in atoms}
 
     def can_be_fast(self, force: openmm.Force, atoms: tuple[int, ...]) -> bool:
-        """Tell whether `prepare_system` would let a term of a Force act within drifts.
+        """Return whether `prepare_system` would let a term of a Force act within drifts.
 
-        It is bonded and acts on bodies alone, and so do all terms of the Force, or the Force can be divided.
+        The Force must be bonded, and all its terms act on bodies alone, or it can be divided.
         """
         if kind_of(force).is_divisible:
             return bool(self._moving[list(atoms)].all())
@@ -118,7 +118,7 @@ class Remedies:
         return bool(len(terms) and self._moving[terms].all())
 
     def has_hydrogen(self, atoms: tuple[int, ...], heaviest: float = tables.HEAVIEST_HYDROGEN) -> bool:
-        """Tell whether a hydrogen of up to a mass in dalton is among some atoms."""
+        """Return whether one of the atoms is a hydrogen of at most a mass in dalton."""
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
     def hold(self, atoms: tuple[int, ...]) -> list[str]:

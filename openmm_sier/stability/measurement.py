@@ -1,4 +1,4 @@
-"""Measure the fastest motion that a Force causes where the atoms are, whatever its energy is a function of.
+"""Measure the fastest motion that a Force causes at given positions, whatever its energy is a function of.
 
 The largest second derivatives of the energy over masses are found by Lanczos' method, J. Res. Natl. Bur. Stand. 45, 255
 (1950): each of its vectors costs two evaluations of this Force alone, of which there are 5 to 43. They are made in a
@@ -23,24 +23,24 @@ from openmm_sier.system.second_context import follow_parameters, reference_conte
 #: Largest displacement of an atom, nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
 DISPLACEMENT = 1e-5
 
-#: kJ/mol. A motion that is further from its minimum than this is no vibration, and its curvature gives no period: the
-#: repulsion of two atoms that overlap in a start, or a restraint that is far from where it holds.
+#: kJ/mol. A motion that is further from its minimum is no vibration, and its curvature gives no period: the repulsion
+#: of two atoms that overlap in a start, or a restraint far from its minimum.
 FAR = 25.0
 
-#: Vectors after which the search ends. Bonds of three masses have a few different frequencies, and take some six.
+#: Largest number of vectors. Bonds of three masses have a few different frequencies, and need some six vectors.
 MOST_VECTORS = 20
 
-#: Residual of a direction over its eigenvalue, with which it is taken. At 0.01 the two stretches of water, with squares
-#: that differ by 3 %, are not told apart.
+#: Relative residual of an accepted direction. At 0.01 the two stretches of water, whose squares differ by 3 %, are not
+#: distinguished.
 ACCURACY = 0.001
 
-#: A residual that is shorter than this share of the largest eigenvalue is rounding.
+#: Residual over the largest eigenvalue below which it is rounding.
 ROUNDING = 1e-6
 
 #: 1/ps^2. Motions with periods above 6 ps limit no step.
 LEAST_SQUARE = 1.0
 
-#: Atoms with at least this share of the largest velocity are named, of these the first few.
+#: Smallest share of the largest velocity, and largest number, of atoms that are named.
 NAMED, MOST_NAMED = 0.5, 4
 
 _FORCE = unit.kilojoule_per_mole / unit.nanometer
@@ -51,7 +51,7 @@ class Vibration(NamedTuple):
 
     Attributes:
         square: of its angular frequency, 1/ps^2.
-        atoms: particle indices of the term that changes most; without terms, those of the atoms that move most.
+        atoms: particle indices of the term that changes most; without terms, of the atoms that move most.
     """
 
     square: float
@@ -65,28 +65,28 @@ class HiddenError(Exception):
 def fastest_motion(
     force: openmm.Force, context: openmm.Context, bodies: BodySet, weight: float = 1.0
 ) -> Vibration | None:
-    """Return the fastest motion that a Force causes where the atoms are; None if there is none.
+    """Return the fastest motion that a Force causes at the positions of a Context; None if there is none.
 
-    Motions are those that bodies and constraints leave. What is far from its minimum, by `FAR`, is no vibration.
+    Motions are those of bodies under their constraints. Those far from their minimum, by `FAR`, are no vibrations.
 
     Args:
         force: of the Context's System, or within a Force of it.
         context: with positions, box and parameters.
         bodies: of that System, with the constraints between them.
-        weight: the factor of the Force's energy in that of the System.
+        weight: factor of the Force's energy in that of the System.
 
     Raises:
         HiddenError: there are too many overlaps of atoms.
     """
-    forces = _forces_alone(force, context, weight)
+    forces = _forces_of(force, context, weight)
     x = openmm.Context.getState(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     noise = DISPLACEMENT * np.random.default_rng(1).normal(size=x.shape)
     response = forces(x - noise) - forces(x + noise)
     owners = bodies.owners[np.any(response != 0, axis=1)]
-    moved = bodies.molecules[np.unique(owners[owners >= 0])]
-    if not len(moved):
+    molecules = bodies.molecules[np.unique(owners[owners >= 0])]
+    if not len(molecules):
         return None
-    motions = _Motions(bodies.restricted(np.flatnonzero(np.isin(bodies.molecules, moved))), x)
+    motions = _Motions(bodies.restricted(np.flatnonzero(np.isin(bodies.molecules, molecules))), x)
 
     def curvature(direction: np.ndarray) -> np.ndarray:
         velocities = motions.velocities(direction)
@@ -120,7 +120,7 @@ class _Motions:
         return self._bodies.move(BodyState(self._q, momenta[:3], self._A, L), np.zeros(self._shape))
 
     def projected(self, forces: np.ndarray) -> np.ndarray:
-        """Return the part of forces on atoms, (N, 3), that constraints leave, as a direction."""
+        """Return the projection of forces on atoms, (N, 3), onto the motions, as a direction."""
         F, tau = self._bodies.forces_and_torques(forces, self._A)
         return np.concatenate([self._bodies.constraints.project(self._q, F), body_frame(self._A, tau)]) * self._inverse
 
@@ -128,12 +128,12 @@ class _Motions:
 def _largest(
     curvature: Callable[[np.ndarray], np.ndarray], gradient: np.ndarray, start: np.ndarray
 ) -> tuple[float, np.ndarray] | None:
-    """Return the largest eigenvalue of a matrix, 1/ps^2, and its direction (6, n); None where nothing is fast.
+    """Return the largest eigenvalue of a matrix, 1/ps^2, and its direction (6, n); None if none is large.
 
     Directions in which the energy is far from its minimum are left out.
 
     Args:
-        curvature: multiplies the matrix with a direction.
+        curvature: function that multiplies the matrix with a direction.
         gradient: of the energy.
         start: the first direction.
 
@@ -149,14 +149,14 @@ def _largest(
     for last in range(MOST_VECTORS):
         basis = np.concatenate([basis, following[None]])
         following = curvature(basis[-1])
-        # Against all earlier ones, twice, since rounding would bring them back.
+        # Orthogonalized twice, since rounding would bring back components along earlier vectors.
         for _ in range(2):
             shares = np.tensordot(basis, following, 2)
             matrix[: last + 1, last] += shares
             following = following - np.tensordot(shares, basis, 1)
         squares, modes = np.linalg.eigh(matrix[: last + 1, : last + 1], UPLO="U")
         residual = np.linalg.norm(following)
-        # No other direction moves with these.
+        # These directions are an invariant subspace.
         is_complete = residual <= ROUNDING * np.abs(squares).max()
         is_last = is_complete or last + 1 == MOST_VECTORS
         for square, mode in zip(squares[::-1].tolist(), modes.T[::-1], strict=True):
@@ -176,35 +176,35 @@ def _largest(
     raise HiddenError
 
 
-def _forces_alone(force: openmm.Force, context: openmm.Context, weight: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that gives the forces (N, 3) by one Force, times its weight, at positions (N, 3)."""
-    system = _particles_alone(context.getSystem())
+def _forces_of(force: openmm.Force, context: openmm.Context, weight: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of positions (N, 3) that returns the forces (N, 3) of one Force, times its weight."""
+    system = _without_forces(context.getSystem())
     system.addForce(openmm.XmlSerializer.clone(force))
     system.setDefaultPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
-    alone = reference_context(system)
-    follow_parameters(context, alone)
+    second_context = reference_context(system)
+    follow_parameters(context, second_context)
 
     def forces(positions: np.ndarray) -> np.ndarray:
-        alone.setPositions(positions)
-        alone.computeVirtualSites()
-        return weight * alone.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+        second_context.setPositions(positions)
+        second_context.computeVirtualSites()
+        return weight * second_context.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
 
     return forces
 
 
-def _particles_alone(system: openmm.System) -> openmm.System:
+def _without_forces(system: openmm.System) -> openmm.System:
     """Return a System of the particles of another, without its Forces."""
     masses = tables.masses(system)
     if any(system.isVirtualSite(i) for i in np.flatnonzero(masses == 0).tolist()):
         # OpenMM copies virtual sites only with their System.
-        alone = openmm.XmlSerializer.clone(system)
-        while alone.getNumForces():
-            alone.removeForce(0)
-        return alone
-    alone = openmm.System()
+        without_forces = openmm.XmlSerializer.clone(system)
+        while without_forces.getNumForces():
+            without_forces.removeForce(0)
+        return without_forces
+    without_forces = openmm.System()
     for mass in masses.tolist():
-        alone.addParticle(mass)
-    return alone
+        without_forces.addParticle(mass)
+    return without_forces
 
 
 def _moved_most(force: openmm.Force, owners: np.ndarray, velocities: np.ndarray) -> tuple[int, ...]:
@@ -217,14 +217,15 @@ def _moved_most(force: openmm.Force, owners: np.ndarray, velocities: np.ndarray)
     speeds = np.linalg.norm(velocities, axis=1)
     if kind_of(force).acts_on == "particles":
         return (int(speeds.argmax()),)
-    moved = np.flatnonzero(speeds >= NAMED * speeds.max())
-    return tuple(moved[:MOST_NAMED].tolist())
+    movers = np.flatnonzero(speeds >= NAMED * speeds.max())
+    return tuple(movers[:MOST_NAMED].tolist())
 
 
 def _terms(force: openmm.Force) -> np.ndarray:
     """Return particles of each term of a Force, (t, k); none of a Force without terms."""
-    if kind_of(force).terms is not None:
+    kind = kind_of(force)
+    if kind.terms is not None:
         return bonded_terms(force)
-    if isinstance(force, openmm.CustomCompoundBondForce):
-        return np.array([force.getBondParameters(i)[0] for i in range(force.getNumBonds())], dtype=np.int64)
+    if kind.term_particles is not None:
+        return np.array(kind.term_particles(force), dtype=np.int64)
     return np.empty((0, 0), dtype=np.int64)

@@ -1,9 +1,9 @@
-"""The fastest motions of a System: bonds that nothing holds, molecules that swing among others, bodies that spin.
+"""The fastest motions of a System: unconstrained vibrations, librations of molecules among others, spins of bodies.
 
-How fast the forces between molecules turn and shake them is estimated before any position is known. An atom that can
-move with an inverse mass u, its body's rotation included, and that its surroundings hold with a stiffness k swings with
-the angular frequency sqrt(k u). For the hydrogens of rigid water u is 1/m, since out of the plane of the molecule they
-move as if they were free. Heavier hydrogens, and those of larger bodies, are slower.
+The frequencies of librations are estimated without positions. An atom with an inverse effective mass u, its body's
+rotation included, in surroundings of the stiffness k swings with the angular frequency sqrt(k u). For the hydrogens of
+rigid water u is 1/m, since out of the plane of the molecule they move like free atoms. Heavier hydrogens, and those of
+larger bodies, are slower.
 """
 
 import math
@@ -17,6 +17,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.species import Species
+from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.measurement import HiddenError, fastest_motion
 from openmm_sier.system import tables
@@ -50,13 +51,13 @@ LENNARD_JONES = 4 * 72 / 2 ** (1 / 3)
 
 
 class Motion(NamedTuple):
-    """A bond or a libration as a harmonic oscillator.
+    """A vibration or libration as a harmonic oscillator.
 
     Attributes:
         period: ps.
-        atoms: particle indices of the ends of the bond, or of the one atom that swings.
+        atoms: particle indices of the ends of a bond, the atoms of another vibration, or the one atom that swings.
         group: the force group that moves them.
-        share: stiffness of the surroundings over that of the bond.
+        share: stiffness of the surroundings over that of the vibration.
         force: name of the Force, where the motion was measured.
         is_bond: whether it stretches a bond.
         can_be_fast: whether inner steps could follow it, once the System is prepared.
@@ -90,22 +91,22 @@ class Spin(NamedTuple):
 
 
 class Motions:
-    """Find the fastest motions of a System.
+    """The fastest motions of a System.
 
-    Motions inside bodies do not count, nor do those that constraints hold. The periods of HarmonicBondForces are read
-    from the System, as it is when the Context is created. Each of these bonds is treated on its own, which gives its
-    period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster.
-    Angles are ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only
-    those with charges are looked at, and the Lennard-Jones terms of NonbondedForces. Forces that are expressions or
-    collective variables are measured by `measure`, once there are positions. Forces within Forces count by their weight
-    (`inner_forces`).
+    Motions within bodies and along constraints do not count. The periods of HarmonicBondForces are read from the
+    System, as it is when the Context is created. Each of these bonds is treated separately, which gives its period to
+    1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Angles are
+    ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only those with
+    charges count, and the Lennard-Jones terms of NonbondedForces. Forces of expressions or collective variables are
+    measured by `measure`, at positions. Forces within Forces count by their weight (`inner_forces`).
 
     Attributes:
+        bodies: all that move in the System.
         harmonic: the fastest bond of each HarmonicBondForce.
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
-        spin: of the slimmest rigid body; None where no body turns.
-        unknown: force group and name of each Force of which no stiffness is known, also where overlaps hide it.
+        spin: of the slimmest rigid body; None if no body turns.
+        unknown: force group and name of each Force of unknown stiffness, including those that overlaps hide.
         remedies: for these motions.
     """
 
@@ -116,31 +117,32 @@ class Motions:
             bodies: all that move in it.
             rigid: the kinds of rigid body.
         """
+        self.bodies = bodies
         self._mobility = mobilities(bodies)
         links = Links(system)
         self.remedies = Remedies(system, bodies, links)
-        all_parts = list(all_forces(system))
-        with_charges = [part for part in all_parts if kind_of(part.force).charges and part.weight is not None]
-        stiffnesses = [abs(part.weight or 0.0) * _stiffness_around(part.force) for part in with_charges]
-        #: Of the surroundings of each atom, (N,), kJ/mol/nm^2.
+        forces = list(all_forces(system))
+        with_charges = [entry for entry in forces if kind_of(entry.force).charges and entry.weight is not None]
+        stiffnesses = [abs(entry.weight or 0.0) * _stiffness_around(entry.force) for entry in with_charges]
+        #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
-        # A molecule swings among others, or among frozen atoms.
+        # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
-        self.harmonic = list(self._fastest_bonds(all_parts, links.constraints))
+        self.harmonic = list(self._fastest_bonds(forces, links.constraints))
         self.measured: list[Motion] = []
-        self.unknown = _described([part for part in all_parts if _is_unknown(part)])
+        self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
         self.spin = _slimmest(system, bodies, rigid, is_alone)
-        self._to_measure = [part for part in all_parts if _is_measured(part)]
+        self._to_measure = [entry for entry in forces if _is_measured(entry)]
 
     @property
-    def bonds(self) -> list[Motion]:
-        """Return all motions that bonded Forces, fields and collective variables cause."""
+    def vibrations(self) -> list[Motion]:
+        """Motions caused by bonded Forces, fields and collective variables."""
         return self.harmonic + self.measured
 
     def measure(self, context: openmm.Context) -> bool:
-        """Measure, once, where the atoms are, what is not read from parameters; return whether anything was measured.
+        """Measure, once, the motions that are not read from parameters; return whether anything was measured.
 
         Args:
             context: of the System, with positions.
@@ -148,51 +150,74 @@ class Motions:
         if not self._to_measure:
             return False
         measured, hidden = [], []
-        for part in self._to_measure:
+        for entry in self._to_measure:
             try:
-                vibration = fastest_motion(part.force, context, self._linked, part.weight or 0.0)
+                vibration = fastest_motion(entry.force, context, self._linked, entry.weight or 0.0)
             except HiddenError:
-                hidden.append(part)
+                hidden.append(entry)
                 continue
             if vibration is not None:
-                is_bond = kind_of(part.force).acts_on == "terms" and len(vibration.atoms) == 2
-                motion = self._motion(part, vibration.atoms, vibration.square)
-                measured.append(motion._replace(force=part.name, is_bond=is_bond))
+                is_bond = kind_of(entry.force).acts_on == "terms" and len(vibration.atoms) == 2
+                motion = self._motion(entry, vibration.atoms, vibration.square)
+                measured.append(motion._replace(force=entry.name, is_bond=is_bond))
         self.unknown += _described(hidden)
         self.measured = measured
         self._to_measure = []
         return True
 
     def moves_like_hydrogen(self, motion: Motion) -> bool:
-        """Tell whether one of the atoms moves like a hydrogen, which may have been made heavy."""
+        """Return whether one of the atoms moves like a hydrogen, which may have been made heavy."""
         return bool(self._mobility[list(motion.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def _motion(self, part: SystemForce, atoms: tuple[int, ...], square: float) -> Motion:
+    def fastest_hydrogen(self, groups: int) -> Motion | None:
+        """Return the fastest bond to hydrogen in force groups, a bit mask."""
+        bonds = [motion for motion in self.vibrations if motion.is_bond and self.moves_like_hydrogen(motion)]
+        return fastest(bonds, groups)
+
+    def body_of(self, libration: Motion) -> int:
+        """Return the index of the body that swings."""
+        return int(self.bodies.owners[libration.atoms[0]])
+
+    def ways_to_hold(self, vibration: Motion) -> list[str]:
+        """Return remedies that make a vibration slower."""
+        return self.remedies.hold(vibration.atoms) if vibration.is_bond else [advice.soften(vibration.force)]
+
+    def describe(self, vibration: Motion) -> str:
+        """Return a vibration in words."""
+        labels, atoms = self.bodies.labels, vibration.atoms
+        residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in atoms))})"
+        if vibration.is_bond:
+            by = f" by {vibration.force}" if vibration.force else ""
+            return f"the bond between atoms {atoms[0]} and {atoms[1]}{residues}{by}"
+        plural = "s" if len(atoms) > 1 else ""
+        return f"the motion of atom{plural} {', '.join(map(str, atoms))}{residues} by {vibration.force}"
+
+    def _motion(self, entry: SystemForce, atoms: tuple[int, ...], square: float) -> Motion:
         """Return the motion of some atoms by a Force, by the square of its angular frequency in 1/ps^2."""
         period = 2 * math.pi / math.sqrt(square)
-        # The stiffness with which surroundings may hold the bond, by its ends, over that of the bond itself.
+        # Stiffness of the surroundings of the ends of the bond, over that of the bond.
         mobility = self._mobility[list(atoms)]
         share = float(self._held[list(atoms)] @ mobility**2 / (square * mobility.sum()))
-        can_be_fast = period < COARSE and not part.containers and self.remedies.can_be_fast(part.force, atoms)
-        return Motion(period, atoms, part.group, share, can_be_fast=can_be_fast)
+        can_be_fast = period < COARSE and not entry.containers and self.remedies.can_be_fast(entry.force, atoms)
+        return Motion(period, atoms, entry.group, share, can_be_fast=can_be_fast)
 
-    def _fastest_bonds(self, all_parts: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
-        """Find in each HarmonicBondForce the fastest bond between two bodies that no constraint holds."""
-        for part in all_parts:
-            if isinstance(part.force, openmm.HarmonicBondForce):
-                atoms, squares = harmonic_frequencies(part.force, self._mobility, self._linked.owners, constraints)
-                squares = (part.weight or 0.0) * squares
+    def _fastest_bonds(self, forces: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
+        """Yield the fastest unconstrained bond between two bodies in each HarmonicBondForce."""
+        for entry in forces:
+            if isinstance(entry.force, openmm.HarmonicBondForce):
+                atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
+                squares = (entry.weight or 0.0) * squares
                 if squares.max(initial=0) > 0:
                     fastest = int(squares.argmax())
-                    yield self._motion(part, tuple(atoms[fastest].tolist()), float(squares[fastest]))
+                    yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
 
     def _swings(self, with_charges: Sequence[SystemForce], stiffnesses: Sequence[np.ndarray]) -> Iterator[Motion]:
-        """Give for each Force with charges the fastest swing that it causes, by how stiffly it holds each atom."""
-        for part, stiffness in zip(with_charges, stiffnesses, strict=True):
+        """Yield the fastest libration by each Force with charges, from the stiffness of each atom's surroundings."""
+        for entry, stiffness in zip(with_charges, stiffnesses, strict=True):
             squares = stiffness * self._mobility
             if squares.max(initial=0) > 0:
                 atom = int(squares.argmax())
-                yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), part.group)
+                yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), entry.group)
 
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
@@ -200,38 +225,38 @@ def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:
     return min((motion for motion in motions if groups >> motion.group & 1), default=None)
 
 
-def _described(all_parts: Sequence[SystemForce]) -> list[tuple[int, str]]:
+def _described(forces: Sequence[SystemForce]) -> list[tuple[int, str]]:
     """Return force group and name of each Force."""
-    return [(part.group, f"{part.name} ({type(part.force).__name__})") for part in all_parts]
+    return [(entry.group, f"{entry.name} ({type(entry.force).__name__})") for entry in forces]
 
 
-def _is_measured(part: SystemForce) -> bool:
-    """Tell whether the fastest motion by a Force is measured: it acts on few atoms, or is cheap for all of them."""
+def _is_measured(entry: SystemForce) -> bool:
+    """Return whether the fastest motion by a Force is measured: it acts on few atoms, or is cheap for all of them."""
     # The close pairs of `prepare_system` are nonbonded interactions.
-    is_own = part.force.getName().startswith("openmm_sier: ")
-    return part.weight is not None and not is_own and not _is_sum(part.force) and _is_cheap(part.force)
+    is_close_pairs = entry.force.getName().startswith("openmm_sier: ")
+    return entry.weight is not None and not is_close_pairs and not _is_sum(entry.force) and _is_cheap(entry.force)
 
 
 def _is_cheap(force: openmm.Force) -> bool:
     if isinstance(force, openmm.CustomCVForce):
         variables = [force.getCollectiveVariable(i) for i in range(force.getNumCollectiveVariables())]
-        return all(kind_of(each).terms or _is_cheap(each) for each in variables)
+        return all(kind_of(variable).terms or _is_cheap(variable) for variable in variables)
     return kind_of(force).stiffness == "measured"
 
 
 def _is_sum(force: openmm.Force) -> bool:
-    """Tell whether a Force is known by those that it contains."""
+    """Return whether a Force is a sum of Forces, which are judged one by one."""
     return isinstance(force, openmm.ATMForce) or (isinstance(force, openmm.CustomCVForce) and is_linear(force))
 
 
-def _is_unknown(part: SystemForce) -> bool:
-    """Tell whether no stiffness of a Force is known, as of a collective variable of all pairs."""
-    is_known = kind_of(part.force).stiffness != "unknown" or _is_sum(part.force) or _is_cheap(part.force)
-    return part.weight is not None and not is_known
+def _is_unknown(entry: SystemForce) -> bool:
+    """Return whether no stiffness of a Force is known, as of a collective variable of all pairs."""
+    is_known = kind_of(entry.force).stiffness != "unknown" or _is_sum(entry.force) or _is_cheap(entry.force)
+    return entry.weight is not None and not is_known
 
 
 def _stiffness_around(force: openmm.Force) -> np.ndarray:
-    """Return the stiffness with which a Force with charges is taken to hold each atom, (N,), kJ/mol/nm^2."""
+    """Return the estimated stiffness of each atom's surroundings by a Force with charges, (N,), kJ/mol/nm^2."""
     if not isinstance(force, openmm.NonbondedForce):
         return np.where(np.abs(_charges(force)) >= CHARGED, HYDROGEN_BOND, 0.0)
     charges, sigma, epsilon = tables.atom_parameters(force).T
@@ -248,12 +273,12 @@ def _charges(force: openmm.Force) -> np.ndarray:
         charges = [force.getParticleParameters(i)[0] for i in range(force.getNumParticles())]
     else:
         charges = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
-    in_e = [each.value_in_unit(unit.elementary_charge) if unit.is_quantity(each) else each for each in charges]
+    in_e = [charge.value_in_unit(unit.elementary_charge) if unit.is_quantity(charge) else charge for charge in charges]
     return np.array(in_e, dtype=float)
 
 
 def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
-    """Return the spin about the smallest moment of inertia; a molecule alone is turned by fields only."""
+    """Return the spin about the smallest moment of inertia; only fields turn a single molecule."""
     moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
     smallest = min(moments, default=math.inf)
     if smallest == math.inf:

@@ -13,33 +13,32 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 
-#: A temperature in K that rigid molecules are not meant for. Runs of the comparisons of integrators end there too.
+#: Temperature in K above which rigid molecules are no model. Runs of the comparisons of integrators end there too.
 HOTTEST = 3000.0
 
-#: A few bodies may be hotter by chance. They exceed what `hottest` allows with a probability below exp(-this).
+#: Minus the logarithm of the probability that a few bodies are hotter than `hottest` by chance.
 UNLIKELY = 50.0
 
-#: The watch looks after at least so many steps. To read the velocities of 24,000 atoms takes 0.3 ms, as long as a step
-#: on a GPU. Other calls of `step` cost 1 us.
+#: Number of steps between two looks. To read the velocities of 24,000 atoms takes 0.3 ms, as long as a step on a GPU.
+#: Other calls of `step` cost 1 us.
 INTERVAL = 500
 
-#: After a start it looks after so many steps, since the worst runaways take a dozen, and then after twice as many each
-#: time, up to `INTERVAL`.
+#: Number of steps before the first look after a start, since the worst runaways take a dozen steps. It is doubled after
+#: each look, up to `INTERVAL`.
 FIRST_LOOK = 5
 
-#: The heat of fewer atoms with mass is not judged: a few ions that fall towards each other become as hot by Coulomb's
-#: law.
+#: Smallest number of atoms with mass whose heat is judged: a few ions that fall towards each other become as hot.
 FEWEST_ATOMS = 60
 
-#: The heat must also have grown by this factor, so that a user's own hot start is no runaway.
+#: Smallest growth of the temperature of a runaway, so that a hot start of the user is none.
 GROWTH = 2.0
 
 
 def hottest(temperature: float, freedoms: float) -> float:
-    """Return a temperature in K that so many degrees of freedom do not exceed unless a run has broken down.
+    """Return an upper bound in K of the temperature of `freedoms` degrees of freedom in a run that works.
 
-    It is `HOTTEST`, or more where a few of them may be so hot by chance: Laurent and Massart, Ann. Statist. 28, 1302
-    (2000), Lemma 1, for the chi-squared distribution. It is also `GROWTH` times what the user asked for.
+    It is `HOTTEST`, or more if a few of them may be so hot by chance: Laurent and Massart, Ann. Statist. 28, 1302
+    (2000), Lemma 1, for the chi-squared distribution. It is at least `GROWTH` times the temperature of the user.
 
     Args:
         temperature: of the equilibrium or of the start, K.
@@ -50,14 +49,14 @@ def hottest(temperature: float, freedoms: float) -> float:
 
 
 class RunawayError(openmm.OpenMMException):
-    """Steps have made a System hotter than rigid molecules are meant for."""
+    """Steps have made a System hotter than `hottest`."""
 
 
 class RunawayWatch:
-    """Stop if steps have made a System far too hot, or velocities no numbers.
+    """A watch that raises an error if steps have made a System far too hot, or velocities not finite.
 
-    It looks at the velocities in the Context every `INTERVAL` steps, and more often after a start, at the end of a call
-    of `step`. The Context keeps what the steps have made of it.
+    It reads the velocities of the Context every `INTERVAL` steps, and more often after a start, at the end of a call of
+    `step`. It does not change the Context.
     """
 
     def __init__(self, system: openmm.System):
@@ -67,22 +66,22 @@ class RunawayWatch:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the start, since positions or velocities were set; the next ones are a new start."""
+        """Forget the start, since positions or velocities were set."""
         self._start: float | None = None
         self._steps, self._pause = 0, FIRST_LOOK
 
     def begin(self, context: openmm.Context) -> None:
-        """Note the temperature of a new start, before steps are made from it."""
+        """Store the temperature of a new start, before its first step."""
         if self._start is None:
             self._start = self._temperature(context)
 
     def look(self, context: openmm.Context, steps: int, step: float, bath: float = 0.0) -> None:
-        """Look at what steps have made, if it is time.
+        """Check the temperature after steps, if a look is due.
 
         Args:
             context: openmm.Context, for which `begin` was called before the steps.
-            steps: their number.
-            step: the length of each, ps.
+            steps: number of steps.
+            step: length of a step, ps.
             bath: temperature of the heat bath, K; 0 without one.
 
         Raises:
@@ -91,20 +90,20 @@ class RunawayWatch:
         self._steps += steps
         if self._start is None or self._steps < min(self._pause, INTERVAL):
             return
-        # What a hot bath has heated may be cooled later.
+        # A System that a hot bath has heated may be cooled later.
         self._start = max(self._start, bath)
         self._steps = 0
         self._pause *= 2
-        now = self._temperature(context)
-        if not math.isfinite(now):
+        temperature = self._temperature(context)
+        if not math.isfinite(temperature):
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have made velocities that are not finite. Is the step too long, or did "
                 "atoms overlap at the start? Take a shorter step, or minimize the energy first; with engine='native' "
                 "also try engine='exact', since OpenMM cannot satisfy all constraints"
             )
-        if self._atoms >= FEWEST_ATOMS and now > hottest(self._start, self._freedoms):
+        if self._atoms >= FEWEST_ATOMS and temperature > hottest(self._start, self._freedoms):
             raise RunawayError(
-                f"Steps of {1000 * step:.3g} fs have raised the temperature to {now:.3g} K; "
+                f"Steps of {1000 * step:.3g} fs have raised the temperature to {temperature:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
                 "start? Take a shorter step, or minimize the energy first. If the minimization warns that atoms still "
                 "overlap, start from other positions. If nothing helps, call print(check_forces(context)): it names "
@@ -112,7 +111,7 @@ class RunawayWatch:
             )
 
     def _temperature(self, context: openmm.Context) -> float:
-        """Return the temperature of all atoms, K. Bodies that no constraint holds look colder than they are."""
+        """Return the temperature of all atoms, K. It is too low with bodies that have no constraints."""
         state = openmm.Context.getState(context, velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
@@ -120,7 +119,7 @@ class RunawayWatch:
 
 
 def _held(system: openmm.System) -> int:
-    """Return the number of degrees of freedom that constraints take: of a cluster no more than leave it rigid."""
+    """Return the number of degrees of freedom that constraints remove: at most those of the shape of a cluster."""
     pairs, particles = tables.constraints(system).pairs, system.getNumParticles()
     component = joined(particles, pairs)
     counts = np.bincount(component[pairs[:, 0]], minlength=particles)

@@ -106,7 +106,7 @@ def checked_scheme(scheme: Any) -> Scheme:
     if not isinstance(scheme, str):
         raise TypeError(f"scheme must be a Scheme or its name, as in SIERIntegrator(0.004, SIER4G), got {scheme!r}")
     if (named := CATALOGUE.get(scheme.lower())) is None:
-        names = ", ".join(known.name for known in CATALOGUE.values())
+        names = ", ".join(entry.name for entry in CATALOGUE.values())
         raise ValueError(f"scheme must be one of {names}, got {scheme!r}")
     return named
 
@@ -174,8 +174,8 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
     Raises:
         ValueError: `value` is something else, True and False included, or out of bounds.
     """
-    whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
-    if not whole or isinstance(value, bool) or value < 0:
+    is_whole = isinstance(value, numbers.Integral) or (isinstance(value, numbers.Real) and float(value).is_integer())
+    if not is_whole or isinstance(value, bool) or value < 0:
         raise ValueError(f"{name} must be a whole number of at least 0, got {value!r}")
     if value < least:
         raise ValueError(f"{name} must be at least {least}, got {value}")

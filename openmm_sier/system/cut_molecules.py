@@ -256,11 +256,11 @@ class Wholeness:
             RigidityError: the boundary cuts a body, or a bond within it is broken.
         """
         whole = self.whole(positions, clusters)
-        moved = np.ptp((whole - positions)[clusters], axis=1).max(axis=1)
-        if not moved.any():
+        displacements = np.ptp((whole - positions)[clusters], axis=1).max(axis=1)
+        if not displacements.any():
             refuse_broken(self._within(clusters), positions, None, self._topology)
             return
-        worst = clusters[moved.argmax()]
+        worst = clusters[displacements.argmax()]
         extent, whole_extent = (float(np.linalg.norm(np.ptp(x[worst], axis=0))) for x in (positions, whole))
         raise RigidityError(
             f"the periodic boundary cuts {describe(worst)}: it extends over {extent:.3g} nm at these positions, but "
@@ -296,7 +296,7 @@ def _gathered(
         positions: (N, 3), nm.
         box: box vectors as rows, (3, 3), nm.
     """
-    divided = [atoms for moved in clusters if (fragment[(atoms := np.asarray(moved))] != fragment[atoms[0]]).any()]
+    divided = [atoms for cluster in clusters if (fragment[(atoms := np.asarray(cluster))] != fragment[atoms[0]]).any()]
     x, inverse, narrow = positions, np.linalg.inv(box), STRETCH / widths(box)
     # Clusters that share a fragment move it in turn.
     for _ in divided:
@@ -308,9 +308,9 @@ def _gathered(
             _, first, number = np.unique(fragment[atoms], return_index=True, return_inverse=True)
             periods = np.column_stack(list(map(_periods, fractions.T, narrow)))[first]
             periods -= periods[number[0]]
-            for moved, shift in zip(fragment[atoms[first]].tolist(), periods, strict=True):
+            for fragment_number, shift in zip(fragment[atoms[first]].tolist(), periods, strict=True):
                 if shift.any():
-                    x = x + np.where((fragment == moved)[:, None], shift @ box, 0.0)
+                    x = x + np.where((fragment == fragment_number)[:, None], shift @ box, 0.0)
         if x is before:
             break
     return x

@@ -250,7 +250,7 @@ def _named(
 ) -> Iterable[Iterable[int]]:
     if rigid is None:
         return []
-    if not isinstance(rigid, str | Mapping) and not any(isinstance(each, str) for each in rigid):
+    if not isinstance(rigid, str | Mapping) and not any(isinstance(entry, str) for entry in rigid):
         return rigid
     values, keyword = (rigid.values(), "rigid") if isinstance(rigid, Mapping) else ([rigid], HYDROGEN_GROUPS)
     if any(value != keyword for value in values):
@@ -306,7 +306,7 @@ def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Clus
     members, first = np.unique(pairs), joined(links.n_particles, pairs)
     names, sizes = np.unique(first[members], return_counts=True)
     ordered = members[np.argsort(first[members], kind="stable")]
-    clusters = [tuple(part.tolist()) for part in np.split(ordered, np.cumsum(sizes)[:-1])][: len(names)]
+    clusters = [tuple(cluster.tolist()) for cluster in np.split(ordered, np.cumsum(sizes)[:-1])][: len(names)]
     counts = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
     complete = counts == sizes * (sizes - 1) // 2
     return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import openmm
 
@@ -22,18 +23,24 @@ class Terms(NamedTuple):
     strengths: tuple[int, ...] = ()
 
 
+#: Returns the particles of each term of a Force.
+TermParticles = Callable[[Any], list[Sequence[int]]]
+
+
 class ForceKind(NamedTuple):
-    """Properties of a class of Forces. The defaults describe an unknown class.
+    """Properties of a class of Forces. The defaults are those of most classes of OpenMM.
 
     Attributes:
         acts_on: "terms" of a few listed atoms; "pairs" of all its particles, or functions of these; "particles" one by
             one; the "whole", as a function of many atoms; or "nothing", if it exerts no forces.
         stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
             expressions and collective variables of few atoms; or "unknown".
-        terms: terms of a bonded Force, which can be fast; None for other Forces.
+        terms: XML form of the terms of a bonded Force, which can be fast; None for other Forces.
+        term_particles: for a Force of terms whose XML has another form; None otherwise.
         joins: whether its terms join atoms into molecules, as bonds do.
         charges: whether it has point charges, or multipoles.
         meshes: nonbonded methods with a mesh; None: never; empty: always.
+        has_coordinates: whether its expression may depend on absolute coordinates, such as x1.
         sets: variable controlled by a thermostat or barostat.
         is_passive: whether forces depend only on positions, box and parameters: the Force does nothing in
             `updateContextState`, and ignores the time. With any other Force the exact engine updates and reads the
@@ -41,15 +48,17 @@ class ForceKind(NamedTuple):
         is_data: whether OpenMM creates it from XML without executing code or opening a file.
     """
 
-    acts_on: Literal["terms", "pairs", "particles", "whole", "nothing"] = "whole"
-    stiffness: Literal["soft", "measured", "unknown"] = "unknown"
+    acts_on: Literal["terms", "pairs", "particles", "whole", "nothing"]
+    stiffness: Literal["soft", "measured", "unknown"]
     terms: Terms | None = None
+    term_particles: TermParticles | None = None
     joins: bool = False
     charges: Literal["points", "multipoles"] | None = None
     meshes: tuple[int, ...] | None = None
+    has_coordinates: bool = False
     sets: Literal["temperature", "pressure"] | None = None
-    is_passive: bool = False
-    is_data: bool = False
+    is_passive: bool = True
+    is_data: bool = True
 
     @property
     def exerts_forces(self) -> bool:
@@ -62,9 +71,9 @@ class ForceKind(NamedTuple):
         return self.terms is not None and bool(self.terms.strengths)
 
 
-def _known(acts_on: str, stiffness: str, is_passive: bool = True, is_data: bool = True, **others: object) -> ForceKind:
-    """Return a row of the table."""
-    return ForceKind(acts_on, stiffness, is_passive=is_passive, is_data=is_data, **others)  # type: ignore[arg-type]
+def _compound_bonds(force: openmm.CustomCompoundBondForce) -> list[Sequence[int]]:
+    """Return the particles of each term."""
+    return [force.getBondParameters(i)[0] for i in range(force.getNumBonds())]
 
 
 _TWO, _THREE, _FOUR = ("p1", "p2"), ("p1", "p2", "p3"), ("p1", "p2", "p3", "p4")
@@ -73,61 +82,66 @@ _EIGHT = ("a1", "a2", "a3", "a4", "b1", "b2", "b3", "b4")
 #: All Force classes of OpenMM.
 FORCES: dict[type[openmm.Force], ForceKind] = {
     # Bonded Forces.
-    openmm.HarmonicBondForce: _known("terms", "soft", terms=Terms("Bond", _TWO, (3,))),
-    openmm.HarmonicAngleForce: _known("terms", "soft", terms=Terms("Angle", _THREE, (4,)), joins=True),
-    openmm.PeriodicTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR, (6,)), joins=True),
-    openmm.RBTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR, (4, 5, 6, 7, 8, 9)), joins=True),
-    openmm.CMAPTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _EIGHT)),
-    openmm.CustomBondForce: _known("terms", "measured", terms=Terms("Bond", _TWO)),
-    openmm.CustomAngleForce: _known("terms", "soft", terms=Terms("Angle", _THREE)),
-    openmm.CustomTorsionForce: _known("terms", "soft", terms=Terms("Torsion", _FOUR)),
-    openmm.AmoebaTorsionTorsionForce: _known("terms", "soft"),
-    openmm.CustomCompoundBondForce: _known("terms", "measured"),
-    openmm.CustomHbondForce: _known("terms", "soft"),
+    openmm.HarmonicBondForce: ForceKind("terms", "soft", terms=Terms("Bond", _TWO, (3,))),
+    openmm.HarmonicAngleForce: ForceKind("terms", "soft", terms=Terms("Angle", _THREE, (4,)), joins=True),
+    openmm.PeriodicTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR, (6,)), joins=True),
+    openmm.RBTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR, (4, 5, 6, 7, 8, 9)), joins=True),
+    openmm.CMAPTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _EIGHT)),
+    openmm.CustomBondForce: ForceKind("terms", "measured", terms=Terms("Bond", _TWO)),
+    openmm.CustomAngleForce: ForceKind("terms", "soft", terms=Terms("Angle", _THREE)),
+    openmm.CustomTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR)),
+    openmm.AmoebaTorsionTorsionForce: ForceKind("terms", "soft"),
+    openmm.CustomCompoundBondForce: ForceKind(
+        "terms", "measured", term_particles=_compound_bonds, has_coordinates=True
+    ),
+    openmm.CustomHbondForce: ForceKind("terms", "soft"),
     # Nonbonded Forces.
-    openmm.NonbondedForce: _known(
+    openmm.NonbondedForce: ForceKind(
         "pairs", "soft", charges="points", meshes=(openmm.NonbondedForce.PME, openmm.NonbondedForce.LJPME)
     ),
-    openmm.ConstantPotentialForce: _known("pairs", "soft", charges="points", meshes=()),
-    openmm.AmoebaMultipoleForce: _known(
+    openmm.ConstantPotentialForce: ForceKind("pairs", "soft", charges="points", meshes=()),
+    openmm.AmoebaMultipoleForce: ForceKind(
         "pairs", "soft", charges="multipoles", meshes=(openmm.AmoebaMultipoleForce.PME,)
     ),
-    openmm.HippoNonbondedForce: _known("pairs", "soft", charges="multipoles", meshes=(openmm.HippoNonbondedForce.PME,)),
-    openmm.AmoebaVdwForce: _known("pairs", "soft"),
-    openmm.AmoebaWcaDispersionForce: _known("pairs", "soft"),
-    openmm.AmoebaGeneralizedKirkwoodForce: _known("pairs", "soft"),
-    openmm.CustomNonbondedForce: _known("pairs", "soft"),
-    openmm.CustomGBForce: _known("pairs", "soft"),
-    openmm.GBSAOBCForce: _known("pairs", "soft"),
-    openmm.LCPOForce: _known("pairs", "soft"),
+    openmm.HippoNonbondedForce: ForceKind(
+        "pairs", "soft", charges="multipoles", meshes=(openmm.HippoNonbondedForce.PME,)
+    ),
+    openmm.AmoebaVdwForce: ForceKind("pairs", "soft"),
+    openmm.AmoebaWcaDispersionForce: ForceKind("pairs", "soft"),
+    openmm.AmoebaGeneralizedKirkwoodForce: ForceKind("pairs", "soft"),
+    openmm.CustomNonbondedForce: ForceKind("pairs", "soft"),
+    openmm.CustomGBForce: ForceKind("pairs", "soft"),
+    openmm.GBSAOBCForce: ForceKind("pairs", "soft"),
+    openmm.LCPOForce: ForceKind("pairs", "soft"),
     # The energy of ellipsoids depends on the atoms that define their axes.
-    openmm.GayBerneForce: _known("whole", "soft"),
-    openmm.CustomManyParticleForce: _known("whole", "soft"),
+    openmm.GayBerneForce: ForceKind("whole", "soft"),
+    openmm.CustomManyParticleForce: ForceKind("whole", "soft", has_coordinates=True),
     # Fields and collective variables.
-    openmm.CustomExternalForce: _known("particles", "measured"),
-    openmm.CustomVolumeForce: _known("whole", "soft"),
-    openmm.CustomCentroidBondForce: _known("whole", "measured"),
-    openmm.RMSDForce: _known("whole", "measured"),
-    openmm.RGForce: _known("whole", "measured"),
-    openmm.OrientationRestraintForce: _known("whole", "measured"),
-    openmm.DrudeForce: _known("whole", "unknown"),
+    openmm.CustomExternalForce: ForceKind("particles", "measured"),
+    openmm.CustomVolumeForce: ForceKind("whole", "soft"),
+    openmm.CustomCentroidBondForce: ForceKind("whole", "measured", has_coordinates=True),
+    openmm.RMSDForce: ForceKind("whole", "measured"),
+    openmm.RGForce: ForceKind("whole", "measured"),
+    openmm.OrientationRestraintForce: ForceKind("whole", "measured"),
+    openmm.DrudeForce: ForceKind("whole", "unknown"),
     # It may read the time.
-    openmm.PythonForce: _known("whole", "unknown", is_passive=False, is_data=False),
+    openmm.PythonForce: ForceKind("whole", "unknown", is_passive=False, is_data=False),
     # Forces that contain other Forces.
-    openmm.ATMForce: _known("whole", "unknown"),
-    openmm.CustomCVForce: _known("whole", "unknown"),
+    openmm.ATMForce: ForceKind("whole", "unknown"),
+    openmm.CustomCVForce: ForceKind("whole", "unknown"),
     # The exact engine does its work: a sum over bodies is cheaper than reading atoms back.
-    openmm.CMMotionRemover: _known("nothing", "soft"),
-    openmm.AndersenThermostat: _known("nothing", "soft", is_passive=False, sets="temperature"),
-    openmm.MonteCarloBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
-    openmm.MonteCarloAnisotropicBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
-    openmm.MonteCarloMembraneBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
-    openmm.MonteCarloFlexibleBarostat: _known("nothing", "soft", is_passive=False, sets="pressure"),
+    openmm.CMMotionRemover: ForceKind("nothing", "soft"),
+    openmm.AndersenThermostat: ForceKind("nothing", "soft", is_passive=False, sets="temperature"),
+    openmm.MonteCarloBarostat: ForceKind("nothing", "soft", is_passive=False, sets="pressure"),
+    openmm.MonteCarloAnisotropicBarostat: ForceKind("nothing", "soft", is_passive=False, sets="pressure"),
+    openmm.MonteCarloMembraneBarostat: ForceKind("nothing", "soft", is_passive=False, sets="pressure"),
+    openmm.MonteCarloFlexibleBarostat: ForceKind("nothing", "soft", is_passive=False, sets="pressure"),
     # Only for OpenMM's RPMDIntegrator; it cannot be written as XML.
-    openmm.RPMDMonteCarloBarostat: _known("nothing", "soft", is_passive=False, is_data=False),
+    openmm.RPMDMonteCarloBarostat: ForceKind("nothing", "soft", is_passive=False, is_data=False),
 }
 
-UNKNOWN = ForceKind()
+#: Classes outside the table may do anything.
+UNKNOWN = ForceKind("whole", "unknown", is_passive=False, is_data=False)
 
 
 def kind_of(force: openmm.Force) -> ForceKind:

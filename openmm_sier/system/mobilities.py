@@ -19,6 +19,6 @@ def mobilities(bodies: BodySet) -> np.ndarray:
     for species in bodies.species:
         cross = np.cross(np.eye(3), species.sites.T[:, None])
         inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
-        turning = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
-        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(turning)[:, -1]
+        rotational = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
+        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(rotational)[:, -1]
     return mobility

@@ -24,8 +24,8 @@ class _Chain:
     def __init__(self, chain: app.topology.Chain):
         residues = list(chain.residues())
         self.name = chain.id.strip()
-        self.numbers = [f"{each.id.strip()}{each.insertionCode.strip()}" for each in residues]
-        self.atoms = [[atom.index for atom in each.atoms()] for each in residues]
+        self.numbers = [f"{residue.id.strip()}{residue.insertionCode.strip()}" for residue in residues]
+        self.atoms = [[atom.index for atom in residue.atoms()] for residue in residues]
         self._places: dict[str, list[int]] = {}
         for place, number in enumerate(self.numbers):
             self._places.setdefault(number, []).append(place)
@@ -99,7 +99,7 @@ class ResidueRanges:
     def by_chain(self, atoms: set[int]) -> list[list[int]]:
         """Return the given atoms grouped by chain."""
         in_chains = ([atom for atom in chain.within(None) if atom in atoms] for chain in self._chains)
-        return [each for each in in_chains if each]
+        return [ranges for ranges in in_chains if ranges]
 
     def _in_each(self, name: str, spans: Sequence[str | None]) -> list[list[int]]:
         """Return the atoms of ranges in each chain of a name; an empty name means every chain that has the residues."""

@@ -36,8 +36,10 @@ class Constraints(NamedTuple):
 
     def hold(self, clusters: np.ndarray) -> np.ndarray:
         """Return whether every distance within each cluster of particles, (m, k), is constrained, (m,)."""
-        held = self.by_pair()
-        return np.array([all(pair in held for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool)
+        constrained = self.by_pair()
+        return np.array(
+            [all(pair in constrained for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool
+        )
 
 
 #: Maximum mass of a hydrogen, also after mass repartitioning, dalton.

@@ -25,6 +25,7 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
+from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
 
 #: A coordinate of a particle or group in the expression of a custom force, such as x1 or z2.
@@ -109,11 +110,10 @@ class MomentumConservation:
 
 def _is_external(force: openmm.Force) -> bool:
     """Return whether the energy of a Force changes when all particles are shifted together."""
-    if isinstance(force, openmm.CustomExternalForce):
+    kind = kind_of(force)
+    if kind.acts_on == "particles":
         return force.getNumParticles() > 0
-    if isinstance(force, openmm.CustomCompoundBondForce | openmm.CustomCentroidBondForce):
-        return COORDINATE.search(force.getEnergyFunction()) is not None
-    return False
+    return kind.has_coordinates and COORDINATE.search(force.getEnergyFunction()) is not None
 
 
 def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
@@ -122,10 +122,10 @@ def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
     count = int(apart.sum())
     share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
     left_out = 3 if conserved and bodies.n else 0
-    turning = int(np.count_nonzero(bodies.moments[:, apart]))
+    rotation = int(np.count_nonzero(bodies.moments[:, apart]))
     # A single particle has no heat where momentum is conserved.
-    translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - turning - (1 - share) * left_out
-    return DegreesOfFreedom(max(0, translation), turning, max(0, flexible))
+    translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - rotation - (1 - share) * left_out
+    return DegreesOfFreedom(max(0, translation), rotation, max(0, flexible))
 
 
 def _counted_apart(bodies: BodySet) -> np.ndarray:
@@ -144,10 +144,10 @@ def thermal_energies(bodies: BodySet, state: BodyState, conserved: bool) -> tupl
     p = state.p
     if conserved and bodies.n:
         p = p - bodies.masses * bodies.centre_velocity(p)[:, None]
-    moving = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
-    turning = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
+    translation = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
+    rotation = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
     apart = _counted_apart(bodies)
-    return float(moving[apart].sum()), float(turning[apart].sum()), float(moving[~apart].sum())
+    return float(translation[apart].sum()), float(rotation[apart].sum()), float(translation[~apart].sum())
 
 
 def temperatures(bodies: BodySet, state: BodyState, conserved: bool) -> Temperatures:

@@ -52,9 +52,9 @@ def _hydrogens_on_one_atom(system: openmm.System) -> np.ndarray:
 
 def _held(system: openmm.System, molecules: np.ndarray) -> np.ndarray:
     """Return whether a bonded term acts on both hydrogens of each molecule, (m,)."""
-    held = np.zeros(len(molecules), bool)
+    is_held = np.zeros(len(molecules), bool)
     if not len(molecules):
-        return held
+        return is_held
     owner = np.full(system.getNumParticles(), -1)
     owner[molecules[:, 0]] = owner[molecules[:, 2]] = np.arange(len(molecules))
     for force in system.getForces():
@@ -62,5 +62,5 @@ def _held(system: openmm.System, molecules: np.ndarray) -> np.ndarray:
             continue
         for one, other in combinations(bonded_terms(force).T, 2):
             same = (owner[one] == owner[other]) & (owner[one] >= 0) & (one != other)
-            held[owner[one[same]]] = True
-    return held
+            is_held[owner[one[same]]] = True
+    return is_held

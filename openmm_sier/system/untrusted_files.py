@@ -132,18 +132,18 @@ class _Checked:
         Raises:
             ContentError: the stream is not such an object, is too long, or could execute code.
         """
-        read, idle = 0, 0
+        count, idle = 0, 0
         try:
             while chunk := stream.read(CHUNK):
                 pieces = len(self._pieces)
                 self._parser.Parse(chunk)
-                read += len(chunk)
+                count += len(chunk)
                 idle = idle + 1 if len(self._pieces) == pieces else 0
                 if idle > MOST_IDLE:
                     raise ContentError(
                         f"it has a tag or text of more than {MOST_IDLE * CHUNK} bytes, which OpenMM never writes"
                     )
-                if self._most is not None and read > self._most * ELEMENT_BYTES:
+                if self._most is not None and count > self._most * ELEMENT_BYTES:
                     raise self._too_long()
             self._parser.Parse(b"", True)
         except expat.ExpatError as error:

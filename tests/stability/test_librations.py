@@ -12,7 +12,8 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.stability.step_check import HOPELESS, StepCheck
+from openmm_sier.stability.step_check import StepCheck
+from openmm_sier.stability.step_rules import HOPELESS
 from tests.support.silence import silence
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, judged

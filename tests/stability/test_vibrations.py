@@ -25,7 +25,8 @@ from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.motions import Motions
-from openmm_sier.stability.step_check import DESTROYED, RESONANCE, StepCheck
+from openmm_sier.stability.step_check import StepCheck
+from openmm_sier.stability.step_rules import DESTROYED, RESONANCE
 from openmm_sier.system.find_bodies import Links
 from tests.support.silence import silence
 from tests.support.systems import assembled, field

@@ -133,6 +133,6 @@ def descriptions(chains: Sequence[str] = "A") -> list[str]:
 
 
 def _in_domain(first: int, last: int) -> bool:
-    """Tell whether beads of a chain, counted from 0, are all in one domain."""
+    """Return whether beads of a chain, counted from 0, are all in one domain."""
     ends = (tuple(map(int, residues.split("-"))) for residues in DOMAINS)
     return any(start <= first + 1 and last + 1 <= end for start, end in ends)

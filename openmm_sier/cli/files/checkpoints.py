@@ -21,25 +21,25 @@ from openmm_sier.cli.settings import MOST_STEPS
 from openmm_sier.inputs.pdb_files import LONGEST
 from openmm_sier.system.untrusted_files import ContentError, open_regular, read_state, read_within
 
-#: Version of what a checkpoint holds.
+#: Version of the content of checkpoints.
 FORMAT = 1
 
 #: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
 MOST_NOTES = 2**24
 
-#: Most values in them, counted by what is before each; as objects of Python they take much more room than as text.
+#: Most values in them, counted by the characters before values. As objects of Python they need far more memory.
 MOST_VALUES = 2**20
 
 #: First bytes of a zip archive that holds a file.
 LOCAL_HEADER = b"PK\x03\x04"
 
-#: Errors of zip, JSON and OpenMM for content that is not theirs. A RuntimeError is for passwords and for lists that
-#: are nested too deeply.
+#: Errors of zip, JSON and OpenMM for other content. A RuntimeError is raised for passwords and for lists that are
+#: nested too deeply.
 _UNREADABLE = zipfile.BadZipFile, KeyError, ValueError, EOFError, RuntimeError, zlib.error, openmm.OpenMMException
 
 
 class Notes(BaseModel):
-    """Hold what a checkpoint notes of its run.
+    """Notes on a run in its checkpoint.
 
     Attributes:
         format: `FORMAT`.
@@ -49,7 +49,7 @@ class Notes(BaseModel):
         platform: as `openmm_sier.cli.platforms.platform_of` returns it.
         inputs: SHA-256 of the files that the run read, by purpose.
         unsettled: how a doubtful equilibration ended, in words.
-        trajectory, log, tensors: of the files that the run writes.
+        trajectory, log, tensors: notes on the files that the run writes.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -66,7 +66,7 @@ class Notes(BaseModel):
     tensors: Annotated[records.Noted | None, Field(validate_default=True)] = None
 
     def file(self, name: str) -> records.Noted:
-        """Return the note of a file that the run writes, by its name among these notes."""
+        """Return the note on a file that the run writes, by its name among these notes."""
         noted: records.Noted = getattr(self, name)
         return noted
 
@@ -95,7 +95,7 @@ def write_checkpoint(path: Path, state: openmm.State, notes: Notes) -> None:
         notes: of the run that reached the state.
 
     Raises:
-        OSError: it cannot be written. The old one is still there, and nothing of the new one.
+        OSError: it cannot be written. The old one still exists, and nothing of the new one.
     """
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -105,11 +105,11 @@ def write_checkpoint(path: Path, state: openmm.State, notes: Notes) -> None:
 
 
 def read_checkpoint(path: Path, particles: int | None = None) -> tuple[openmm.State, Notes]:
-    """State and notes of a checkpoint.
+    """Return the State and the notes of a checkpoint.
 
     Args:
         path: of the file.
-        particles: of its System, by which the length of its State is bounded; None: unknown.
+        particles: number in its System, which limits the length of its State; None if unknown.
 
     Raises:
         RecordError: the file is damaged, is not a checkpoint of this command, or of another version of it.
@@ -141,7 +141,7 @@ def _check_numbers(path: Path, state: openmm.State) -> None:
 
 
 def read_notes(path: Path) -> Notes:
-    """Notes of a checkpoint, without its State; see `read_checkpoint`."""
+    """Return the notes of a checkpoint without reading its State; see `read_checkpoint`."""
     with _opened(path) as archive:
         noted = _notes(archive)
     return _checked(path, noted)
@@ -149,7 +149,7 @@ def read_notes(path: Path) -> Notes:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a checkpoint; what fails while it is read becomes a `RecordError`."""
+    """Open a checkpoint; errors while it is read become a `RecordError`."""
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield archive
@@ -160,7 +160,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _complaint(path: Path) -> str:
-    """Say of a file that cannot be read whether it is a checkpoint that was cut off, or none."""
+    """Return a message about a file that cannot be read: an incomplete checkpoint, or none."""
     with open_regular(path) as file:
         begin = file.read(len(LOCAL_HEADER))
         is_cut_off = LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(file)
@@ -173,7 +173,7 @@ def _complaint(path: Path) -> str:
 
 
 def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
-    """Open a part of a checkpoint that is packed as `write_checkpoint` packs it."""
+    """Open a part of a checkpoint with one of the compressions of `write_checkpoint`."""
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise zipfile.BadZipFile
     return archive.open(name)

@@ -1,4 +1,4 @@
-"""Cut from the files of a run what a killed run wrote after its last checkpoint, and no more."""
+"""Cut from the files of a run only the records that a killed run wrote after its last checkpoint."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,7 +15,7 @@ from openmm_sier.cli.settings import RunSettings
 
 
 class Cut(NamedTuple):
-    """Describe what is cut from a file.
+    """A file to be cut.
 
     Attributes:
         path: of the file.
@@ -27,11 +27,11 @@ class Cut(NamedTuple):
 
 
 def find_cuts(plan: RunSettings, notes: Notes) -> list[Cut]:
-    """Return what a restart cuts from each file that has records after the checkpoint.
+    """Return the files with records after the checkpoint, which a restart cuts.
 
     Args:
         plan: of the run.
-        notes: of the checkpoint, with which the files begin.
+        notes: of the checkpoint, which the files fit.
 
     Raises:
         OSError: a file cannot be read.
@@ -47,7 +47,7 @@ def find_cuts(plan: RunSettings, notes: Notes) -> list[Cut]:
 
 
 def describe(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> str:
-    """Say what is cut, from where and back to where."""
+    """Return the files that are cut, with the times of their ends before and after, in words."""
     files = ", ".join(f"{cut.path} from {_ps(plan, cut.step)}" for cut in cuts)
     return f"cuts back to {_ps(plan, step)}, where {checkpoint} is: {files}"
 
@@ -55,13 +55,13 @@ def describe(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int
 def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> None:
     """Refuse to cut more than a killed run leaves after its last checkpoint.
 
-    A run writes its next checkpoint one interval later at the latest. What goes on beyond that, or belongs to a later
-    checkpoint, is the trajectory of a run that went on, as after a restart from a copy of a checkpoint.
+    A run writes its next checkpoint at most one interval later. A file that continues beyond that, or belongs to a
+    later checkpoint, is of a run that went on, as after a restart from a copy of a checkpoint.
 
     Args:
         cuts: as `find_cuts` gives them.
         plan: of the run.
-        checkpoint, step: the checkpoint and where it is.
+        checkpoint, step: the checkpoint and its step.
 
     Raises:
         RunError: naming the files, what they would lose, and a later checkpoint of the run if there is one.
@@ -85,11 +85,11 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, ste
 
 
 def _later_checkpoint(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, step: int) -> Path | None:
-    """Return the last checkpoint of the same run, beside this one or its files, that is beyond this one's step."""
+    """Return the last checkpoint of the same run after this step, in the folders of the checkpoint and its files."""
     places = {path.parent for path in (checkpoint, *(cut.path for cut in cuts))}
     latest, latest_step = None, step
     for other in sorted(path for place in places for path in place.glob("*.chk")):
-        # Other files may be anything.
+        # Other files with this ending may have any content.
         with suppress(ValueError, LookupError, TypeError, OSError):
             notes = checkpoints.read_notes(other)
             if notes.step > latest_step and _is_of(cuts, noted_settings(other, notes.plan), notes):
@@ -98,7 +98,7 @@ def _later_checkpoint(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, 
 
 
 def _is_of(cuts: Sequence[Cut], plan: RunSettings, notes: Notes) -> bool:
-    """Return whether a checkpoint, by its plan and notes, belongs to one of the files as it is now."""
+    """Return whether a checkpoint, by its plan and notes, fits the present content of one of the files."""
     for name, kind in KINDS.items():
         path = getattr(plan, kind.option)
         if path is not None and any(same_file(path, cut.path) for cut in cuts):

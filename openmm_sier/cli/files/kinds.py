@@ -1,4 +1,4 @@
-"""The kinds of output that grow during a run: for each its options, its file and what a record holds."""
+"""The kinds of output that grow during a run: their options, files and records."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,8 +13,8 @@ from openmm_sier.cli.files.trajectories import FORMATS, Trajectory
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.observe import conservation, pressure
 
-#: An open file, and what appends a record of the last completed step to it, given the values of the log by column.
-#: There are none where neither log nor checkpoint is due.
+#: An open file, and a function that appends a record of the last completed step, given the values of the log by column.
+#: There are no values if neither log nor checkpoint is due.
 Opened = tuple[GrowingFile, Callable[[Mapping[str, float]], None]]
 
 
@@ -23,9 +23,9 @@ class OutputKind(NamedTuple):
 
     Attributes:
         option, every: the options that name the file and set its interval.
-        open: opens the file at a path, new or cut back to the length that a checkpoint notes, for what is simulated in
-            a Context.
-        format: gives the class of a file at a path.
+        open: function that opens the file at a path for a simulated system and its Context, new or cut to the length in
+            a checkpoint.
+        format: function that returns the class of a file at a path.
     """
 
     option: str
@@ -40,12 +40,12 @@ def trajectory_format(path: Path) -> type[Trajectory]:
 
 
 def table_format(path: Path) -> type[Log]:
-    """Return the class that writes a table, the same for all."""
+    """Return the class of a table, the same for all."""
     return Log
 
 
 def open_trajectory(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
-    """Positions of the atoms that are listed in the file of the coordinates."""
+    """Open a trajectory of the atoms that are listed in the file of the coordinates."""
     settings, box = simulated.settings, simulated.box
     is_wrapped = box.system.usesPeriodicBoundaryConditions() and not settings.unwrapped
     topology, interval = _subset(box.topology, box.listed), settings.interval(settings.every)
@@ -59,7 +59,7 @@ def open_trajectory(path: Path, simulated: SimulatedSystem, context: openmm.Cont
 
 
 def open_log(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
-    """Energies, temperatures and what the integrator reports."""
+    """Open a log of energies, temperatures and counts of the integrator."""
     file = Log(path, conservation.columns(context.getIntegrator()), noted)
 
     def write(values: Mapping[str, float]) -> None:
@@ -69,7 +69,7 @@ def open_log(path: Path, simulated: SimulatedSystem, context: openmm.Context, no
 
 
 def open_tensors(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
-    """Molecular pressure tensors, which are computed in a second Context."""
+    """Open a table of molecular pressure tensors, which are computed in a second Context."""
     pressures = pressure.MolecularPressure(context)
     file = Log(path, pressure.COLUMNS, noted)
 
@@ -79,7 +79,7 @@ def open_tensors(path: Path, simulated: SimulatedSystem, context: openmm.Context
     return file, write
 
 
-#: By the names that checkpoints have for them, in the order in which they are checked and written.
+#: All kinds by their names in checkpoints, in the order in which they are checked and written.
 KINDS = {
     "trajectory": OutputKind("out", "every", open_trajectory, trajectory_format),
     "log": OutputKind("report", "report_every", open_log, table_format),
@@ -88,8 +88,8 @@ KINDS = {
 
 
 def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
-    """Return the Topology of some atoms, with names alone: a trajectory needs no more."""
+    """Return the Topology of some atoms with their names, which a trajectory needs."""
     modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
-    kept = set(listed.tolist())
-    modeller.delete([atom for atom in topology.atoms() if atom.index not in kept])
+    indices = set(listed.tolist())
+    modeller.delete([atom for atom in topology.atoms() if atom.index not in indices])
     return modeller.topology

@@ -16,13 +16,13 @@ from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.system.untrusted_files import open_regular
 
-#: Seconds to wait for a lock: for one whose holder is just ending, not for a run.
+#: Seconds to wait for a lock whose holder is ending.
 PATIENCE = 0.2
 
 #: Characters of a command in a message.
 LONGEST_COMMAND = 200
 
-#: Most bytes that are read of a lock file.
+#: Largest number of bytes that are read of a lock file.
 LONGEST_CONTENT = 2**12
 
 #: Content of a lock file: nothing yet, or its holder.
@@ -32,9 +32,9 @@ CONTENT = re.compile(rb"(process \d+ on .* since \d{4}-\d\d-\d\d .*)?", re.DOTAL
 class FileLocks(ExitStack):
     """Locks on files, held until this context manager ends.
 
-    Beside each file, `.NAME.lock` is locked by the operating system, which releases the lock when the process ends, in
-    whatever way. What a killed process leaves is therefore harmless, and the next command removes it. On network file
-    systems such locks hold for all machines.
+    In the folder of each file, `.NAME.lock` is locked by the operating system, which releases the lock when the process
+    ends or is killed. So a left lock file is harmless, and the next command removes it. On network file systems such
+    locks hold for all machines.
 
     Nothing waits for a lock, so no two commands can wait for each other. Commands that lock the same first file never
     refuse each other both.
@@ -45,14 +45,14 @@ class FileLocks(ExitStack):
         self._held: set[Path] = set()
 
     def hold(self, paths: Iterable[Path]) -> None:
-        """Lock files, whether they exist or not; those that are locked already stay so.
+        """Lock files that are not locked yet, whether they exist or not.
 
         Raises:
-            RunError: another process holds one of them, or a lock cannot be made, for example where nothing may be
-                written, or where its name is that of another file; the message says which.
+            RunError: another process holds one of them, or a lock cannot be made, for example without permission, or
+                since another file has its name; the message names the file.
         """
         for path in paths:
-            # All names of a file, links to it too, have one lock.
+            # All names of a file, including links, have one lock.
             real = Path(os.path.realpath(path))
             place = real.with_name(f".{real.name}.lock")
             if place in self._held:
@@ -67,7 +67,7 @@ class FileLocks(ExitStack):
             except OSError as error:
                 raise _unlockable(path, place, error) from None
             self._held.add(place)
-            # Before the lock is released: whoever then gets a lock on the removed file sees that it is gone.
+            # Before the lock is released: a process that then locks the removed file notices that it is gone.
             self.callback(place.unlink, missing_ok=True)
 
 
@@ -87,25 +87,25 @@ def _refuse_other_file(path: Path, place: Path) -> None:
         is_ours = place.is_file() and not place.is_symlink() and CONTENT.fullmatch(_content(place))
         is_other = os.path.lexists(place) and not is_ours
     except OSError:
-        # There is none, or the lock cannot be made, which `FileLock` tells.
+        # There is none, or the lock cannot be made, which `FileLock` reports.
         return
     if is_other:
         raise RunError(f"{place} is not a lock of {PROGRAM}, but has the name of the lock of {path}: rename it")
 
 
 def _mark(descriptor: int) -> None:
-    """Write who holds a lock into its file. On a full disk the lock is as good without it."""
+    """Write the holder of a lock into its file, unless the disk is full."""
     since = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
     command = shlex.join([PROGRAM, *sys.argv[1:]])[:LONGEST_COMMAND]
     with suppress(OSError):
         os.ftruncate(descriptor, 0)
         holder = f"process {os.getpid()} on {socket.gethostname()} since {since}: {command}"
-        # The command may name files whose names are no text.
+        # Names of files in the command may not be UTF-8.
         os.write(descriptor, holder.encode("utf-8", "surrogateescape"))
 
 
 def _refuse_unwritable(path: Path, place: Path) -> None:
-    """Refuse a file whose lock file cannot be created; `FileLock` waits as if another process had just removed it.
+    """Refuse a file whose lock file cannot be created, for which `FileLock` waits.
 
     Raises:
         RunError: naming the file.
@@ -125,7 +125,7 @@ def _unlockable(path: Path, place: Path, error: OSError) -> RunError:
 
 
 def _holder(place: Path) -> str:
-    """Who holds a lock, in words."""
+    """Return the holder of a lock, in words."""
     with suppress(OSError):
         return _content(place).decode("utf-8", "surrogateescape") or "another process"
     return "another process"

@@ -1,4 +1,4 @@
-"""The output files of a run: where they lie, what is checked before they are written, and when they are due."""
+"""The output files of a run: their paths, checks before they are written, and the steps at which they are due."""
 
 import os
 from collections.abc import Collection, Iterable, Mapping
@@ -25,9 +25,9 @@ class Outputs:
 
     Attributes:
         checkpoint: its path.
-        paths: of all files that the run goes on with, the checkpoint first.
-        extras: of the picture and the settings, which are written as a whole.
-        saved_step: of the last checkpoint; None before the first.
+        paths: of all files that a restart continues, the checkpoint first.
+        extras: paths of the picture and the settings, which are written as a whole.
+        saved_step: step of the last checkpoint; None before the first.
     """
 
     def __init__(self, settings: RunSettings, checkpoint: Path):
@@ -58,7 +58,7 @@ class Outputs:
                 raise RunError(f"the directory of {os.fsencode(path)!r} is not UTF-8: run in another directory")
         start = self._settings.start
         inputs = [*sources, *([start] if start else [])]
-        # Whoever named the trajectory did not name the checkpoint.
+        # The user names the trajectory, and the checkpoint follows from it.
         paths = [*self._grown.values(), *self.extras, self.checkpoint]
         for number, path in enumerate(paths):
             check_place(path, inputs, paths[:number])
@@ -71,7 +71,7 @@ class Outputs:
         """Refuse to replace files.
 
         Args:
-            resumes: whether those may be replaced that a run left which was killed before its first checkpoint.
+            resumes: whether to accept files of a run that was killed before its first checkpoint.
 
         Raises:
             RunError: naming the file that is in the way.
@@ -96,7 +96,7 @@ class Outputs:
         return kind.format(path).is_beginning(path)
 
     def check_noted(self, notes: Notes) -> None:
-        """Check that the outputs are those of the run that a checkpoint notes; none is changed.
+        """Check, without changing them, that the outputs are those of the run of a checkpoint.
 
         Raises:
             RecordError: an output is missing or of another run.
@@ -106,7 +106,7 @@ class Outputs:
             records.check(path, notes.file(name), KINDS[name].format(path))
 
     def _remove(self) -> None:
-        """Remove all files, the checkpoint first, so that it is never left with files that are not its own."""
+        """Remove all files, the checkpoint first, so that it never remains with files of another run."""
         for path in self.paths:
             Path(os.path.realpath(path)).unlink(missing_ok=True)
 
@@ -119,13 +119,13 @@ class Outputs:
         unsettled: str | None,
         notes: Notes | None = None,
     ) -> None:
-        """Open the files, new in place of earlier ones, or cut back to the lengths that a checkpoint notes.
+        """Open the files: new ones, which replace earlier ones, or those of a checkpoint, cut to its lengths.
 
         Args:
-            simulated: what is simulated.
+            simulated: System and settings.
             context: at the start, or at the checkpoint.
             unsettled: how a doubtful equilibration ended, in words; None without one.
-            notes: of the checkpoint of a run that is continued, for which `check_noted` has passed; None for a new run.
+            notes: of the checkpoint of a continued run, which have passed `check_noted`; None for a new run.
         """
         if notes is None:
             self._remove()
@@ -143,14 +143,14 @@ class Outputs:
         return min((step // interval + 1) * interval for interval in self._intervals.values())
 
     def due(self, step: int) -> list[str]:
-        """Return the files that are due after a step: names of outputs, and "checkpoint"."""
+        """Return the names of files that are due after a step: outputs, and "checkpoint"."""
         return [name for name, interval in self._intervals.items() if step % interval == 0]
 
     def write(self, due: Collection[str], context: openmm.Context, values: Mapping[str, float]) -> None:
         """Write the files that are due, the checkpoint last, since it notes the lengths of the others.
 
         Args:
-            due: as the method `due` gives them.
+            due: result of the method `due`.
             context: at the last completed step.
             values: by column of the log; needed for the log and for a checkpoint.
         """

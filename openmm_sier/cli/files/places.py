@@ -1,4 +1,4 @@
-"""Whether a command may write a file: that it is in nobody's way, and replaces nothing of a user."""
+"""Checks before a command writes a file: it must not replace inputs, other outputs, or files of the user."""
 
 import os
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ from openmm_sier.cli.files.locks import is_name_of_a_lock
 from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.source_files import FilePath
 
-#: First bytes of a file in which the mark of its kind is.
+#: Number of bytes at the beginning of a file that contain the mark of its kind.
 BEGINNING = 2**12
 
 
@@ -44,8 +44,8 @@ def refuse_to_replace(path: Path, option: str, mark: bytes = b"") -> None:
 
     Args:
         path: of the file.
-        option: that names the file.
-        mark: bytes in the first `BEGINNING` of every file of this kind, if such a file may be replaced.
+        option: the option that names the file.
+        mark: bytes within the first `BEGINNING` of every file of this kind, if such a file may be replaced.
 
     Raises:
         RunError: naming the file.

@@ -1,8 +1,8 @@
 """Files that survive a run being cut off at any moment: log, checkpoint, and all that grows by records.
 
 Trajectory and log only grow, by one write for each frame or row. The checkpoint notes their lengths, and is replaced as
-a whole. After a crash they are cut back to these lengths, and the run goes on from the checkpoint, with no gap and no
-frame twice. So that no file of another run is cut, the checkpoint also notes a fingerprint of what each of them held.
+a whole. After a crash they are cut to these lengths, and the run continues from the checkpoint, without a gap or a
+repeated frame. The checkpoint also notes a fingerprint of their content, so that no file of another run is cut.
 """
 
 import hashlib
@@ -20,17 +20,17 @@ from pydantic import Field
 from openmm_sier.observe.conservation import csv_line
 from openmm_sier.system.untrusted_files import open_regular
 
-#: Bytes at the end of what a file held at a checkpoint by which it is known again. Runs that differ in anything differ
-#: there, in the last row of the log and in the last frame.
+#: Bytes at the end of the noted content by which a file is recognized. Different runs differ there, in the last row of
+#: the log and in the last frame.
 WINDOW = 2**16
 
-#: Bytes at the beginning that do not count, since they change while a file grows: a DCD file counts its frames there.
+#: Bytes at the beginning that change while a file grows: a DCD file counts its frames there.
 CHANGING = 48
 
 #: First columns of every table of a run.
 FIRST_COLUMNS = b"Step,Time (ps),"
 
-#: Bytes; a heading and a row are shorter.
+#: Bytes; upper bound of the length of a heading and a row.
 LONGEST_BEGINNING = 2**13
 
 #: A number of bytes or of records in a file.
@@ -43,7 +43,7 @@ class RecordError(ValueError):
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Make errors of the operating system name this file."""
+    """Add the name of a file to errors of the operating system."""
     try:
         yield
     except OSError as error:
@@ -51,31 +51,31 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def replace(path: Path, content: memoryview) -> None:
-    """Give a file a new content.
+    """Replace the content of a file.
 
-    At any moment, after a power failure too, the file is the old or the new one. After an error it is the old one, and
-    nothing of the new one is left. A link stays, and leads to the new file.
+    At any moment, and after a power failure, the file is the old or the new one. After an error it is the old one, and
+    nothing remains of the new one. A link stays, and leads to the new file.
     """
     real = Path(os.path.realpath(path))
-    # As `tempfile` names files, but with the permissions that others have too.
-    made = real.with_name(f".openmm-sier-{secrets.token_hex(8)}.tmp")
+    # Not by `tempfile`, whose files only their owner may read.
+    temporary = real.with_name(f".openmm-sier-{secrets.token_hex(8)}.tmp")
     with naming(path):
-        # No file that exists is ever opened here.
-        file = open(made, "xb")  # noqa: SIM115
+        # Mode x never opens an existing file.
+        file = open(temporary, "xb")  # noqa: SIM115
         try:
             with file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(made, real)
+            os.replace(temporary, real)
         except BaseException:
-            made.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             raise
 
 
 @dataclass(frozen=True)
 class Noted:
-    """Hold what a checkpoint notes of a file that grows.
+    """Notes on a growing file in a checkpoint.
 
     Attributes:
         size: bytes written.
@@ -101,8 +101,8 @@ class GrowingFile(ABC):
         """
         Args:
             path: of the file.
-            noted: what to keep of an existing file, for which `check` has passed; the rest is cut off. Without it, the
-                file is made anew.
+            noted: content of an existing file that stays, which has passed `check`; the rest is cut off. None: the file
+                is new.
 
         Raises:
             OSError: it cannot be written.
@@ -145,7 +145,7 @@ class GrowingFile(ABC):
         """
 
     def append(self, record: bytes, counts: bool = True) -> None:
-        """Write a record. What a kill or a full disk leaves of it is cut off by the restart.
+        """Write a record. The restart cuts off an incomplete one.
 
         Raises:
             OSError: for example, the disk is full.
@@ -165,7 +165,7 @@ class GrowingFile(ABC):
             self._file.seek(self.size)
 
     def noted(self) -> Noted:
-        """Return what a checkpoint notes of this file, all of which is then on the disk."""
+        """Return the notes on this file for a checkpoint, after all of it was written to the disk."""
         with naming(self.path):
             os.fsync(self._file.fileno())
         return Noted(self.size, self.count, _fingerprint(self.path, self.size))
@@ -192,7 +192,7 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
             f"{path}, which the run of this checkpoint writes, is missing: put it back under this name, or begin a new "
             "run from the checkpoint with --start"
         )
-    # A checkpoint may come from anybody, and name any file: the cut needs both.
+    # A checkpoint may be crafted and name any file, so that the fingerprint alone is not enough.
     if _fingerprint(path, noted.size) != noted.fingerprint or not format.are_records(path, noted.size):
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
@@ -201,7 +201,7 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
 
 
 def _fingerprint(path: Path, size: int) -> str:
-    """Return a digest of the last of so many bytes of a file, which takes no longer for a long one."""
+    """Return a digest of the last bytes of the first `size` bytes of a file."""
     begin = max(CHANGING, size - WINDOW)
     with naming(path), open_regular(path) as file:
         file.seek(begin)

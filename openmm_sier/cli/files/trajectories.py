@@ -1,4 +1,4 @@
-"""Trajectories that survive a run being cut off at any moment, of two formats."""
+"""Trajectories in two formats that survive a run being cut off at any moment."""
 
 import errno
 import io
@@ -15,17 +15,18 @@ from openmm.unit import Quantity
 
 from openmm_sier.cli.files.records import CHANGING, GrowingFile, Noted, naming
 
-#: Bytes of OpenMM's header of a DCD file, and the time in it, left out so that a run gives the same bytes again.
+#: Length of OpenMM's header of a DCD file, bytes, and the place of the time in it, which is left out so that equal runs
+#: have equal files.
 DCD_HEADER, DCD_TIME = 276, slice(180, 260)
 
-#: What that header begins with: the length of its first record, and the format.
+#: Beginning of that header: the length of its first record, and the format.
 DCD_MAGIC = struct.pack("<i4s", 84, b"CORD")
 
 #: Places in that header: whether frames have a box, and the number of atoms.
 DCD_HAS_BOX, DCD_ATOMS = slice(48, 52), slice(268, 272)
 
-#: What a frame of an XTC file begins with, and bytes before its compressed positions, the last four of which count
-#: these. Positions of few atoms are not compressed, and have fewer bytes before them.
+#: Beginning of a frame of an XTC file, and the length of its header, bytes. The last four bytes are the length of the
+#: compressed positions. Positions of few atoms are not compressed, and have a shorter header.
 XTC_MAGIC, XTC_HEADER = (1995).to_bytes(4, "big"), 92
 XTC_FEW_ATOMS, XTC_FEW_HEADER = 9, 56
 
@@ -52,8 +53,8 @@ class Trajectory(GrowingFile):
 class DCDTrajectory(Trajectory):
     """Frames of a DCD file, all of the same length.
 
-    OpenMM formats header and frames in memory. The first part of the header, which counts the frames, is written again
-    after each of them.
+    OpenMM formats header and frames in memory. The first part of the header, which counts the frames, is written after
+    each frame.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -131,7 +132,7 @@ class XTCTrajectory(Trajectory):
             # Steps have 32 bits, which long runs exceed: frames are counted in their place, and times are right.
             file = app.XTCFile(str(frame), self._topology, self._dt * self._interval, self.count + 1)
             file.writeModel(positions, periodicBoxVectors=box)
-            # OpenMM's writer says nothing where the temporary directory is full.
+            # OpenMM's writer raises no error if the temporary directory is full.
             if not _is_frame(frame, len(positions)):
                 place = f"OpenMM left it incomplete in the temporary directory {tempfile.gettempdir()}"
                 message = f"a frame could not be written: {place}. Is its disk full? Set TMPDIR to another directory"
@@ -140,7 +141,7 @@ class XTCTrajectory(Trajectory):
 
 
 def _header_and_length(path: Path, length: int) -> tuple[bytes, int]:
-    """Return the first bytes of a file, at most so many, and the length of the file."""
+    """Return at most `length` bytes from the beginning of a file, and the length of the file."""
     with naming(path), open(path, "rb") as file:
         return file.read(length), file.seek(0, os.SEEK_END)
 
@@ -167,7 +168,7 @@ def _frame_length(header: bytes) -> int | None:
 
 
 def _is_frame(path: Path, atoms: int) -> bool:
-    """Tell whether an XTC file has one whole frame of so many atoms."""
+    """Return whether an XTC file has one complete frame with this number of atoms."""
     import mdtraj
 
     try:
@@ -178,5 +179,5 @@ def _is_frame(path: Path, atoms: int) -> bool:
         return False
 
 
-#: Formats by the endings of names, in small letters; those of names may be of any case.
+#: Formats by the endings of names, in lower case.
 FORMATS: dict[str, type[Trajectory]] = {".dcd": DCDTrajectory, ".xtc": XTCTrajectory}

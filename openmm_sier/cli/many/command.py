@@ -1,4 +1,4 @@
-"""The command `openmm-sier run --seeds`: runs beside each other, how far they are in one table, and their means."""
+"""The command `openmm-sier run --seeds`: parallel runs, their progress in one table, and their means."""
 
 import logging
 import re
@@ -24,10 +24,10 @@ from openmm_sier.dynamics.threads import cores
 from openmm_sier.engines.choice import is_on_host
 from openmm_sier.inputs.equilibration import platform_for
 
-#: Options that name a file which each member writes by itself.
+#: Options that name an output of each member.
 OF_MEMBERS = ("report", "pressure_tensor", "save_config")
 
-#: What a member warns of, and the table of means too.
+#: Words of a warning that the table of means repeats.
 UNSETTLED = "not equilibrated"
 
 
@@ -37,7 +37,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     Args:
         chosen: options of the user by name.
         seeds: of the members.
-        workers: how many run at a time on this machine; None for as many as its platform suits.
+        workers: number of parallel runs on this machine; None for a number that suits its platform.
         scheduler: address of a scheduler of Dask; None for this machine.
 
     Raises:
@@ -92,7 +92,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
 
 @contextmanager
 def _dask_in_silence() -> Iterator[None]:
-    """Keep Dask from logging errors, with their tracebacks, which the command reports in one line."""
+    """Disable logging, since Dask logs tracebacks of errors that the command reports in one line."""
     logging.disable()
     try:
         yield
@@ -104,7 +104,7 @@ def _dask_in_silence() -> Iterator[None]:
 
 
 def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | None) -> None:
-    """Refuse what many runs cannot have."""
+    """Refuse options that many runs cannot have."""
     if options.get("restart"):
         raise Misused("--seeds continues each run that has a checkpoint: leave out --restart")
     if options.get("seed") is not None:
@@ -114,23 +114,23 @@ def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | Non
 
 
 def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
-    """Refuse files of which each member needs its own under another name."""
+    """Refuse a name of a file that each member would write."""
     for name in OF_MEMBERS:
         if options.get(name):
             raise Misused(f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}")
     for seed in seeds:
-        for read in (settings.box, settings.topology):
-            if read and same_file(named(settings.out, seed), read):
-                raise RunError(f"{named(settings.out, seed)} would overwrite {read}: give another name with --out")
+        for source in (settings.box, settings.topology):
+            if source and same_file(named(settings.out, seed), source):
+                raise RunError(f"{named(settings.out, seed)} would overwrite {source}: give another name with --out")
 
 
 def _is_usual(name: str, value: object) -> bool:
-    """Return whether a switch is off that is off by itself, for which a command line has no word."""
+    """Return whether a switch is off as by default, which a command line cannot express."""
     return value is False and RunSettings.model_fields[name].default is False
 
 
 def _usual_workers(platform: str | None) -> int:
-    """Return how many runs a machine has at a time: one for each core, or one alone on a GPU."""
+    """Return the usual number of parallel runs: one for each core, or one on a GPU."""
     return cores() if is_on_host(platform_for(platform)) else 1
 
 
@@ -143,7 +143,7 @@ def _counted(members: Sequence[Member]) -> str:
 
 
 def _print_warnings(members: Sequence[Member]) -> None:
-    """Print each warning once, with the seeds that it is of. The means say which runs were not equilibrated."""
+    """Print each warning once, with its seeds. The means name the runs that were not equilibrated."""
     warnings = [(text, member) for member in members for text in member.warnings if UNSETTLED not in text]
     for text, seeds in _grouped(warnings):
         note(f"{text} ({seeds})")
@@ -156,7 +156,7 @@ def _complaints(members: Sequence[Member]) -> str:
 
 
 def _grouped(messages: Sequence[tuple[str, Member]]) -> list[tuple[str, str]]:
-    """Return texts, each once though it names another file or number in each member, and the seeds that they are of."""
+    """Return texts and their seeds; texts that differ only in numbers count as one."""
     first: dict[str, str] = {}
     seeds: dict[str, list[int]] = {}
     for text, member in messages:

@@ -1,8 +1,8 @@
-"""The process of one of many runs: `openmm-sier`, ended by the end of whoever started it.
+"""The process of one of many runs: `openmm-sier`, which ends with the process that started it.
 
 `python -m openmm_sier.cli.many.member run …` executes a command line. Its standard input is a pipe from the process
-that started it. When that pipe ends, because the process closed it or was killed, this one ends as by SIGTERM: it
-completes a step and its files.
+that started it. When that process closes the pipe or is killed, this one ends as by SIGTERM: it completes a step and
+its files.
 """
 
 import os
@@ -16,7 +16,7 @@ from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.main import main
 
-#: s, for an earlier process of the same member, whose starter was killed, to complete its step and its files.
+#: Seconds for an earlier process of the same member, whose starter was killed, to complete its step and its files.
 PATIENCE = 60.0
 
 
@@ -27,7 +27,7 @@ def _end_with_the_starter() -> None:
 
 
 def _wait_for_the_last(out: Path) -> None:
-    """Wait until nobody writes the checkpoint of a run, but not for long: the run itself says who does."""
+    """Wait until no process writes the checkpoint of a run, at most `PATIENCE`; then the run reports the lock."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
         try:

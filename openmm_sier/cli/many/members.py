@@ -1,7 +1,8 @@
-"""Runs beside each other that differ in their seeds: ordinary runs of the command, on workers of Dask.
+"""Parallel runs that differ in their seeds: ordinary runs of the command, on workers of Dask.
 
-A member is a process of its own, `openmm-sier run … --resume --seed N`, which a worker starts and watches. It goes on
-from its checkpoint wherever it is started again. Dask gives members to workers, and once more where a worker died.
+A member is a separate process, `openmm-sier run … --resume --seed N`, which a worker starts and watches. It continues
+from its checkpoint wherever it is started again. Dask gives members to workers, and gives those of a dead worker to
+another.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from openmm_sier.dynamics.threads import cores
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: How often a member is begun again whose process or worker died.
+#: Number of times that a member is restarted after its process or worker died.
 RETRIES = 3
 
-#: s, between two looks at a member, and at all of them.
+#: Seconds between two checks of a member, and of all members.
 LOOK, REFRESH = 0.2, 0.5
 
-#: s, for a scheduler to answer, and for members that are stopped to complete their step and their files.
+#: Seconds for a scheduler to answer, and for stopped members to complete their step and their files.
 PATIENCE, LAST_STEP = 30.0, 60.0
 
 #: Exit code of a member that was asked to stop.
 STOPPED = 128 + signal.SIGTERM
 
-#: Where the HTTP servers of Dask listen, without which it does not start: any port of this machine alone.
+#: Address of the HTTP servers that Dask requires: any port, for this machine only.
 OWN_MACHINE = "127.0.0.1:0"
 
-#: Bytes at the end of a log in which its last row is.
+#: Number of bytes at the end of a log that contain its last row.
 LAST_ROW = 2**13
 
 State = Literal["waiting", "running", "complete", "failed", "stopped"]
 
-#: Is given all members whenever something may have changed.
+#: Called with all members whenever something may have changed.
 Watch = Callable[[Sequence["Member"]], None]
 
 
@@ -56,14 +57,14 @@ class RunsError(RuntimeError):
 
 @dataclass
 class Member:
-    """Hold what is known of one of many runs.
+    """One of many runs.
 
     Attributes:
         seed: of the run.
-        out: its trajectory, after which its other files are named.
-        state: what has become of it.
+        out: its trajectory; other files are named after it.
+        state: of the run.
         step: the last one in its log.
-        error: its complaint, in one line.
+        error: its error message, in one line.
         warnings: its warnings.
     """
 
@@ -76,12 +77,12 @@ class Member:
 
     @property
     def log(self) -> Path:
-        """Return its log."""
+        """Path of the log."""
         return self.out.with_suffix(".csv")
 
 
 class Ended(NamedTuple):
-    """Tell how the process of a member ended: its exit code, the last line of its complaint, and its warnings."""
+    """End of the process of a member: exit code, the last line of its error message, and its warnings."""
 
     code: int
     error: str = ""
@@ -103,27 +104,27 @@ def run_many(
     stop: Callable[[], bool] = lambda: False,
     **options: Any,
 ) -> list[Member]:
-    """Do runs that differ in their seeds, and continue those that are not complete.
+    """Make runs that differ in their seeds, and continue those that are not complete.
 
     Members are `openmm-sier run box --resume --seed N` with files named after `out`, to which "-seedN" is added.
-    Without a scheduler they run beside each other on this machine. With one they run on its workers, which need this
-    package and see the same files under the same names.
+    Without a scheduler they run in parallel on this machine. With one they run on its workers, which need this package
+    and the same files under the same names.
 
     Args:
         box: coordinates.
         seeds: of the members.
-        workers: how many run at a time on this machine; None for one on each core.
+        workers: number of parallel runs on this machine; None for one on each core.
         scheduler: address of a scheduler of Dask, such as `tcp://node7:8786`.
-        retries: how often a member is begun again whose process or worker died.
-        watch: is given the members once in a while.
-        stop: is asked once in a while whether members are to be stopped. They complete a step and their files.
+        retries: number of times that a member is restarted after its process or worker died.
+        watch: function of the members, called periodically.
+        stop: function that returns whether to stop members, called periodically. They complete a step and their files.
         options: of `openmm-sier run` by name, with underscores; lists for options with several values.
 
     Returns:
-        The members, with what has become of each. A member that failed does not end the others.
+        The members with their final states. A member that failed does not end the others.
 
     Raises:
-        RunsError: a seed is given twice, the scheduler does not answer, or went away, or Dask failed.
+        RunsError: a seed is given twice, the scheduler does not answer or went away, or Dask failed.
         ModuleNotFoundError: Dask is not installed.
     """
     if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
@@ -131,20 +132,20 @@ def run_many(
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: command_of(box, member, options) for member in members}
-    with _telling(), _client(scheduler, workers) as client:
+    with _dask_errors(), _client(scheduler, workers) as client:
         _Runs(client, members, retries, watch or (lambda _: None), stop).carry_out(lines, _threads(scheduler, workers))
     return members
 
 
 def named(path: Path, seed: int) -> Path:
-    """Return the name of a file of one member."""
+    """Return the name of a member's file."""
     return path.with_name(f"{path.stem}-seed{seed}{path.suffix}")
 
 
 def command_of(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
-    """Return the words of the command line of a member."""
+    """Return the command line of a member, word by word."""
     line = ["run", argument(box), "--seed", str(member.seed), "--out", argument(member.out), "--resume"]
-    return line + [each for name, value in options.items() if value is not None for each in arguments(name, value)]
+    return line + [word for name, value in options.items() if value is not None for word in arguments(name, value)]
 
 
 # --- the pool, which is Dask's ---
@@ -160,7 +161,7 @@ def _dask() -> Any:
 
 @contextmanager
 def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """Connect to a scheduler, or to one within this process, whose workers are threads that watch processes."""
+    """Connect to a scheduler, or start one in this process, whose workers are threads that watch processes."""
     distributed = _dask()
     if scheduler is not None:
         try:
@@ -174,10 +175,10 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         n_workers=workers or cores(),
         threads_per_worker=1,
         processes=False,
-        # By default workers listen to all the world. Others may have the usual port.
+        # By default workers listen on all networks, and the usual port may be in use.
         dashboard_address=OWN_MACHINE,
         worker_dashboard_address=OWN_MACHINE,
-        # There is no memory to be watched.
+        # Threads have no memory of their own to be watched.
         memory_limit=0,
         silence_logs=50,
     )
@@ -187,7 +188,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _closing(opened: Any) -> Iterator[Any]:
-    """Close a client or a cluster, also one whose other end is gone: runs are what they are."""
+    """Close a client or a cluster, and ignore errors, such as those of a lost connection."""
     try:
         yield opened
     finally:
@@ -196,8 +197,8 @@ def _closing(opened: Any) -> Iterator[Any]:
 
 
 @contextmanager
-def _telling() -> Iterator[None]:
-    """Tell errors of Dask as those of runs, which lose nothing by them."""
+def _dask_errors() -> Iterator[None]:
+    """Turn errors of Dask into a `RunsError`; runs lose nothing by them."""
     try:
         yield
     except (RunsError, ModuleNotFoundError):
@@ -208,15 +209,15 @@ def _telling() -> Iterator[None]:
 
 
 def _threads(scheduler: str | None, workers: int | None) -> int | None:
-    """Return how many threads each member has on this machine; workers elsewhere know for themselves."""
+    """Return the number of threads of each member on this machine; None for workers of a scheduler."""
     return None if scheduler else max(1, cores() // (workers or cores()))
 
 
 class _Runs:
-    """Members that are being carried out.
+    """Members that run.
 
     Attributes:
-        members: by the future of each that has not ended.
+        members: those that have not ended, by their futures.
     """
 
     def __init__(
@@ -227,16 +228,16 @@ class _Runs:
         self.members: dict[Future, Member] = {}
 
     def carry_out(self, lines: dict[int, list[str]], threads: int | None) -> None:
-        """Carry out the command line of each seed, until all have ended or are stopped."""
-        asked = _dask().Event(f"openmm-sier-stop-{uuid.uuid4().hex}", client=self._client)
+        """Execute the command line of each seed, until all have ended or are stopped."""
+        stop = _dask().Event(f"openmm-sier-stop-{uuid.uuid4().hex}", client=self._client)
         for member in self._all:
-            task = (lines[member.seed], os.getcwd(), threads, asked.name)
+            task = (lines[member.seed], os.getcwd(), threads, stop.name)
             future = self._client.submit(carry_out, *task, pure=False, retries=self._retries)
             self.members[future] = member
         try:
             self._wait(None)
             if self.members:
-                asked.set()
+                stop.set()
                 self._wait(time.monotonic() + LAST_STEP)
                 for member in self.members.values():
                     member.state = "stopped"
@@ -244,24 +245,24 @@ class _Runs:
             self._watch(self._all)
 
     def _wait(self, until: float | None) -> None:
-        """Take what has ended, until nothing is left, or a time, or without one until somebody asks for a stop."""
+        """Collect members that have ended, until all have, until a time, or else until a stop is requested."""
         while self.members:
             for future in [future for future in self.members if future.status != "pending"]:
-                _take(future, self.members.pop(future), self._client)
+                _collect(future, self.members.pop(future), self._client)
             _refuse_absence(self._client)
             for member in self.members.values():
-                _look(member)
+                _update_step(member)
             self._watch(self._all)
             if time.monotonic() > until if until else self._stop():
                 return
             time.sleep(REFRESH)
 
 
-def _take(future: Future, member: Member, client: Client) -> None:
-    """Take what has become of a member."""
+def _collect(future: Future, member: Member, client: Client) -> None:
+    """Store the final state of a member."""
     if future.status in ("cancelled", "lost"):
         raise _gone(client)
-    _look(member)
+    _update_step(member)
     if future.status == "error":
         member.state, member.error = "failed", " ".join(str(future.exception()).split())
         return
@@ -281,8 +282,8 @@ def _gone(client: Client) -> RunsError:
     return RunsError(f"the scheduler {address} went away")
 
 
-def _look(member: Member) -> None:
-    """Look how far a member is, by its log."""
+def _update_step(member: Member) -> None:
+    """Read the last step of a member from its log."""
     with suppress(OSError, ValueError), open(member.log, "rb") as file:
         file.seek(max(0, os.path.getsize(member.log) - LAST_ROW))
         *rows, _ = file.read().split(b"\n")
@@ -296,17 +297,17 @@ def _look(member: Member) -> None:
 
 
 def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: str) -> Ended:
-    """Carry out a command line in a process of its own, which ends with the worker, and watch it.
+    """Execute a command line in a separate process, which ends with the worker, and watch it.
 
     Args:
         line: words after `openmm-sier`.
-        directory: where the files are.
+        directory: of the files.
         threads: of the process; None for OPENMM_CPU_THREADS of the worker, or one.
         stop: name of the event that ends all members.
 
     Raises:
-        DiedError: the process was killed, so that it is worth while to begin it again.
-        distributed.Reschedule: the worker ends before the process, which goes on elsewhere.
+        DiedError: the process was killed, and can be restarted.
+        distributed.Reschedule: the worker ends before the process, which another one continues.
     """
     distributed = _dask()
     if not os.path.isdir(directory):
@@ -316,15 +317,15 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
     if asked.is_set():
         return Ended(STOPPED)
     environment = {**os.environ, "OPENMM_CPU_THREADS": str(threads or os.environ.get("OPENMM_CPU_THREADS", 1))}
-    with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as complained:
+    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             [sys.executable, "-m", "openmm_sier.cli.many.member", *line],
             cwd=directory,
             env=environment,
             stdin=subprocess.PIPE,
-            stdout=said,
-            stderr=complained,
-            # Ctrl-C in the terminal of whoever waits for all is not for a member.
+            stdout=output,
+            stderr=errors,
+            # Ctrl-C in the terminal must not reach members.
             start_new_session=True,
         )
         pipe = process.stdin
@@ -334,10 +335,10 @@ def carry_out(line: Sequence[str], directory: str, threads: int | None, stop: st
             while (code := process.poll()) is None:
                 is_leaving = worker.status != distributed.core.Status.running
                 if is_leaving or asked.is_set():
-                    # The process sees that, completes its step and ends.
+                    # Then the process completes its step and ends.
                     pipe.close()
                 time.sleep(LOOK)
-        complaint, notes = _lines(complained), _lines(said)
+        complaint, notes = _lines(errors), _lines(output)
     if code and is_leaving:
         raise distributed.Reschedule
     if code < 0 and asked.is_set():

@@ -1,28 +1,28 @@
-"""Seeds of many runs, as a command line has them."""
+"""Seeds of many runs on a command line."""
 
 import re
 from collections.abc import Sequence
 
 from openmm_sier.cli.errors import Misused
 
-#: Most seeds of one range.
+#: Largest number of seeds in a range.
 MOST = 10_000
 
 
 def read_seeds(text: str) -> list[int]:
-    """Return the seeds that a text such as "1-24" or "1-4,7,9" means.
+    """Return the seeds of a text such as "1-24" or "1-4,7,9".
 
     Raises:
-        Misused: it means none, or one twice.
+        Misused: the text has another form, or a seed twice.
     """
     seeds: list[int] = []
-    for part in text.split(","):
-        if not (match := re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", part)):
+    for item in text.split(","):
+        if not (match := re.fullmatch(r"\s*(\d+)(?:\s*-\s*(\d+))?\s*", item)):
             raise Misused(f"--seeds: expected seeds such as 1-24 or 1-4,7,9, got {text!r}")
         first, last = int(match[1]), int(match[2] or match[1])
         if not 1 <= first <= last < 2**31:
             raise Misused(
-                f"--seeds: expected seeds from 1 to {2**31 - 1}, the lower one first, got {part.strip()!r} in {text!r}"
+                f"--seeds: expected seeds from 1 to {2**31 - 1}, the lower one first, got {item.strip()!r} in {text!r}"
             )
         if last - first >= MOST:
             raise Misused(f"--seeds: expected at most {MOST} seeds, got {text!r}")
@@ -33,12 +33,12 @@ def read_seeds(text: str) -> list[int]:
 
 
 def shown(seeds: Sequence[int]) -> str:
-    """Return seeds as `read_seeds` reads them."""
-    parts: list[list[int]] = []
+    """Return seeds in the form that `read_seeds` reads."""
+    ranges: list[list[int]] = []
     for seed in sorted(set(seeds)):
-        if parts and seed == parts[-1][-1] + 1:
-            parts[-1].append(seed)
+        if ranges and seed == ranges[-1][-1] + 1:
+            ranges[-1].append(seed)
         else:
-            parts.append([seed])
-    words = [f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts]
+            ranges.append([seed])
+    words = [f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in ranges]
     return f"{'seed' if len(set(seeds)) == 1 else 'seeds'} {','.join(words)}"

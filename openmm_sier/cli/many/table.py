@@ -1,4 +1,4 @@
-"""The table of how far many runs are: live in a terminal, otherwise a line once in a while."""
+"""Progress of many runs: a live table in a terminal, otherwise occasional lines."""
 
 import sys
 from collections import Counter
@@ -44,10 +44,10 @@ def watching(steps: int) -> Iterator[Watch]:
 
 
 def described(members: Sequence[Member], steps: int) -> str:
-    """Return how many members are in which state, and how much of all steps is done."""
+    """Return the number of members in each state, and the share of all steps that is done, in words."""
     counts = Counter(member.state for member in members)
-    done = sum(min(member.step, steps) for member in members) / (steps * len(members))
-    return f"{', '.join(f'{count} {state}' for state, count in counts.items())}: {100 * done:.0f} % of all steps"
+    share = sum(min(member.step, steps) for member in members) / (steps * len(members))
+    return f"{', '.join(f'{count} {state}' for state, count in counts.items())}: {100 * share:.0f} % of all steps"
 
 
 def _table(members: Sequence[Member], steps: int) -> Table:

@@ -1,4 +1,4 @@
-"""Picture files: their formats, what is checked before one is drawn, and the look that all of them have."""
+"""Picture files: their formats, checks before one is drawn, and their common style."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from openmm_sier.inputs.source_files import FilePath
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: By `ENDINGS`, what matplotlib writes into the file: no time, so that a log gives the same bytes again, and the
-#: program, by which an earlier picture is known.
+#: Metadata that matplotlib writes, by the ending of the name: no time, so that equal logs give equal files, and the
+#: program, by which an earlier picture is recognized.
 FORMATS: dict[str, dict[str, Any]] = {
     ".png": {"Software": PROGRAM},
     ".svg": {"Creator": PROGRAM, "Date": None},
     ".html": {"Date": None},
 }
 
-#: Bytes near the beginning of each picture that this package drew, by the endings of names.
+#: Bytes near the beginning of each picture that this package has drawn, by the ending of the name.
 MARKS = {
     ".png": f"Software\0{PROGRAM}".encode(),
     ".svg": f"<dc:title>{PROGRAM}</dc:title>".encode(),
@@ -36,7 +36,7 @@ MARKS = {
 #: Inches.
 WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_HEADINGS = 9.0, 2.6, 1.1
 
-#: Type that can be read at half the size.
+#: Font sizes, legible at half the size.
 TITLE, PANEL_TITLE, LABEL, SMALL = 17, 14, 13, 11.5
 
 RC: Any = {
@@ -84,17 +84,17 @@ def check(path: Path, inputs: Collection[FilePath], may_replace: bool, outputs: 
 
 @contextmanager
 def panels(path: Path, number: int, title: str, caption: str, page: Callable[[str], str]) -> Iterator[list[Axes]]:
-    """Panels below each other with one axis of time, which become a file after they were drawn.
+    """Yield panels below each other with a common axis of time, and write them to a file afterwards.
 
     Args:
         path: of the picture.
         number: of panels.
         title: above all.
         caption: below all, in small letters.
-        page: makes the page of a picture in SVG, for a file that ends in .html.
+        page: function that makes a page of a picture in SVG, for a file that ends in .html.
 
     Raises:
-        OSError: the file cannot be written. An earlier one is still there.
+        OSError: the file cannot be written. An earlier one still exists.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -111,5 +111,5 @@ def panels(path: Path, number: int, title: str, caption: str, page: Callable[[st
         content, suffix = io.BytesIO(), path.suffix.lower()
         is_page = suffix == ".html"
         figure.savefig(content, format="svg" if is_page else suffix[1:], metadata=FORMATS[suffix])
-    whole = page(content.getvalue().decode()).encode() if is_page else content.getbuffer()
-    records.replace(path, memoryview(whole))
+    data = page(content.getvalue().decode()).encode() if is_page else content.getbuffer()
+    records.replace(path, memoryview(data))

@@ -32,7 +32,7 @@ TEMPERATURE_LOOKS = dict(
 
 
 class Panel(NamedTuple):
-    """A panel: its title, the label of its axis, and what draws it."""
+    """A panel: its title, the label of its axis, and the function that draws it."""
 
     title: str
     label: str
@@ -78,7 +78,7 @@ def panels(runs: Runs) -> list[Panel]:
 
 
 def caption_of(runs: Runs) -> str:
-    """Say what lines and bands are."""
+    """Return the caption, which explains lines and bands."""
     width, rows = series.width_of_means(runs)
     over = f"means over {width:.3g} {runs.unit}" if rows > 1 else "rows of the log"
     if len(runs.runs) > 1:
@@ -128,7 +128,7 @@ def temperatures(runs: Runs) -> Panel:
         for column in present:
             look, means = TEMPERATURE_LOOKS[column], series.means_of(runs, column)
             series.draw(axes, means, look, MOTIONS[column], scatter=False)
-        # Above the lines there is room for the legend.
+        # Room for the legend above the lines.
         least, most = axes.get_ylim()
         axes.set_ylim(least, most + 0.25 * (most - least))
         axes.legend(loc="upper left", ncols=3, columnspacing=1.2, handlelength=2.6, borderaxespad=0.1)
@@ -147,7 +147,7 @@ def density(runs: Runs) -> Panel:
 
 
 def acceptance(runs: Runs) -> Panel:
-    """Draw the fraction of trials that were accepted up to each moment."""
+    """Draw the fraction of accepted trials up to each moment."""
 
     def draw(axes: Axes) -> None:
         series.draw(axes, series.means_of(runs, ACCEPTANCE, 100), Look(VERMILION), scatter=len(runs.runs) > 1)
@@ -156,7 +156,7 @@ def acceptance(runs: Runs) -> Panel:
 
 
 def _bath(runs: Runs) -> float | None:
-    """Return the temperature of the bath, K; None without one, and where no checkpoint has it."""
+    """Return the temperature of the bath, K; None without a bath or a checkpoint."""
     plan = runs.first.plan
     return plan.temperature if plan and plan.ensemble != "nve" else None
 

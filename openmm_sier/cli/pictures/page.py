@@ -29,7 +29,7 @@ def page_of(runs: Runs, picture: str) -> str:
     body = [f"<h1>{_text(runs.title)}</h1>"]
     body += [f"<p class=warning>{_text(text)}</p>" for text in warnings_of(runs)]
     body += ["<h2>Means</h2>", f"<p>{_text(verdict(runs))}</p>", _means(runs)]
-    # The lines before it are for files that are pictures alone.
+    # The lines before it are for separate SVG files.
     body += ["<h2>Course</h2>", picture[picture.index("<svg") :]]
     if runs.first.plan is not None:
         noted = runs.first.plan.noted(runs.first.path)
@@ -50,7 +50,7 @@ def _means(runs: Runs) -> str:
     if len(runs.runs) == 1:
         return _table([(over_all.name, str(over_all)) for over_all, _ in runs.means()])
     heading = ("", "mean over runs", *(run.path.stem for run in runs.runs))
-    return _table([heading, *((over_all.name, str(over_all), *map(str, each)) for over_all, each in runs.means())])
+    return _table([heading, *((over_all.name, str(over_all), *map(str, by_run)) for over_all, by_run in runs.means())])
 
 
 def _value(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Series in means over equal times, and how they are drawn: one run with its scatter, several with their error."""
+"""Series of means over equal times, drawn with the scatter of one run or the error of several."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from openmm_sier.cli.settling import binned
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Most means of a series that are drawn.
+#: Largest number of means of a series.
 MOST_MEANS = 60
 
 #: Fewest rows whose scatter is drawn as a band.
 FEWEST_IN_A_BAND = 4
 
-#: Lengths over which means are taken, in powers of ten.
+#: Lengths over which means are taken, times powers of ten.
 ROUND = (1.0, 2.0, 5.0)
 
 
 class Look(NamedTuple):
-    """Tell a series from others, also without colours."""
+    """Style of a series, recognizable without colours too."""
 
     colour: str
     line: str = "-"
     marker: str = "o"
 
 
-#: Of Okabe and Ito, who chose them for the colour-blind.
+#: Colours of Okabe and Ito for the colour-blind.
 BLUE, VERMILION, GREEN, PURPLE, BLACK = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000"
 
 
@@ -62,9 +62,9 @@ class Means(NamedTuple):
 
 
 def width_of_means(runs: Runs) -> tuple[float, int]:
-    """Return over how long means are taken, and over how many rows of the log with the fewest.
+    """Return the length over which means are taken, and its number of rows in the log with the fewest rows.
 
-    It is a whole number of rows near a round time, so that there are no more than `MOST_MEANS` or little more.
+    It is a whole number of rows near a round time, with about `MOST_MEANS` means at most.
     """
     interval = max(float(np.diff(run.clock).max()) for run in runs.runs)
     if runs.length <= MOST_MEANS * interval:
@@ -77,20 +77,20 @@ def width_of_means(runs: Runs) -> tuple[float, int]:
 
 
 def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = False) -> Means:
-    """Means of a column of the log.
+    """Return means of a column of the log.
 
     Args:
         runs: of one kind.
         column: of their logs.
         factor: by which values are multiplied.
-        about_mean: whether the mean of each run is taken off.
+        about_mean: whether the mean of each run is subtracted.
     """
     width, rows = width_of_means(runs)
     count = max(1, math.floor(runs.length / width * (1 + 1e-6)))
     values, squares = [], []
     for run in runs.runs:
         series = run.log[column] - (np.nanmean(run.after(runs.begin)[column]) if about_mean else 0.0)
-        # About its mean, so that squares do not lose the scatter in rounding.
+        # Relative to the mean, so that squares do not lose the scatter to rounding.
         middle = np.nanmean(series)
         means = binned(run.clock, series - middle, width, count)
         values.append(factor * (means + middle))
@@ -103,21 +103,21 @@ def means_of(runs: Runs, column: str, factor: float = 1.0, about_mean: bool = Fa
 def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = True) -> None:
     """Draw a series.
 
-    One run is a line with a band of its scatter; several are thin lines, and their mean a thick one, with a band of its
-    standard error where there are enough of them.
+    One run is a line with a band of its scatter. Several are thin lines, and their mean is a thick one, with a band of
+    its standard error if there are enough runs.
 
     Args:
         axes: to draw on.
         means: of the series.
-        look: of it.
+        look: style of the series.
         label: in a legend.
-        scatter: whether one run has its band, or several their thin lines; series that share a panel have none.
+        scatter: whether to draw the band of one run, or the thin lines of several.
     """
-    at, several = means.middles, len(means.values) > 1
-    if several and scatter:
+    at, has_several_runs = means.middles, len(means.values) > 1
+    if has_several_runs and scatter:
         axes.plot(at, means.values.T, color=look.colour, lw=0.8, alpha=0.4)
     error = means.error
-    if not several and scatter and means.scatter is not None:
+    if not has_several_runs and scatter and means.scatter is not None:
         error = means.scatter[0]
     if error is not None:
         axes.fill_between(at, means.mean - error, means.mean + error, color=look.colour, alpha=0.3, lw=0)
@@ -136,7 +136,7 @@ def draw(axes: Axes, means: Means, look: Look, label: str = "", scatter: bool = 
 
 
 def draw_mean(axes: Axes, runs: Runs, mean: Estimate, look: Look) -> None:
-    """Draw a mean with its standard error, over the part that it was taken from."""
+    """Draw a mean with its standard error, over the part of the run that it is taken from."""
     if not math.isfinite(mean.value):
         return
     error = mean.error if math.isfinite(mean.error) else 0.0

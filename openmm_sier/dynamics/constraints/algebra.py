@@ -10,8 +10,7 @@ are central and act on pairs, so that nothing here changes the total momentum or
 
 Geodesics are composed of RATTLE steps (Andersen, J. Comput. Phys. 52, 24 (1983)): the atoms move freely for a time d,
 are brought back along the gradients at the start, x' = x + d M^-1 (p + G(x)^T mu), and the momenta p + G(x)^T mu are
-projected at the end, where they are wanted. This map is symmetric and symplectic. All equations are solved to rounding,
-so that it stays so.
+projected at the end if needed. This map is symmetric and symplectic, since all equations are solved to rounding.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class Constraints:
         lengths: (c,), nm.
         masses: of all n bodies, (n,), dalton.
         members: the columns that are constrained, ascending.
-        groups: for each column the smallest one of its connected component, -1 if it is not constrained, (n,).
+        groups: for each column the smallest column of its connected component, -1 if it is not constrained, (n,).
     """
 
     def __init__(
@@ -56,7 +55,7 @@ class Constraints:
             describe: gives the name of a body in messages.
 
         Raises:
-            ConstraintError: a pair joins a body to itself or is there twice, or a length is not positive.
+            ConstraintError: a pair joins a body to itself or occurs twice, or a length is not positive.
         """
         self.masses = np.array(masses, dtype=float)
         self._describe = describe or (lambda body: f"body {body}")
@@ -111,15 +110,18 @@ class Constraints:
             raise ConstraintError(
                 f"the constraint of {self._name(*self.pairs[cut[0]])} joins the subset to another body"
             )
-        kept = (ends >= 0).all(axis=1)
+        is_inside = (ends >= 0).all(axis=1)
         return Constraints(
-            ends[kept], self.lengths[kept], self.masses[bodies], lambda body: self._describe(int(bodies[body]))
+            ends[is_inside],
+            self.lengths[is_inside],
+            self.masses[bodies],
+            lambda body: self._describe(int(bodies[body])),
         )
 
-    # --- what is conserved and counted ---
+    # --- degrees of freedom ---
 
     def rank(self, q: np.ndarray | None = None) -> int:
-        """Return the number of independent constraints, each of which takes away one degree of freedom.
+        """Return the number of independent constraints, each of which removes one degree of freedom.
 
         Args:
             q: positions, (3, n); None gives the rank at almost all positions.
@@ -181,7 +183,7 @@ class Constraints:
         """Move bodies freely for the time t: along straight lines, and along geodesics if constrained.
 
         Args:
-            q, p: (3, n); q satisfies the constraints. What p has along the bonds does not matter.
+            q, p: (3, n); q satisfies the constraints. The components of p along the bonds have no effect.
             t: ps, of either sign.
             fractions: of t for each RATTLE step, with the sum 1; see `openmm_sier.dynamics.constraints.geodesic`.
 
@@ -199,7 +201,7 @@ class Constraints:
         return new_q, new_p
 
     def _refuse(self, failed: int) -> None:
-        """Raise the error of a constraint that has no solution; -1 is none."""
+        """Raise an error for a constraint without a solution; -1 means none."""
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(

@@ -14,7 +14,7 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
     ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     if not len(ends):
         return np.arange(n)
-    # Most systems have no constraints between bodies, and need not import this.
+    # Slow imports, which most systems do not need.
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
 
@@ -24,10 +24,10 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
-    """Find the constraints of bodies at q (3, n) that do not follow from others to first order: pivots not 0, (c,).
+    """Return which constraints of bodies at q (3, n) do not follow from others to first order, (c,).
 
-    The matrix of the constraints is factorized with pivots on the diagonal. What is added to the diagonal keeps those
-    of redundant constraints from being 0.
+    The matrix of the constraints is factorized with pivots on the diagonal. Pivots of redundant constraints are close
+    to the shift of the diagonal, which keeps them from being 0.
     """
     from scipy import sparse
     from scipy.sparse.linalg import splu

@@ -9,7 +9,7 @@ from openmm_sier.dynamics.threads import shared
 
 @called
 def columns_of(A, n):
-    """Return the columns of the attitude matrix of a body, to be read once for all of its sites."""
+    """Return the columns of the attitude matrix of a body, which are read once for all of its sites."""
     return (
         (A[0, 0, n], A[1, 0, n], A[2, 0, n]),
         (A[0, 1, n], A[1, 1, n], A[2, 1, n]),
@@ -32,7 +32,7 @@ def arm_of(places, site, columns):
 
 @called
 def set_of(sets, row):
-    """Return a row of the table `Sites.sets`, in unsigned numbers, for which Numba looks for no negative index."""
+    """Return a row of the table `Sites.sets` in unsigned numbers, which Numba does not check for negative indices."""
     first, end, size = np.uint64(sets[row, 0]), np.uint64(sets[row, 1]), np.uint64(sets[row, 2])
     return first, end, size, np.uint64(sets[row, 3]), np.uint64(sets[row, 4])
 
@@ -40,7 +40,7 @@ def set_of(sets, row):
 @shared
 @kernel
 def place(start, stop, q, A, sets, places, atoms, positions):
-    """Write the positions of the atoms of bodies; return how many bodies have one that is not finite.
+    """Write the positions of the atoms of bodies; return the number of bodies with one that is not finite.
 
     Args:
         start, stop: range of the bodies.
@@ -53,10 +53,10 @@ def place(start, stop, q, A, sets, places, atoms, positions):
         first, end, size, site, entry = set_of(sets, row)
         for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
             columns, centre, total = columns_of(A, n), (q[0, n], q[1, n], q[2, n]), 0.0
-            own = entry + (n - first) * size
+            offset = entry + (n - first) * size
             for j in range(size):
                 x, y, z = plus(centre, arm_of(places, site + j, columns))
-                atom = np.uint64(atoms[own + j])
+                atom = np.uint64(atoms[offset + j])
                 positions[atom, 0], positions[atom, 1], positions[atom, 2] = x, y, z
                 total += abs(x) + abs(y) + abs(z)
             broken += not total < np.inf
@@ -72,24 +72,24 @@ def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, at
         for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
             columns, m = columns_of(A, n), inverse_masses[n]
             x, y, z = columns
-            turning = (
+            body_omega = (
                 inverse_moments[0, n] * (x[0] * L[0, n] + y[0] * L[1, n] + z[0] * L[2, n]),
                 inverse_moments[1, n] * (x[1] * L[0, n] + y[1] * L[1, n] + z[1] * L[2, n]),
                 inverse_moments[2, n] * (x[2] * L[0, n] + y[2] * L[1, n] + z[2] * L[2, n]),
             )
-            omega, v = lab_frame(turning, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
-            own = entry + (n - first) * size
+            omega, v = lab_frame(body_omega, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
+            offset = entry + (n - first) * size
             for j in range(size):
-                moved = plus(v, cross(omega, arm_of(places, site + j, columns)))
-                atom = np.uint64(atoms[own + j])
-                velocities[atom, 0], velocities[atom, 1], velocities[atom, 2] = moved
+                velocity = plus(v, cross(omega, arm_of(places, site + j, columns)))
+                atom = np.uint64(atoms[offset + j])
+                velocities[atom, 0], velocities[atom, 1], velocities[atom, 2] = velocity
     return 0
 
 
 @shared
 @kernel
 def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment):
-    """Sum weighted vectors, and their moments, over the atoms of bodies; return how many sums are not finite.
+    """Sum weighted vectors, and their moments, over the atoms of bodies; return the number of sums that are not finite.
 
     Args:
         start, stop: range of the bodies.
@@ -104,9 +104,9 @@ def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment
         first, end, size, site, entry = set_of(sets, row)
         for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
             columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-            own = entry + (n - first) * size
+            offset = entry + (n - first) * size
             for j in range(size):
-                atom, weight = np.uint64(atoms[own + j]), weights[site + j]
+                atom, weight = np.uint64(atoms[offset + j]), weights[site + j]
                 weighted = weight * vectors[atom, 0], weight * vectors[atom, 1], weight * vectors[atom, 2]
                 sums = plus(sums, weighted)
                 moments = plus(moments, cross(arm_of(places, site + j, columns), weighted))

@@ -1,4 +1,4 @@
-"""Kernels that move bodies, and change their momenta.
+"""Kernels that move bodies and change their momenta.
 
 Each is called as `kernel(n, ...)` for n bodies, which threads share. The function itself has in place of n a range of
 the bodies, from `start` to `stop`. It writes its last arguments. Centres q, momenta p, angular momenta L, forces F and
@@ -22,14 +22,14 @@ from openmm_sier.dynamics.kernels.long_steps import long_rotation
 from openmm_sier.dynamics.kernels.short_steps import free_rotation
 from openmm_sier.dynamics.threads import shared
 
-#: Bodies that are rotated together, and numbers that each needs for it. A smaller tile leaves instructions that handle
-#: several bodies unfilled, a larger one takes longer where bodies are few.
+#: Number of bodies in a tile, which are rotated together, and of its rows. A smaller tile leaves instructions that
+#: handle several bodies unfilled, a larger one takes longer where bodies are few.
 TILE, ROWS = 32, 22
 
 
 @called
 def copy(target, source):
-    """Write some numbers to as many others."""
+    """Write numbers to as many others."""
     for n in range(len(target)):
         target[n] = source[n]
 
@@ -37,7 +37,7 @@ def copy(target, source):
 @shared
 @kernel
 def rotate(start, stop, A, L, h, edges, rates, new_A):
-    """Rotate bodies freely for a time h; return how many have an attitude or angular momentum that is not finite.
+    """Rotate bodies freely for a time h; return the number of those with an attitude or L that is not finite.
 
     Args:
         start, stop: range of the bodies.
@@ -53,16 +53,16 @@ def rotate(start, stop, A, L, h, edges, rates, new_A):
 @shared
 @kernel
 def rotate_each(start, stop, A, L, h, rates, new_A):
-    """Do what `rotate` does, for bodies with rates of their own, (3, n)."""
+    """Rotate bodies as `rotate` does, each with its own rates, (3, n)."""
     broken = 0
     for n in range(start, stop):
-        broken += rotate_far(n, A, L, h, (rates[0, n], rates[1, n], rates[2, n]), new_A)
+        broken += rotate_long(n, A, L, h, (rates[0, n], rates[1, n], rates[2, n]), new_A)
     return broken
 
 
 @called
 def rotate_kinds(start, stop, A, L, h, edges, rates, new_A):
-    """Do what `rotate` does."""
+    """Rotate a range of bodies of all kinds; see `rotate`."""
     broken = 0
     tile = np.ones(ROWS * TILE)
     for kind in range(len(rates)):
@@ -86,9 +86,9 @@ def keep(start, stop, A, new_A):
 
 @called
 def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
-    """Do what `rotate` does, for bodies with the same rates, (3,)."""
+    """Rotate bodies with the same rates, (3,); see `rotate`."""
     broken = 0
-    own = rates[0], rates[1], rates[2]
+    kind_rates = rates[0], rates[1], rates[2]
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
         size = end - first
@@ -98,14 +98,14 @@ def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
                 copy(tile[row : row + size], A[i, j, first:end])
             row = (9 + i) * TILE
             copy(tile[row : row + size], L[i, first:end])
-        rotate_tile(tile, own, h)
+        rotate_tile(tile, kind_rates, h)
         for i in range(3):
             for j in range(3):
                 row = (12 + 3 * i + j) * TILE
                 copy(new_A[i, j, first:end], tile[row : row + size])
         for n in range(size):
             if tile[21 * TILE + n] == 0:
-                broken += rotate_far(first + n, A, L, h, own, new_A)
+                broken += rotate_long(first + n, A, L, h, kind_rates, new_A)
     return broken
 
 
@@ -113,8 +113,8 @@ def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
 def rotate_tile(tile, rates, h):
     """Rotate a tile of bodies freely, from its rows A (9) and L (3) to others: new A (9), and whether it is valid.
 
-    There is one array with constant distances between its rows, and no branch or call that is not inlined. So the
-    compiler sees that bodies are independent, and handles several with each instruction.
+    The rows of one array have constant distances, and there is no branch or call that is not inlined. So the compiler
+    sees that bodies are independent, and handles several with each instruction.
     """
     for n in range(TILE):
         x = tile[n], tile[TILE + n], tile[2 * TILE + n]
@@ -122,17 +122,17 @@ def rotate_tile(tile, rates, h):
         z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
         L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
         body_L = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
-        turn, _, reached = free_rotation(body_L, rates, h, small_sine_cosine, SMALL_ANGLE)
+        turn, _, suffices = free_rotation(body_L, rates, h, small_sine_cosine, SMALL_ANGLE)
         rows = rotation_matrix(turn[0], turn[1], turn[2], turn[3])
         for column in range(3):
             tile[(12 + column) * TILE + n] = combine(rows[0], x[column], y[column], z[column])
             tile[(15 + column) * TILE + n] = combine(rows[1], x[column], y[column], z[column])
             tile[(18 + column) * TILE + n] = combine(rows[2], x[column], y[column], z[column])
-        tile[21 * TILE + n] = reached
+        tile[21 * TILE + n] = suffices
 
 
 @called
-def rotate_far(n, A, L, h, rates, new_A):
+def rotate_long(n, A, L, h, rates, new_A):
     """Rotate a body over any time; return whether its attitude or angular momentum is not finite."""
     x, y, z = rows_of(A, n)
     momentum = L[0, n], L[1, n], L[2, n]
@@ -172,7 +172,7 @@ def put_attitude(n, turn, rows, new_A):
 
 @called
 def advance(start, stop, q, p, h, inverse_masses, new_q):
-    """Move centres for a time h, for a range of the bodies."""
+    """Move the centres of a range of bodies for a time h."""
     for x in range(3):
         for n in range(np.uint64(start), np.uint64(stop)):
             new_q[x, n] = q[x, n] + (h * inverse_masses[n]) * p[x, n]
@@ -182,7 +182,7 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
 @shared
 @kernel
 def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A):
-    """Move centres and `rotate` in one call, since calls cost more than a few bodies do."""
+    """Move centres and `rotate` in one call, since a call costs more than a few bodies."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
     return rotate_kinds(start, stop, A, L, h, edges, rates, new_A)
 
@@ -208,7 +208,7 @@ def kick(start, stop, p, L, F, torque, h, new_p, new_L):
 @shared
 @kernel
 def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
-    """Do what `kick` does, by forces at other points and torques about these; angular momenta are about q."""
+    """Change momenta as `kick` does, by forces at other points and torques about these; angular momenta are about q."""
     for n in range(np.uint64(start), np.uint64(stop)):
         force = F[0, n], F[1, n], F[2, n]
         lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)
@@ -221,36 +221,49 @@ def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 @shared
 @kernel
 def bathe(
-    start, stop, p, A, L, kept, kept_turning, widths, noise, inverse_masses, inverse_moments, new_p, new_L, gained
+    start,
+    stop,
+    p,
+    A,
+    L,
+    damping,
+    rotational_damping,
+    widths,
+    noise,
+    inverse_masses,
+    inverse_moments,
+    new_p,
+    new_L,
+    gains,
 ):
     """Let a heat bath act on momenta, and on angular momenta in the principal frames.
 
     Args:
         start, stop: range of the bodies.
         p, A, L: momenta, attitudes and angular momenta.
-        kept, kept_turning: factors of momenta and of angular momenta.
-        widths: standard deviations of what momenta gain, and angular momenta in the principal frames, (6, n).
+        damping, rotational_damping: factors of momenta and of angular momenta.
+        widths: standard deviations of the noise of momenta, and of angular momenta in the principal frames, (6, n).
         noise: standard normal numbers, (6, n).
         inverse_masses: (n,).
         inverse_moments: (3, n).
         new_p, new_L: written.
-        gained: the kinetic energy that each body gains, (n,), written.
+        gains: kinetic energy gained by each body, (n,), written.
     """
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
-            new_p[x, n] = kept * p[x, n] + widths[x, n] * noise[x, n]
+            new_p[x, n] = damping * p[x, n] + widths[x, n] * noise[x, n]
             energy += new_p[x, n] * new_p[x, n] - p[x, n] * p[x, n]
-            new_L[x, n] = kept_turning * L[x, n]
+            new_L[x, n] = rotational_damping * L[x, n]
         energy *= inverse_masses[n]
         for i in range(3):
             along = A[i, 0, n] * L[0, n] + A[i, 1, n] * L[1, n] + A[i, 2, n] * L[2, n]
             twist = widths[3 + i, n] * noise[3 + i, n]
-            new_along = kept_turning * along + twist
+            new_along = rotational_damping * along + twist
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
                 new_L[x, n] += twist * A[i, x, n]
-        gained[n] = 0.5 * energy
+        gains[n] = 0.5 * energy
     return 0
 
 
@@ -269,9 +282,9 @@ def displace(start, stop, q, A, F, torque, shift, inverse_masses, inverse_moment
     """
     for n in range(np.uint64(start), np.uint64(stop)):
         x, y, z = rows_of(A, n)
-        turning = torque[0, n], torque[1, n], torque[2, n]
+        torque_on_body = torque[0, n], torque[1, n], torque[2, n]
         inverses = inverse_moments[0, n], inverse_moments[1, n], inverse_moments[2, n]
         for axis in range(3):
             new_q[axis, n] = q[axis, n] + (shift * inverse_masses[n]) * F[axis, n]
-        put_attitude(n, displacing_rotation(x, y, z, turning, inverses, shift), (x, y, z), new_A)
+        put_attitude(n, displacing_rotation(x, y, z, torque_on_body, inverses, shift), (x, y, z), new_A)
     return 0

@@ -1,4 +1,4 @@
-"""Compilation by Numba, and the compiled code that is kept on disk by Numba's own cache.
+"""Compilation by Numba, with its cache of compiled code on disk.
 
 The cache is in `NUMBA_CACHE_DIR` if that is set, and otherwise where the platform keeps caches: in `XDG_CACHE_HOME` or
 `~/.cache` on Linux, in `~/Library/Caches` on macOS, in `%LOCALAPPDATA%` on Windows. Numba would choose the folder of
@@ -26,7 +26,7 @@ config: Any = numba.config
 #: Sums and products may be contracted, but not reordered, so that results of processors agree to rounding.
 OPTIONS: dict[str, Any] = {"fastmath": {"contract", "nsz"}, "error_model": "numpy", "nogil": True}
 
-#: Seconds after which a user is told why the program waits.
+#: Seconds of compilation after which a message is logged.
 PATIENCE = 2.0
 
 #: Compiles a function into each kernel that calls it.
@@ -37,9 +37,9 @@ called = numba.njit(**OPTIONS)
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function compiled by Numba at its first call, and kept on disk where a directory can be written.
+    """Return a function that Numba compiles at its first call, and stores on disk.
 
-    Where there can be no cache, every process compiles.
+    Without a directory that can be written, every process compiles.
     """
     if config.DISABLE_JIT:
         return function
@@ -65,14 +65,13 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class _Cache(FunctionCache):
-    """Numba's cache on disk, whose files may be damaged, and whose disk may be full.
+    """Numba's cache on disk, which continues if files are damaged or the disk is full.
 
-    Numba raises what goes wrong with them, from the call of a kernel. To catch it there would take every error in a
-    kernel, or a fault of the machine, for one of its files, and compile all again.
+    Numba raises such errors from the call of a kernel, where they cannot be distinguished from errors of the kernel.
     """
 
     def load_overload(self, *arguments: Any) -> Any:
-        """Return what is kept, or None; a damaged cache, such as one of a machine that stopped, is begun anew."""
+        """Return compiled code, or None; a damaged cache, as of a machine that stopped, is cleared."""
         try:
             return super().load_overload(*arguments)
         except Exception:
@@ -81,7 +80,7 @@ class _Cache(FunctionCache):
             return None
 
     def save_overload(self, *arguments: Any) -> None:
-        """Keep what is compiled, if that is possible."""
+        """Store compiled code if possible."""
         try:
             super().save_overload(*arguments)
         except Exception as error:
@@ -90,7 +89,7 @@ class _Cache(FunctionCache):
 
 @contextmanager
 def _announced() -> Iterator[None]:
-    """Say what the program waits for, if it takes long."""
+    """Log a message if compilation takes long."""
     timer = Timer(PATIENCE, _announce)
     timer.daemon = True
     timer.start()
@@ -102,7 +101,7 @@ def _announced() -> Iterator[None]:
 
 @cache
 def _announce() -> None:
-    """Say once that kernels are compiled."""
+    """Log once that kernels are compiled."""
     logging.getLogger(__name__).warning(
         f"Compiling the motion of bodies for this processor, which can take a minute. {_directory()} keeps it for "
         "later runs."
@@ -119,7 +118,7 @@ def _warn_of_no_cache(error: Exception) -> None:
 
 @contextmanager
 def _cache_directory() -> Iterator[None]:
-    """Let Numba keep the functions that are made meanwhile in our directory."""
+    """Let Numba store functions that are compiled meanwhile in the directory of this package."""
     before, config.CACHE_DIR = config.CACHE_DIR, str(_directory())
     try:
         yield
@@ -128,15 +127,15 @@ def _cache_directory() -> Iterator[None]:
 
 
 def _directory() -> Path:
-    """Return the directory for what is compiled of the present sources.
+    """Return the directory for compiled code of the present sources.
 
-    Numba itself watches the file of a kernel, and not those of the functions that it calls.
+    Numba itself checks the file of a kernel, and not those of the functions that it calls.
     """
     return Path(config.CACHE_DIR or _user_cache() / "openmm_sier") / _digest()
 
 
 def _user_cache() -> Path:
-    """Return the directory where the platform keeps a user's caches."""
+    """Return the platform's directory of a user's caches."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     if sys.platform == "darwin":
@@ -146,7 +145,7 @@ def _user_cache() -> Path:
 
 @cache
 def _digest() -> str:
-    """Return a digest of the sources of all that is compiled."""
+    """Return a digest of all compiled sources."""
     folder = Path(__file__).parent
     sources = (*sorted(folder.glob("*.py")), folder.parent / "vectors.py")
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]

@@ -48,10 +48,11 @@ def displacing_rotation(x, y, z, torque, inverses, shift):
 
 @inlined
 def spin(moments, torque):
-    """Return the angular acceleration of points as one body times a determinant, by Cramer's rule, and that.
+    """Return the angular acceleration of points as one body times a determinant, the determinant, and half the trace.
 
-    The third result is half the trace: about axes across a line both moments have that value. No moment of points is
-    larger than the other two together, so that the determinant over the cube of this tells how small the smallest is.
+    By Cramer's rule. Of points on a line both moments about axes across it are half the trace. No moment of points is
+    larger than the sum of the other two, so that the determinant over the cube of half the trace is a measure of the
+    smallest moment.
 
     Args:
         moments: second moments xx, yy, zz, xy, yz, zx of the masses about their centre.
@@ -62,9 +63,9 @@ def spin(moments, torque):
     b, c, e = -xy, -zx, -yz
     aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
     dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
-    turned = (
+    acceleration = (
         aa * torque[0] + bb * torque[1] + cc * torque[2],
         bb * torque[0] + dd * torque[1] + ee * torque[2],
         cc * torque[0] + ee * torque[1] + ff * torque[2],
     )
-    return turned, a * aa + b * bb + c * cc, xx + yy + zz
+    return acceleration, a * aa + b * bb + c * cc, xx + yy + zz

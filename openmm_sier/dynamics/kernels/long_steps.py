@@ -9,10 +9,11 @@ from openmm_sier.dynamics.kernels.elliptic import LONGEST, complete_integrals
 from openmm_sier.dynamics.kernels.formulas import plus
 from openmm_sier.dynamics.kernels.short_steps import euler_rates, free_rotation
 
-#: If passages of the separatrix's saddle are more than this many sub-steps apart, doubles cannot resolve the motion.
+#: Largest number of sub-steps. If passages of the separatrix's saddle are further apart, doubles cannot resolve the
+#: motion.
 MOST_SUBSTEPS = 8192
 
-#: Phases and angles above this have no meaning in double precision.
+#: Largest phase or angle. Above it they have no meaning in double precision.
 PHASE_CAP = 1e100
 
 
@@ -20,7 +21,7 @@ PHASE_CAP = 1e100
 def long_rotation(body_L, rates, h):
     """Return the quaternion of the body frame's free rotation over any time.
 
-    Whole periods of L~ are turns about L. The rest is cut into sub-steps, which compose exactly.
+    Whole periods of L~ are turns about L. The rest is divided into sub-steps, which compose exactly.
 
     Args:
         body_L: L~, three components in the frame of descending rates.
@@ -32,23 +33,23 @@ def long_rotation(body_L, rates, h):
     k = min(max(k, -cap), cap)
     motion = euler_rates(rates, u, k)
     phase = math.sqrt(max(motion.p, motion.q))
-    rest, whole = 1.0, 0.0
+    rest, whole_turn = 1.0, 0.0
     # No period of L~ is shorter than 2 pi in phase.
     if phase > 3:
-        rest, whole = whole_periods(rates, u, k)
-    turned = about(u, whole)
+        rest, whole_turn = whole_periods(rates, u, k)
+    rotation = about(u, whole_turn)
 
     needed = max(np.ceil(phase * abs(rest) / math.sqrt(LONGEST)), 1.0)
     short = min(needed, MOST_SUBSTEPS) / needed
-    pieces = int(min(needed, MOST_SUBSTEPS))
-    k_piece = k * (rest * short) / pieces
-    for _ in range(pieces):
-        piece, parts, _ = free_rotation(u, rates, k_piece, sine_cosine, PHASE_CAP)
-        turned = normalized(product(piece, turned))
-        u = unit(plus(parts[0], parts[1]))
-    # Something is left over only for a state that is on the separatrix to its last bit. Nothing in the state tells when
-    # it leaves the saddle, the middle axis, so it stays there.
-    return product(about(u, k * (rest * (1 - short)) * rates[1]), turned)
+    count = int(min(needed, MOST_SUBSTEPS))
+    k_substep = k * (rest * short) / count
+    for _ in range(count):
+        substep, even_odd, _ = free_rotation(u, rates, k_substep, sine_cosine, PHASE_CAP)
+        rotation = normalized(product(substep, rotation))
+        u = unit(plus(even_odd[0], even_odd[1]))
+    # Time is left over only for a state that is on the separatrix to its last bit. The state does not determine when it
+    # leaves the saddle, the middle axis, so it stays there.
+    return product(about(u, k * (rest * (1 - short)) * rates[1]), rotation)
 
 
 @inlined
@@ -82,15 +83,15 @@ def whole_periods(rates, u, k):
     a, b, c = rates
     alpha, beta, gamma, p, q = euler_rates(rates, u, k)
     larger = max(p, q)
-    # p - q without the term that they share.
+    # p - q without their common term.
     kc2 = abs(beta * (u[0] * u[0] * gamma - u[2] * u[2] * alpha)) / larger
     if kc2 == 0:
         return 1.0, 0.0
     divisor, pole = (gamma, c) if p >= q else (alpha, a)
     K, Q = complete_integrals(math.sqrt(min(kc2, 1.0)), beta / divisor)
     period = 4 * K / math.sqrt(larger)
-    spent = np.rint(1 / period) * period
-    return 1 - spent, k * spent * (pole + 0.5 * (b - pole) * Q)
+    elapsed = np.rint(1 / period) * period
+    return 1 - elapsed, k * elapsed * (pole + 0.5 * (b - pole) * Q)
 
 
 @called

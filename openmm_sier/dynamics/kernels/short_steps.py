@@ -39,7 +39,7 @@ class EulerRates(NamedTuple):
 
 
 class MiddleTerms(NamedTuple):
-    """Hold what `rate_excess` needs of the direction m of L~ in the middle of the step; e = 2E/L^2.
+    """Terms of `rate_excess` that depend on the direction m of L~ in the middle of the step; e = 2E/L^2.
 
     Attributes:
         energy: e.
@@ -93,9 +93,9 @@ def free_rotation(body_L, rates, h, sine_cosine, largest_angle):
     half_theta = 0.5 * k * rate
 
     sine, cosine = sine_cosine(half_theta)
-    reached = (p <= LONGEST) & (q <= LONGEST) & (abs(half_theta) <= largest_angle)
-    reached = (square >= LEAST_SQUARE) & (square <= LARGEST_SQUARE) & reached
-    return propagator(m, even, odd, sine, cosine), (even, odd), reached
+    suffices = (p <= LONGEST) & (q <= LONGEST) & (abs(half_theta) <= largest_angle)
+    suffices = (square >= LEAST_SQUARE) & (square <= LARGEST_SQUARE) & suffices
+    return propagator(m, even, odd, sine, cosine), (even, odd), suffices
 
 
 @called

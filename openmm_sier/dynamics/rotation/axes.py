@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-#: Relative difference of the two moments of a linear body that is taken for rounding.
+#: Largest relative difference of the two moments of a linear body.
 EQUAL_MOMENTS = 1e-9
 
 
@@ -29,7 +29,7 @@ class Axes:
         return bool((np.arange(3) == self.order.T).all())
 
     def sort(self, A: np.ndarray) -> np.ndarray:
-        """Return attitudes (3, 3, n) with rows in the sorted frame; the very array if they are."""
+        """Return attitudes (3, 3, n) with rows in the sorted frame; the same array if they are sorted."""
         if self._is_sorted:
             return A
         rows = np.take_along_axis(A, self.order.reshape(3, 1, -1), axis=0)
@@ -40,8 +40,8 @@ class Axes:
         """Return the inverse of `sort`."""
         if self._is_sorted:
             return rows
-        turned = np.stack([rows[0], rows[1] * self.parity, rows[2]])
-        return np.take_along_axis(turned, np.argsort(self.order, axis=0).reshape(3, 1, -1), axis=0)
+        right_handed = np.stack([rows[0], rows[1] * self.parity, rows[2]])
+        return np.take_along_axis(right_handed, np.argsort(self.order, axis=0).reshape(3, 1, -1), axis=0)
 
 
 def axes_of(moments: np.ndarray) -> Axes:
@@ -82,7 +82,7 @@ def _sorted(moments: np.ndarray) -> Axes:
             "a body with one zero moment is linear and its other two must be equal, got "
             f"{moments.T[unequal].tolist() if moments.ndim == 2 else moments.tolist()}"
         )
-    # A line does not turn about itself, so that any rate about its axis will do.
+    # A line does not turn about its axis, so that the rate about it is arbitrary.
     with np.errstate(divide="ignore"):
         rates = np.where(high > 0, 1 / np.stack([np.where(linear, mid, low), mid, high]), 0.0)
     if not np.isfinite(rates).all():

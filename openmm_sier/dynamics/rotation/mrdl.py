@@ -1,4 +1,4 @@
-"""The free-rotation map MRDL, with which van Zon and Schofield (2007) compare theirs."""
+"""The free-rotation map MRDL, to which van Zon and Schofield (2007) compare theirs."""
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def mrdl(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[n
 
 
 def _turn_about_axis(axis: int, angle: np.ndarray, rows: np.ndarray, body_L: np.ndarray) -> None:
-    """Turn bodies about a principal axis, in place: the other two axes in the lab, and L~, which stays in the lab."""
+    """Turn bodies about a principal axis, in place: the other two axes in the lab, and L~, since L is constant."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
     for v in (rows, body_L):

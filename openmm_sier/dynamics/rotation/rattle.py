@@ -54,10 +54,10 @@ def _half_turn(body_L: np.ndarray, moments: np.ndarray, h: float) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(ITERATIONS):
             last, g = g, inverse * (half * (1 + (g * g).sum(axis=0)) - np.cross(g, moments * g, axis=0))
-            moved = np.abs(g - last).max(axis=0, initial=0.0)
-            if (settled := moved <= ROUNDING * np.abs(g).max(axis=0, initial=0.0)).all():
+            change = np.abs(g - last).max(axis=0, initial=0.0)
+            if (has_converged := change <= ROUNDING * np.abs(g).max(axis=0, initial=0.0)).all():
                 return g
-    # Rounding may keep the last bit of a body from settling.
-    if not (settled | (moved <= 8 * ROUNDING * np.abs(g).max(axis=0))).all():
-        raise ConstraintError(f"RATTLE does not converge for body {int(settled.argmin())} in a step of {h:g}")
+    # Rounding may change the last bit of a body for ever.
+    if not (has_converged | (change <= 8 * ROUNDING * np.abs(g).max(axis=0))).all():
+        raise ConstraintError(f"RATTLE does not converge for body {int(has_converged.argmin())} in a step of {h:g}")
     return g

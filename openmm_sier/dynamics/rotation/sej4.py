@@ -1,4 +1,4 @@
-"""The free-rotation map SEJ4, with which van Zon and Schofield (2007) compare theirs."""
+"""The free-rotation map SEJ4, to which van Zon and Schofield (2007) compare theirs."""
 
 import math
 
@@ -8,7 +8,7 @@ from openmm_sier.dynamics.rotation.axes import checked
 from openmm_sier.dynamics.rotation.exact import exact
 from openmm_sier.dynamics.vectors import body_frame, combine, cross, rotation_matrix, turned
 
-#: Where the two-point Gauss rule on (0, 1) has its first node; the second lies as far from the end.
+#: First node of the two-point Gauss rule on (0, 1); the second is as far from the end.
 GAUSS_NODE = 0.5 - math.sqrt(3) / 6
 
 
