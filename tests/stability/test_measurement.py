@@ -249,13 +249,13 @@ def test_a_measurement_that_is_interrupted_is_made_again(monkeypatch):
 def test_evaluations_are_few(monkeypatch):
     """Two for the atoms that move, one for the slope and two for each vector, at most 20 of them."""
     counts = []
-    counted = measurement._forces_alone
+    counted = measurement._forces_of
 
     def counting(*arguments):
         forces = counted(*arguments)
         return lambda x: counts.append(1) or forces(x)
 
-    monkeypatch.setattr(measurement, "_forces_alone", counting)
+    monkeypatch.setattr(measurement, "_forces_of", counting)
     system, point = in_fields()
     measured(system, point[0])
     assert len(counts) <= 9
