@@ -87,16 +87,16 @@ def dhfr(cutoff: float, switch: float, tolerance: float, hydrogen_mass: float) -
         from openmmtools import testsystems
     except ModuleNotFoundError as error:
         raise ImportError("the files of DHFR are in openmmtools; install it with: pip install openmmtools") from error
-    made = testsystems.DHFRExplicit(
+    test_system = testsystems.DHFRExplicit(
         nonbondedCutoff=cutoff * unit.nanometer,
         switch_width=(cutoff - switch) * unit.nanometer,
         ewaldErrorTolerance=tolerance,
         hydrogenMass=hydrogen_mass * unit.dalton,
     )
-    for index in reversed(range(made.system.getNumForces())):
-        if isinstance(made.system.getForce(index), openmm.CMMotionRemover):
-            made.system.removeForce(index)
-    return made
+    for index in reversed(range(test_system.system.getNumForces())):
+        if isinstance(test_system.system.getForce(index), openmm.CMMotionRemover):
+            test_system.system.removeForce(index)
+    return test_system
 
 
 def solute(path: Path, interactions: Interactions, forcefield: Sequence[str] = ()) -> Any:
@@ -172,11 +172,11 @@ def copied(
     """Return topology and positions of a box repeated along each edge; positions are (N, 3) in nm."""
     vectors = np.array(topology.getPeriodicBoxVectors().value_in_unit(unit.nanometer))
     places = np.array(list(itertools.product(*map(range, copies))))
-    made = app.Topology()
+    copy = app.Topology()
     for _ in places:
-        _add(list(topology.residues()), topology, made)
-    made.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
-    return made, ((places @ vectors)[:, None] + positions).reshape(-1, 3)
+        _add(list(topology.residues()), topology, copy)
+    copy.setPeriodicBoxVectors(np.array(copies)[:, None] * vectors * unit.nanometer)
+    return copy, ((places @ vectors)[:, None] + positions).reshape(-1, 3)
 
 
 def cropped(box: Box, directory: Path, molecules: int) -> BoxSystem:
@@ -208,8 +208,8 @@ def cropped(box: Box, directory: Path, molecules: int) -> BoxSystem:
     topology.setPeriodicBoxVectors(np.diag(share * edges) * unit.nanometer)
     # Centres fill the smaller box as they filled their part of the larger one.
     shifts = centres[chosen] * share / reach[chosen[-1]] - [positions[atoms[i]].mean(axis=0) for i in chosen]
-    found = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
-    return BoxSystem(molecules, found, _system(topology, box, directory))
+    centred = np.concatenate([positions[atoms[i]] + shift for i, shift in zip(chosen, shifts, strict=True)])
+    return BoxSystem(molecules, centred, _system(topology, box, directory))
 
 
 def _system(topology: app.Topology, box: Box, directory: Path) -> openmm.System:
@@ -222,10 +222,10 @@ def of_size(box: Box, directory: Path, molecules: int) -> BoxSystem:
     Raises:
         ValueError: the number is neither smaller than that of the box nor a multiple of it.
     """
-    there = box.topology.getNumResidues()
-    if molecules < there:
+    present = box.topology.getNumResidues()
+    if molecules < present:
         return cropped(box, directory, molecules)
-    return repeated(box, directory, copies_for(molecules, there))
+    return repeated(box, directory, copies_for(molecules, present))
 
 
 def _add(residues: Iterable[app.topology.Residue], bonded: app.Topology, topology: app.Topology) -> None:

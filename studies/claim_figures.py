@@ -24,8 +24,8 @@ def gains_of_large_boxes(record: Record) -> Mapping[str, float]:
     return {"least": int(large.min()), "most": int(large.max()), "count": len(large)}
 
 
-def gain(**wanted: object) -> Callable[[Record], Mapping[str, float]]:
-    return lambda record: {"gain": one(record.tables["gains"], method="SIER4G", **wanted)["gain"]}
+def gain(**conditions: object) -> Callable[[Record], Mapping[str, float]]:
+    return lambda record: {"gain": one(record.tables["gains"], method="SIER4G", **conditions)["gain"]}
 
 
 def drifts(record: Record) -> Mapping[str, float]:
@@ -67,21 +67,21 @@ def splittings_about_axes(record: Record) -> Mapping[str, float]:
 
 def equipartition(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
-    verlet, own = one(rows, method="OpenMM Verlet", step=2.0), one(rows, method="SIER4G", step=6.0)
+    verlet, sier4g = one(rows, method="OpenMM Verlet", step=2.0), one(rows, method="SIER4G", step=6.0)
     return {
         "verlet": verlet["difference"],
         "verlet_error": verlet["difference_error"],
-        "own": own["difference"],
-        "own_error": own["difference_error"],
-        "off": abs(own["difference"]) / own["difference_error"],
+        "own": sier4g["difference"],
+        "own_error": sier4g["difference_error"],
+        "off": abs(sier4g["difference"]) / sier4g["difference_error"],
     }
 
 
 def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     rows = record.tables["speeds"]
-    own = f"SIER2 in a bath, {IN_A_BATH:g} fs"
-    water = rows[(rows["name"] == own) & rows["box"].str.startswith("water")]["over_middle"]
-    solute = {box: one(rows, name=own, box=box)["over_middle"] for box in ("peptide", "dhfr")}
+    name = f"SIER2 in a bath, {IN_A_BATH:g} fs"
+    water = rows[(rows["name"] == name) & rows["box"].str.startswith("water")]["over_middle"]
+    solute = {box: one(rows, name=name, box=box)["over_middle"] for box in ("peptide", "dhfr")}
     return {"least": water.min(), "most": water.max(), **solute}
 
 
@@ -90,8 +90,8 @@ def _over_middle(record: Record, box: str, method: str) -> float:
 
 
 def solutes_on_a_cpu(record: Record) -> Mapping[str, float]:
-    own, middle = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle, 5 fs"
-    gains = {box: _over_middle(record, box, own) for box in ("dhfr", "peptide")}
+    sier2, middle = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle, 5 fs"
+    gains = {box: _over_middle(record, box, sier2) for box in ("dhfr", "peptide")}
     return gains | {"rival": max(_over_middle(record, box, middle) for box in gains)}
 
 
@@ -111,10 +111,10 @@ def solutes_on_a_gpu(record: Record) -> Mapping[str, float]:
 
 def water_on_a_cpu(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
-    own, middle = (
+    sier2, middle = (
         one(rows, box="tip3p-512", at="1 bar", method=method) for method in (OWN_BATH, "LangevinMiddle, 9 fs")
     )
-    return {"own": own["over"], "middle": middle["over"]}
+    return {"own": sier2["over"], "middle": middle["over"]}
 
 
 def water_on_a_gpu(record: Record) -> Mapping[str, float]:
@@ -158,16 +158,18 @@ def energies_on_a_gpu(record: Record) -> Mapping[str, float]:
 
 
 def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
-    rows, own = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs"
-    found = {kind: one(rows, method=own, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))}
+    rows, name = record.tables["speeds"], f"SIER2, {IN_A_BATH:g} fs"
+    figures = {
+        kind: one(rows, method=name, box=box)["over"] for kind, box in (("water", "water-4096"), ("dhfr", "dhfr"))
+    }
     middle = one(rows, method=f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens", box="water-4096")
-    return {**found, "middle": middle["over"]}
+    return {**figures, "middle": middle["over"]}
 
 
 def _beside_exact(record: Record, method: str, key: str, **at: str) -> tuple[float, float]:
     """How far an average is from that of hybrid Monte Carlo, with its standard error, in per cent."""
-    own, exact = (one(record.tables["rows"], **at, method=each) for each in (method, "SIER4G HMC, 8 fs"))
-    return percent_off(own, exact, key)
+    row, exact = (one(record.tables["rows"], **at, method=each) for each in (method, "SIER4G HMC, 8 fs"))
+    return percent_off(row, exact, key)
 
 
 def water_in_a_bath(record: Record) -> Mapping[str, float]:
@@ -178,20 +180,20 @@ def water_in_a_bath(record: Record) -> Mapping[str, float]:
 
 def peptide_in_a_bath(record: Record) -> Mapping[str, float]:
     """Of SIER2 and of LangevinMiddle the potential energy, and the largest difference of bonded energies."""
-    at, found = {"box": "peptide", "at": "constant volume"}, dict[str, float]()
+    at, figures = {"box": "peptide", "at": "constant volume"}, dict[str, float]()
     for name, method in (("own", OWN_BATH), ("middle", "LangevinMiddle, 4 fs")):
-        found[name], found[f"{name}_error"] = _beside_exact(record, method, "potential", **at)
+        figures[name], figures[f"{name}_error"] = _beside_exact(record, method, "potential", **at)
         bonded = (_beside_exact(record, method, key, **at)[0] for key in ("bonds", "angles", "torsions"))
-        found[f"{name}_bonded"] = max(map(abs, bonded))
-    return found
+        figures[f"{name}_bonded"] = max(map(abs, bonded))
+    return figures
 
 
 def temperatures_in_a_bath(record: Record) -> Mapping[str, float]:
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     for name, method in (("own", OWN_BATH), ("middle", "LangevinMiddle, 4 fs")):
         row = one(record.tables["rows"], box="peptide", at="constant volume", method=method)
-        found |= {name: row["water"] - record.settings["temperature"], f"{name}_error": row["water_error"]}
-    return found
+        figures |= {name: row["water"] - record.settings["temperature"], f"{name}_error": row["water_error"]}
+    return figures
 
 
 def light_hydrogens(record: Record) -> Mapping[str, float]:
@@ -210,15 +212,15 @@ def trials_of_dhfr(record: Record) -> Mapping[str, float]:
 def costs_of_trials(record: Record) -> Mapping[str, float]:
     """Forces for an independent energy over those of LangevinMiddle: of usual trials, and of longer steps in water."""
     waters = {"tip3p": "tip3p-64", "spce": "spce-64", "tip4p2005": "tip4p2005-64"}
-    rows, found = record.tables["rows"], dict[str, float]()
+    rows, figures = record.tables["rows"], dict[str, float]()
     usual = {name: one(rows, box=box, method=trials.USUAL) for name, box in (waters | {"peptide": "peptide"}).items()}
     longer = {f"{name}_longer": one(rows, box=box, method=trials.LONGER) for name, box in waters.items()}
     for kind, of in (("", usual), ("_longer", longer)):
         costs = [row["relative"] for row in of.values()]
-        found |= {f"least{kind}": min(costs), f"most{kind}": max(costs)}
-        found |= {name: row["relative"] for name, row in of.items()}
-        found |= {f"{name}_error": row["relative_error"] for name, row in of.items()}
-    return found | {"accepted": min(row["accepted"] for row in usual.values())}
+        figures |= {f"least{kind}": min(costs), f"most{kind}": max(costs)}
+        figures |= {name: row["relative"] for name, row in of.items()}
+        figures |= {f"{name}_error": row["relative_error"] for name, row in of.items()}
+    return figures | {"accepted": min(row["accepted"] for row in usual.values())}
 
 
 def energies_of_langevin_middle(record: Record) -> Mapping[str, float]:
@@ -284,10 +286,10 @@ def domains_at_constant_energy(record: Record) -> Mapping[str, float]:
 
 def domains_in_a_bath(record: Record) -> Mapping[str, float]:
     speeds = record.tables["speeds"]
-    own = one(speeds, key="chain", method=RIGID, step=60.0)["ns_a_day"]
+    rigid = one(speeds, key="chain", method=RIGID, step=60.0)["ns_a_day"]
     usual, same = (one(speeds, key="chain", method=SPRINGS, step=step)["ns_a_day"] for step in (10.0, 60.0))
     off = one(record.tables["averages"], key="chain", method=RIGID, step=60.0)["off"]
-    return {"off": off, "over": own / usual, "longest": own / same}
+    return {"off": off, "over": rigid / usual, "longest": rigid / same}
 
 
 def patchy_particles(record: Record) -> Mapping[str, float]:
@@ -308,5 +310,5 @@ def chains(record: Record) -> Mapping[str, float]:
 def chains_on_a_gpu(record: Record) -> Mapping[str, float]:
     """Speed of LangevinMiddle at 60 fs over that of SIER2 with frames."""
     rows = record.tables["domains"]
-    springs, own = (one(rows, method=method)["over"] for method in (f"{SPRINGS}, 60 fs", "SIER2, frames, 40 fs"))
-    return {"rival": springs / own}
+    springs, frames = (one(rows, method=method)["over"] for method in (f"{SPRINGS}, 60 fs", "SIER2, frames, 40 fs"))
+    return {"rival": springs / frames}

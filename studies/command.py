@@ -159,16 +159,16 @@ def elapsed() -> str:
     return f"{seconds:.2g} s"
 
 
-def chosen(names: Sequence[str], known: dict[str, Any], what: str) -> list[Any]:
+def chosen(names: Sequence[str], choices: dict[str, Any], what: str) -> list[Any]:
     """Return the values of names; all of them where none is named.
 
     Raises:
         ValueError: a name is unknown.
     """
     for name in names:
-        if name not in known:
-            raise ValueError(f"unknown {what} {name!r}; known are {', '.join(known)}")
-    return [known[name] for name in names or known]
+        if name not in choices:
+            raise ValueError(f"unknown {what} {name!r}; known are {', '.join(choices)}")
+    return [choices[name] for name in names or choices]
 
 
 def claim(path: Path, settings: dict[str, Any]) -> None:
@@ -177,13 +177,14 @@ def claim(path: Path, settings: dict[str, Any]) -> None:
     Raises:
         ValueError: the directory has results of other settings.
     """
-    mine = json.loads(json.dumps(settings))
+    own_settings = json.loads(json.dumps(settings))
     if not path.exists():
-        path.write_text(json.dumps(mine, indent=1))
+        path.write_text(json.dumps(own_settings, indent=1))
         return
-    theirs = json.loads(path.read_text())
-    for name, value in mine.items():
-        if theirs[name] != value:
+    stored_settings = json.loads(path.read_text())
+    for name, value in own_settings.items():
+        if stored_settings[name] != value:
             raise ValueError(
-                f"{path.parent} has results with {name} {theirs[name]}, got {value}: take another directory for --out"
+                f"{path.parent} has results with {name} {stored_settings[name]}, got {value}: take another directory "
+                "for --out"
             )

@@ -37,18 +37,18 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     begin = ["--out", TRAJECTORY, "--overwrite"]
     way = ["--restart", CHECKPOINT] if (directory / CHECKPOINT).exists() else begin
-    given = [each for name, value in options.items() for each in arguments(name, value)]
-    line = [sys.executable, "-m", "openmm_sier.cli", "run", str(box.resolve()), *given, *way]
-    done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
-    if done.returncode not in (0, NothingLeft.exit_code):
-        raise RunFailed(f"the run in {directory} failed: {done.stderr}")
+    words = [each for name, value in options.items() for each in arguments(name, value)]
+    line = [sys.executable, "-m", "openmm_sier.cli", "run", str(box.resolve()), *words, *way]
+    process = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
+    if process.returncode not in (0, NothingLeft.exit_code):
+        raise RunFailed(f"the run in {directory} failed: {process.stderr}")
 
 
 def read_log(directory: Path, skip: float) -> dict[str, np.ndarray]:
     """Return the columns of the log of a run without its first `skip` ps."""
     log = analysis.read_log(directory / LOG)
-    kept = log["Time (ps)"] >= skip
-    return {name: column[kept] for name, column in log.items()}
+    is_later = log["Time (ps)"] >= skip
+    return {name: column[is_later] for name, column in log.items()}
 
 
 def read_frames(directory: Path, box: Path) -> mdtraj.Trajectory:

@@ -62,8 +62,8 @@ def run(task: Task) -> dict[str, Any]:
     if point["balanced"] == "no":
         boxes.split_by_openmm(system)
     liquid = replace(settings.start(point["seed"]), system=system)
-    found, _ = conserved(liquid, CONSTANT_ENERGY[task.method], settings.dt, settings.time)
-    return point | {"percent": found["percent"]}
+    result, _ = conserved(liquid, CONSTANT_ENERGY[task.method], settings.dt, settings.time)
+    return point | {"percent": result["percent"]}
 
 
 def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
@@ -84,10 +84,10 @@ def study(settings: DefaultsSettings, report: Report = SILENT) -> Record:
 
 def ranges(runs: pd.DataFrame) -> pd.DataFrame:
     """Return a table of text with mean and range over the starts, one column for each method."""
-    found = runs.groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
+    extremes = runs.groupby([*CELL, "method"])["percent"].agg(["mean", "min", "max"]).reset_index()
     columns = {"ewaldErrorTolerance": "{tolerance:g}", "cut-off/nm": "{cutoff:g}"}
     columns |= text.columns("switch", "balanced") | {"{method}": "{mean:.3g} ({min:.2g} to {max:.2g})"}
-    return text.table(found.sort_values("tolerance", ascending=False, kind="stable"), columns)
+    return text.table(extremes.sort_values("tolerance", ascending=False, kind="stable"), columns)
 
 
 main = command(DefaultsSettings, study, __doc__, __name__)

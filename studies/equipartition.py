@@ -147,12 +147,12 @@ def study(settings: EquipartitionSettings, report: Report = SILENT) -> Record:
     Raises:
         ValueError: a method is unknown, or the directory has runs of other settings.
     """
-    known = settings.known(settings.seed)
-    chosen(settings.methods, known, f"method of the {settings.ensemble} ensemble")
+    times = settings.known(settings.seed)
+    chosen(settings.methods, times, f"method of the {settings.ensemble} ensemble")
     tasks = []
-    for name, dt, seed in product(settings.methods or known, settings.dt, settings.seeds):
-        step = {"step": dt * known[name].forces, "fs_per_force": dt}
-        tasks.append(Task(settings, {"method": known[name].name, **step, "time": settings.time, "seed": seed}, name))
+    for name, dt, seed in product(settings.methods or times, settings.dt, settings.seeds):
+        step = {"step": dt * times[name].forces, "fs_per_force": dt}
+        tasks.append(Task(settings, {"method": times[name].name, **step, "time": settings.time, "seed": seed}, name))
     form = "{method} at {fs_per_force:g} fs per force: T_rot - T_trans = {difference_text} K"
     runs = records.all_runs(settings, "equipartition", tasks, run, report, form)
     rows = pooled(runs)
@@ -168,10 +168,10 @@ def figure(record: Record, path: Path) -> None:
     rows = record.tables["rows"]
     with style.figure(path, 1) as (_, (axes,)):
         style.curves(axes, rows, "fs_per_force", "difference", apart=0.05)
-        known = rows[rows["predicted"] < 0]
-        if len(known):
-            h = np.linspace(0, known["fs_per_force"].max(), 100)
-            law = (known["predicted"] / known["fs_per_force"] ** 2).mean() * h**2
+        measured = rows[rows["predicted"] < 0]
+        if len(measured):
+            h = np.linspace(0, measured["fs_per_force"].max(), 100)
+            law = (measured["predicted"] / measured["fs_per_force"] ** 2).mean() * h**2
             axes.plot(h, law, color=style.GREY, lw=1, ls=":", label="SIER2, predicted", zorder=0)
         axes.axhline(0, color=style.GREY, lw=1)
         axes.set(xlabel="simulated time per force evaluation (fs)", ylabel=r"$T_\mathrm{rot} - T_\mathrm{trans}$ (K)")

@@ -39,16 +39,16 @@ def bath(record: Record, path: Path) -> None:
     rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
     # At constant volume or pressure: energies of one of them can be compared.
     rows = rows[rows["at"] == rows["at"].iloc[0]]
-    asked = record.settings["temperature"]
-    rows = rows.assign(warm=rows["water"] - asked, warm_error=rows["water_error"])
+    temperature_of_bath = record.settings["temperature"]
+    rows = rows.assign(warm=rows["water"] - temperature_of_bath, warm_error=rows["water_error"])
     exact = rows[rows["method"].str.contains(EXACT)]
-    with style.figure(path, 2, bath_title(rows)) as (made, (temperature, energies)):
+    with style.figure(path, 2, bath_title(rows)) as (picture, (temperature, energies)):
         _against_speed(temperature, rows, "warm")
-        temperature.set(ylabel=f"temperature of water, less {asked:g} K")
+        temperature.set(ylabel=f"temperature of water, less {temperature_of_bath:g} K")
         off = rows["potential"] - exact["potential"].mean()
         _against_speed(energies, rows.assign(off=off, off_error=rows["potential_error"]), "off")
         energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
-        style.shared_legend(made, temperature)
+        style.shared_legend(picture, temperature)
 
 
 def bath_title(rows: pd.DataFrame) -> str:

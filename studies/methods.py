@@ -115,8 +115,8 @@ class Contestant:
         """Return a new integrator."""
         if not self.method.has_bath:
             return self.method.make(1e-3 * self.step)
-        mine = bath if self.friction is None else bath._replace(friction=self.friction)
-        return self.method.make(1e-3 * self.step, mine)
+        own_bath = bath if self.friction is None else bath._replace(friction=self.friction)
+        return self.method.make(1e-3 * self.step, own_bath)
 
     def fit(self, system: openmm.System) -> None:
         """Set the masses of hydrogens in the System, and prepare it."""
@@ -177,8 +177,8 @@ def trials(scheme: Scheme, steps: int, name: str = "", **options: Any) -> OwnMet
     """
 
     def make(step: float, bath: Bath) -> openmm.Integrator:
-        given = {"frictionCoeff": bath.friction, "pressure": bath.pressure} | options
-        return SIERHMCIntegrator(bath.temperature, step, scheme, steps, **given)
+        arguments = {"frictionCoeff": bath.friction, "pressure": bath.pressure} | options
+        return SIERHMCIntegrator(bath.temperature, step, scheme, steps, **arguments)
 
     return OwnMethod(name or f"{scheme.name} HMC", make, scheme.force_evaluations, scheme.order, True, scheme=scheme)
 
@@ -212,8 +212,8 @@ def with_bath(bath: Bath, seed: int) -> dict[str, Method]:
 
         return replace(method, make=make, has_bath=False)
 
-    own = {name: in_bath(scheme, f"{scheme.name} Langevin") for name, scheme in CATALOGUE.items()}
-    return {name: kept(method) for name, method in ({"langevinmiddle": MIDDLE.of_openmm()} | own).items()}
+    schemes = {name: in_bath(scheme, f"{scheme.name} Langevin") for name, scheme in CATALOGUE.items()}
+    return {name: kept(method) for name, method in ({"langevinmiddle": MIDDLE.of_openmm()} | schemes).items()}
 
 
 # --- methods of several studies ---

@@ -45,15 +45,15 @@ def read(file: str, table: str = "rows") -> pd.DataFrame:
     return records.read(DATA / file).tables[table]
 
 
-def show(file: str, made: pd.DataFrame) -> Markdown:
+def show(file: str, table: pd.DataFrame) -> Markdown:
     """Return a table of text with the file of its numbers and the commands that made it.
 
     Raises:
         ValueError: the table is empty.
     """
-    if made.empty:
+    if table.empty:
         raise ValueError(f"{file} has no rows for this table")
-    return Markdown(f"{markdown(made)}\n{_source(file)}")
+    return Markdown(f"{markdown(table)}\n{_source(file)}")
 
 
 def figure(name: str, shows: str) -> Markdown:
@@ -92,11 +92,11 @@ def value(rows: pd.DataFrame, form: str) -> str:
     number = next(field for _, field, _, _ in Formatter().parse(form) if field)
     if number not in rows:
         raise ValueError(f"there is no column {number!r}; there are {', '.join(rows)}")
-    known = rows.dropna(subset=[number]).sort_values(number)
-    if known.empty:
+    sorted_rows = rows.dropna(subset=[number]).sort_values(number)
+    if sorted_rows.empty:
         raise ValueError(f"no row has a {number}")
-    told = [cell(form, row) for row in known.iloc[[0, -1]].to_dict("records")]
-    return " to ".join(dict.fromkeys(told))
+    texts = [cell(form, row) for row in sorted_rows.iloc[[0, -1]].to_dict("records")]
+    return " to ".join(dict.fromkeys(texts))
 
 
 def studies() -> Markdown:

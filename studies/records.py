@@ -177,23 +177,25 @@ def make_missing(
         run: a function of a module, which makes a run and gives what is to be kept, its point included.
         processes: that make runs at the same time, of one thread each.
     """
-    kept = kept_runs(path)
-    missing = [task for task in tasks if not any(task.point.items() <= each.items() for each in kept)]
+    stored = kept_runs(path)
+    missing = [task for task in tasks if not any(task.point.items() <= each.items() for each in stored)]
     os.environ.setdefault("OPENMM_CPU_THREADS", "1")
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        for made in as_completed([pool.submit(run, task) for task in missing]):
-            keep_run(path, made.result())
-            yield made.result()
+        for future in as_completed([pool.submit(run, task) for task in missing]):
+            keep_run(path, future.result())
+            yield future.result()
 
 
 def pooled(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     """Return means over runs of one kind, with errors; NaN where no run has a value."""
-    found = {}
+    pooled_values = {}
     for name in names:
-        known = runs.reindex(columns=[name, f"{name}_error"]).dropna()
-        estimates = [Estimate(*pair) for pair in known.to_numpy(dtype=float)]
-        found[name], found[f"{name}_error"] = statistics.pooled(estimates)[:2] if estimates else (math.nan, math.nan)
-    return found
+        complete = runs.reindex(columns=[name, f"{name}_error"]).dropna()
+        estimates = [Estimate(*pair) for pair in complete.to_numpy(dtype=float)]
+        pooled_values[name], pooled_values[f"{name}_error"] = (
+            statistics.pooled(estimates)[:2] if estimates else (math.nan, math.nan)
+        )
+    return pooled_values
 
 
 def percent_off(row: Mapping[str, Any], exact: Mapping[str, Any], key: str) -> tuple[float, float]:
@@ -224,6 +226,6 @@ def all_runs(
     """
     claim(settings.out / f"{name}-settings.json", settings.shared())
     path = settings.out / f"{name}.jsonl"
-    for made in make_missing(path, tasks, run, settings.processes):
-        report.note(made.get("broken") or cell(form, made))
+    for run_of_task in make_missing(path, tasks, run, settings.processes):
+        report.note(run_of_task.get("broken") or cell(form, run_of_task))
     return pd.DataFrame(kept_runs(path)).replace({None: math.nan})

@@ -97,7 +97,7 @@ def equilibrated_liquid(
     time: float,
     report: Report = SILENT,
     tolerance: float = boxes.TOLERANCE,
-    kept: Path | None = None,
+    state_file: Path | None = None,
 ) -> Liquid:
     """A box at its temperature.
 
@@ -106,11 +106,11 @@ def equilibrated_liquid(
         time: of the equilibration, ps.
         report: gets notes and progress.
         tolerance: of PME.
-        kept: see `equilibrated`.
+        state_file: see `equilibrated`.
     """
     box = boxes.read(settings, tolerance=tolerance)
     context = make_context(box.system, SIERIntegrator(0.001, "SIER2"), settings.platform)
-    start = equilibrated(context, box.positions, settings.temperature, settings.seed, time, kept, report)
+    start = equilibrated(context, box.positions, settings.temperature, settings.seed, time, state_file, report)
     return Liquid(box.system, find_bodies.RigidBodies.from_system(box.system, box.topology), start, settings.platform)
 
 
@@ -139,8 +139,8 @@ class GridSettings(BoxSettings, RunsSettings):
 
     def start(self, seed: int, tolerance: float = boxes.TOLERANCE) -> Liquid:
         """The equilibrated phase point of a seed, which is kept in `out` for other runs."""
-        kept = self.out / f"start of {self.liquid}, seed {seed}.xml"
-        return equilibrated_liquid(replace(self, seed=seed), self.equilibrate, tolerance=tolerance, kept=kept)
+        path = self.out / f"start of {self.liquid}, seed {seed}.xml"
+        return equilibrated_liquid(replace(self, seed=seed), self.equilibrate, tolerance=tolerance, state_file=path)
 
 
 def equilibrated(
@@ -149,20 +149,21 @@ def equilibrated(
     temperature: float,
     seed: int,
     time: float,
-    kept: Path | None = None,
+    state_file: Path | None = None,
     report: Report = SILENT,
 ) -> openmm.State:
     """Positions and velocities after an equilibration, see `openmm_sier.inputs.equilibration.prepare`.
 
     Args:
-        kept: XML file of the State of an earlier equilibration, which is made if it does not exist; None keeps none.
+        state_file: XML file of the State of an earlier equilibration, which is created if it does not exist; None: no
+            file.
     """
-    if kept is not None and kept.exists():
-        return openmm.XmlSerializer.deserialize(kept.read_text())
+    if state_file is not None and state_file.exists():
+        return openmm.XmlSerializer.deserialize(state_file.read_text())
     prepare(context, positions, temperature, seed, time, report=report)
     state = context.getState(positions=True, velocities=True)
-    if kept is not None:
-        replace_file(kept, openmm.XmlSerializer.serialize(state))
+    if state_file is not None:
+        replace_file(state_file, openmm.XmlSerializer.serialize(state))
     return state
 
 
@@ -263,11 +264,11 @@ def conserved(
 
 def over_starts(runs: pd.DataFrame, names: Sequence[str]) -> dict[str, Any]:
     """Means over runs that differ in their seeds alone, with standard errors; NaN where one is `broken`."""
-    found: dict[str, Any] = {"starts": len(runs), "broken": next((reason for reason in runs["broken"] if reason), "")}
+    row: dict[str, Any] = {"starts": len(runs), "broken": next((reason for reason in runs["broken"] if reason), "")}
     for name in names:
-        found[name] = runs[name].mean(skipna=False)
-        found[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(len(runs))
-    return found
+        row[name] = runs[name].mean(skipna=False)
+        row[f"{name}_error"] = runs[name].std(skipna=False) / math.sqrt(len(runs))
+    return row
 
 
 def sample(
@@ -291,16 +292,16 @@ def sample(
     integrator = context.getIntegrator()
     conserved = _conserves_momentum(context, bodies)
     rows = []
-    for done in range(every, steps + 1, every):
+    for step_count in range(every, steps + 1, every):
         integrator.step(every)
         try:
             rows.append(observe(context, bodies, conserved))
         except (RigidityError, NotFiniteError) as error:
-            raise Unstable(f"after {done} steps {error}") from error
+            raise Unstable(f"after {step_count} steps {error}") from error
         if not rows[-1].sane:
-            raise Unstable(f"{rows[-1]} after {done} steps")
+            raise Unstable(f"{rows[-1]} after {step_count} steps")
         if progress is not None:
-            progress(done)
+            progress(step_count)
     return Series(*np.array(rows).T)
 
 
@@ -342,9 +343,9 @@ def observe(context: openmm.Context, bodies: BodySet, conserved: bool) -> Sample
         conserved: whether the total momentum is conserved, see `MomentumConservation`.
     """
     state = context.getState(energy=True)
-    found = temperatures(bodies, body_state(context, bodies), conserved)
+    kelvins = temperatures(bodies, body_state(context, bodies), conserved)
     time, potential, kinetic = map(md, (state.getTime(), state.getPotentialEnergy(), state.getKineticEnergy()))
-    return Sample(time, potential, kinetic, found.translation, found.rotation, md(state.getPeriodicBoxVolume()))
+    return Sample(time, potential, kinetic, kelvins.translation, kelvins.rotation, md(state.getPeriodicBoxVolume()))
 
 
 def body_state(context: openmm.Context, bodies: BodySet) -> BodyState:

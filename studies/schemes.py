@@ -57,8 +57,8 @@ def run(task: Task) -> dict[str, Any]:
     settings, fs_per_force = task.settings, task.point["fs_per_force"]
     method = CONSTANT_ENERGY[task.method]
     start = settings.start(task.point["seed"], settings.tolerance)
-    found = task.point | {"order": method.order, "forces": method.forces, "step": fs_per_force * method.forces}
-    return found | conserved(start, method, fs_per_force, settings.time)[0]
+    row = task.point | {"order": method.order, "forces": method.forces, "step": fs_per_force * method.forces}
+    return row | conserved(start, method, fs_per_force, settings.time)[0]
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:
@@ -67,7 +67,7 @@ def points(runs: pd.DataFrame) -> pd.DataFrame:
     What is unknown is NaN: a mean where a start broke down, an error where there is one start, and `relative` in a
     liquid without runs of `REFERENCE` at its `USUAL` step.
     """
-    rows = pd.DataFrame([_point(mine) for _, mine in runs.groupby(POINT, sort=False)])
+    rows = pd.DataFrame([_point(group) for _, group in runs.groupby(POINT, sort=False)])
     is_usual = (rows["method"] == REFERENCE) & (rows["fs_per_force"] == USUAL)
     verlet = rows[is_usual].set_index("liquid")
     divisor, its_error = (rows["liquid"].map(verlet[name]) for name in ("percent", "percent_error"))

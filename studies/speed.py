@@ -109,14 +109,14 @@ def contestants(has_solute: bool) -> list[Contestant]:
         return in_bath(scheme, f"{scheme.name} in a bath").at(step, **HEAVY)
 
     middle, longer = MIDDLE.of_openmm(), 9 if has_solute else 12
-    found = [VERLET.of_openmm().at(step) for step in (1, 2)]
-    found += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
-    found += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
-    found.append(SEVERAL_STEPS.of_openmm().at(8, **HEAVY))
+    methods = [VERLET.of_openmm().at(step) for step in (1, 2)]
+    methods += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
+    methods += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
+    methods.append(SEVERAL_STEPS.of_openmm().at(8, **HEAVY))
     if not has_solute:
-        found.append(replace(MIDDLE_IN_RIGID_WATER, method=middle))
-        found.append(bath(SIER2P3, 18))
-    return [*found, *(bath(SIER2, step) for step in (8, 9, 10))]
+        methods.append(replace(MIDDLE_IN_RIGID_WATER, method=middle))
+        methods.append(bath(SIER2P3, 18))
+    return [*methods, *(bath(SIER2, step) for step in (8, 9, 10))]
 
 
 class Turn(NamedTuple):
@@ -138,8 +138,8 @@ def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report:
     }
     actions |= _actions_of_peers(box, state, evaluations, settings)
     platform = contexts[REFERENCE].getPlatform().getName()
-    found = turns(actions, settings.rounds)
-    rows = rows_of(found, platform)
+    times = turns(actions, settings.rounds)
+    rows = rows_of(times, platform)
     for row in rows:
         method = methods.get(row["name"])
         row |= {
@@ -154,12 +154,12 @@ def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report:
     return rows
 
 
-def rows_of(found: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
+def rows_of(times: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
     """Return speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
     clock = 2 if platform in ON_PROCESSORS else 1
-    speed = {name: each[:, 0] / each[:, clock] for name, each in found.items()}
+    speed = {name: each[:, 0] / each[:, clock] for name, each in times.items()}
     rows = []
-    for name, each in found.items():
+    for name, each in times.items():
         # 86400 s a day, 1e6 fs a ns.
         wall, wall_error, _ = median_and_error(0.0864 * each[:, 0] / each[:, 1])
         processor = float(np.median(0.0864 * each[:, 0] / np.maximum(each[:, 2], 1e-9)))
@@ -221,12 +221,12 @@ def _turn_of_peer(peer: peers.Peer, liquid: peers.Liquid, steps: int) -> Turn:
 
 def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
     """Return points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
-    found = []
+    rows = []
     for seed in range(settings.seed, settings.seed + settings.starts):
-        mine = replace(settings, seed=seed)
-        liquid = equilibrated_liquid(mine, settings.equilibrate, report, speed_boxes.TOLERANCE)
-        found += [row | {"seed": seed} for row in accuracy.measure(liquid, STEPS, settings.time, report)]
-    return pd.DataFrame(found)
+        with_seed = replace(settings, seed=seed)
+        liquid = equilibrated_liquid(with_seed, settings.equilibrate, report, speed_boxes.TOLERANCE)
+        rows += [row | {"seed": seed} for row in accuracy.measure(liquid, STEPS, settings.time, report)]
+    return pd.DataFrame(rows)
 
 
 def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
@@ -237,23 +237,23 @@ def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
     steps = {
         (method, level): _steps_at(points, method, level) for method in points["method"].unique() for level in LEVELS
     }
-    found = []
+    results = []
     usual = rows.drop_duplicates(["box", "method"], keep="last").set_index(["box", "method"])
     for box in (name for name in rows["box"].unique() if name.startswith("water")):
         for (method, level), (dt, error) in sorted(steps.items(), key=lambda item: item[0][1]):
-            mine, verlet = usual.loc[(box, method)], usual.loc[(box, "OpenMM Verlet")]
+            own_row, verlet = usual.loc[(box, method)], usual.loc[(box, "OpenMM Verlet")]
             verlet_dt, verlet_error = steps["OpenMM Verlet", level]
-            over = dt / verlet_dt * mine["over"] / mine["fs_per_force"] * verlet["fs_per_force"]
-            shares = (error / dt, verlet_error / verlet_dt, mine["over_error"] / mine["over"])
+            over = dt / verlet_dt * own_row["over"] / own_row["fs_per_force"] * verlet["fs_per_force"]
+            shares = (error / dt, verlet_error / verlet_dt, own_row["over_error"] / own_row["over"])
             share = 0.0 if method == "OpenMM Verlet" else math.hypot(*shares)
             row = {"box": box, "percent": level, "method": method, "fs_per_force": dt, "fs_per_force_error": error}
-            found.append(row | {"over": over, "over_error": over * share})
-    return pd.DataFrame(found)
+            results.append(row | {"over": over, "over_error": over * share})
+    return pd.DataFrame(results)
 
 
 def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, float]:
     """Return the fs per force that have an error, with the error over starts; NaN where a start has none."""
-    each = np.array([accuracy.step_at(mine, method, level) for _, mine in points.groupby("seed")])
+    each = np.array([accuracy.step_at(of_seed, method, level) for _, of_seed in points.groupby("seed")])
     return float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
 
 
@@ -287,15 +287,15 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
     """
     with_solute = [name for name in settings.boxes if not name.startswith("water-")]
     chosen(with_solute, SOLUTES, "box")
-    made: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for name in settings.boxes:
-        made += speeds(*speed_boxes.start(name, settings, report), settings, report)
-    found = {"speeds": pd.DataFrame(made)}
+        rows += speeds(*speed_boxes.start(name, settings, report), settings, report)
+    tables = {"speeds": pd.DataFrame(rows)}
     if len(with_solute) < len(settings.boxes):
-        found["points"] = energy_errors(settings, report)
-        found["equal"] = at_equal_error(found["speeds"], found["points"])
+        tables["points"] = energy_errors(settings, report)
+        tables["equal"] = at_equal_error(tables["speeds"], tables["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}
-    record = Record(settings.recorded(), found, {"peers": builds, "threads": threads.count()})
+    record = Record(settings.recorded(), tables, {"peers": builds, "threads": threads.count()})
     tell(record, report)
     return record.write(settings.out / "speed.json")
 

@@ -47,6 +47,6 @@ def start(name: str, settings: BoxSettings, report: Report) -> tuple[BoxSystem, 
 def _water(molecules: int, settings: BoxSettings) -> BoxSystem:
     box = forcefields.read_box(settings.box, settings.forcefield, None, INTERACTIONS)
     shape = boxes.copies_for(molecules, box.topology.getNumResidues())
-    found = boxes.repeated(box, settings.box.parent, shape)
-    boxes.with_tolerance(found.system, TOLERANCE)
-    return found
+    repeated = boxes.repeated(box, settings.box.parent, shape)
+    boxes.with_tolerance(repeated.system, TOLERANCE)
+    return repeated

@@ -132,13 +132,13 @@ def run(task: Task) -> dict[str, Any]:
     command_runs.carry_out(directory, box, method | {"dt": step, "time": task.point["length"], "seed": seed} | OPTIONS)
     log = command_runs.read_log(directory, skip)
     frames = command_runs.read_frames(directory, box)
-    found = {name: mean_and_error(log[column]) for name, column in LOGGED.items()}
-    found["energy"] = found["energy"].times(1 / frames.n_residues)
+    estimates = {name: mean_and_error(log[column]) for name, column in LOGGED.items()}
+    estimates["energy"] = estimates["energy"].times(1 / frames.n_residues)
     # Momenta that are drawn anew tell no diffusion.
     if task.method != TRIALS:
-        found["diffusion"] = diffusion(frames, 1e-3 * step, skip)
+        estimates["diffusion"] = diffusion(frames, 1e-3 * step, skip)
     row = task.point | {"time": float(np.ptp(log["Time (ps)"]))}
-    for name, estimate in found.items():
+    for name, estimate in estimates.items():
         row |= {name: estimate.value, f"{name}_error": estimate.error}
     return row
 
@@ -153,9 +153,9 @@ def diffusion(frames: mdtraj.Trajectory, step: float, skip: float) -> Estimate:
     """
     interval = step * round(EVERY / step)
     first = [residue.atom(0).index for residue in frames.topology.residues]
-    kept = frames[round(skip / interval) :]
+    later = frames[round(skip / interval) :]
     try:
-        return transport.self_diffusion(transport.unwrapped(kept.xyz[:, first], kept.unitcell_lengths), interval)
+        return transport.self_diffusion(transport.unwrapped(later.xyz[:, first], later.unitcell_lengths), interval)
     except transport.TooShortError:
         return Estimate(math.nan, math.nan)
 
@@ -172,9 +172,9 @@ def study(settings: StepSettings, report: Report = SILENT) -> Record:
     rows = in_order(with_shared_errors(averaged(runs)))
     record = Record(settings.recorded(), {"rows": rows}, {})
     report.table("Water against the step, 297 K, 1 bar", text.table(rows, COLUMNS))
-    found = deviations(rows)
+    differences = deviations(rows)
     for key, (name, _) in PROPERTIES.items():
-        report.table(f"{name}, less the reference", beside_reference(found, key))
+        report.table(f"{name}, less the reference", beside_reference(differences, key))
     record.write(settings.out / "step-study.json")
     figure(record, settings.out / "step-study.png")
     return record
@@ -184,9 +184,9 @@ def averaged(runs: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each point; of a run that was made longer only the longer one counts."""
     longest = runs.sort_values("length").drop_duplicates([*POINT, "seed"], keep="last")
     rows = []
-    for point, mine in longest.groupby(POINT):
-        row = dict(zip(POINT, point, strict=True)) | {"fs_per_force": mine.iloc[0]["fs_per_force"]}
-        rows.append(row | {"runs": len(mine), "time": mine["time"].sum()} | records.pooled(mine, MEASURED))
+    for point, of_point in longest.groupby(POINT):
+        row = dict(zip(POINT, point, strict=True)) | {"fs_per_force": of_point.iloc[0]["fs_per_force"]}
+        rows.append(row | {"runs": len(of_point), "time": of_point["time"].sum()} | records.pooled(of_point, MEASURED))
     return pd.DataFrame(rows)
 
 
@@ -200,9 +200,9 @@ def with_shared_errors(rows: pd.DataFrame) -> pd.DataFrame:
     rows = rows.copy()
     for _, alike in rows.groupby(["box", "method"]):
         for key in MEASURED:
-            known = alike.dropna(subset=[f"{key}_error"])
-            if len(known):
-                square = np.average(known["time"] * known[f"{key}_error"] ** 2, weights=known["time"])
+            complete = alike.dropna(subset=[f"{key}_error"])
+            if len(complete):
+                square = np.average(complete["time"] * complete[f"{key}_error"] ** 2, weights=complete["time"])
                 shared = (square / alike["time"]) ** 0.5
                 rows.loc[alike.index, f"{key}_error"] = shared.where(alike[key].notna())
     return rows
@@ -227,17 +227,19 @@ def deviations(rows: pd.DataFrame) -> pd.DataFrame:
         For each property, box, method and step the `reference` and its error, and the `difference` from it with that of
         the row alone; rows of which the reference is made have their own difference too.
     """
-    found = []
+    tables = []
     for key in PROPERTIES:
-        for _, own in rows.dropna(subset=[key]).groupby("box", sort=False):
-            of = _reference(own[np.isfinite(own[f"{key}_error"])])
+        for _, of_box in rows.dropna(subset=[key]).groupby("box", sort=False):
+            of = _reference(of_box[np.isfinite(of_box[f"{key}_error"])])
             if of.empty:
                 continue
             weights = of[f"{key}_error"] ** -2
             mean, doubt = np.average(of[key], weights=weights), weights.sum() ** -0.5
-            told = own[["box", "method", "fs_per_force"]].assign(property=key, reference=mean, reference_error=doubt)
-            found.append(told.assign(difference=own[key] - mean, difference_error=own[f"{key}_error"]))
-    return pd.concat(found, ignore_index=True)
+            compared = of_box[["box", "method", "fs_per_force"]].assign(
+                property=key, reference=mean, reference_error=doubt
+            )
+            tables.append(compared.assign(difference=of_box[key] - mean, difference_error=of_box[f"{key}_error"]))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _reference(rows: pd.DataFrame) -> pd.DataFrame:
@@ -247,18 +249,20 @@ def _reference(rows: pd.DataFrame) -> pd.DataFrame:
     return exact if len(exact) else cold[cold["fs_per_force"] == cold["fs_per_force"].min()]
 
 
-def beside_reference(found: pd.DataFrame, key: str) -> pd.DataFrame:
+def beside_reference(differences: pd.DataFrame, key: str) -> pd.DataFrame:
     """Return a table of text of the `deviations` of one property, with a line for each method and step.
 
     Errors have that of the reference in them.
     """
-    found = found[found["property"] == key]
-    error = np.hypot(found["difference_error"], found["reference_error"])
-    own = found.assign(box=found["box"].replace(style.MODELS), value=found["difference"], value_error=error)
-    reference = own.drop_duplicates("box").assign(method="reference", fs_per_force=text.UNKNOWN)
+    differences = differences[differences["property"] == key]
+    error = np.hypot(differences["difference_error"], differences["reference_error"])
+    own_rows = differences.assign(
+        box=differences["box"].replace(style.MODELS), value=differences["difference"], value_error=error
+    )
+    reference = own_rows.drop_duplicates("box").assign(method="reference", fs_per_force=text.UNKNOWN)
     reference = reference.assign(value=reference["reference"], value_error=reference["reference_error"])
     columns = text.columns("method", "fs_per_force") | {"{box}": "{value_text}"}
-    return text.table(pd.concat([reference, own]), columns)
+    return text.table(pd.concat([reference, own_rows]), columns)
 
 
 def figure(record: Record, path: Path) -> None:
@@ -268,28 +272,30 @@ def figure(record: Record, path: Path) -> None:
     """
     from matplotlib.figure import Figure
 
-    found = deviations(record.tables["rows"])
-    found = found[~found["method"].str.endswith(EXACT)].assign(difference_error=2 * found["difference_error"])
-    boxes = list(found["box"].unique())
+    differences = deviations(record.tables["rows"])
+    differences = differences[~differences["method"].str.endswith(EXACT)].assign(
+        difference_error=2 * differences["difference_error"]
+    )
+    boxes = list(differences["box"].unique())
     with style.context():
-        made = Figure(figsize=(3.1 * len(boxes) + 1, 0.9 + 2.4 * len(PROPERTIES)), layout="constrained")
-        made.suptitle(TITLE, x=0.01, ha="left", fontsize=16, fontweight="bold")
-        grid = made.subplots(len(PROPERTIES), len(boxes), squeeze=False, sharex=True, sharey="row")
+        picture = Figure(figsize=(3.1 * len(boxes) + 1, 0.9 + 2.4 * len(PROPERTIES)), layout="constrained")
+        picture.suptitle(TITLE, x=0.01, ha="left", fontsize=16, fontweight="bold")
+        grid = picture.subplots(len(PROPERTIES), len(boxes), squeeze=False, sharex=True, sharey="row")
         for key, line in zip(PROPERTIES, grid, strict=True):
             line[0].set_ylabel(f"Δ {PROPERTIES[key][1]}")
             for box, axes in zip(boxes, line, strict=True):
-                mine = found[(found["box"] == box) & (found["property"] == key)]
-                for doubt in mine["reference_error"][:1]:
+                of_box = differences[(differences["box"] == box) & (differences["property"] == key)]
+                for doubt in of_box["reference_error"][:1]:
                     axes.axhspan(-2 * doubt, 2 * doubt, color="0.85", zorder=0)
                 axes.axhline(0, color=style.GREY, lw=1)
-                style.curves(axes, mine, "fs_per_force", "difference", apart=APART, lw=1, capsize=0)
+                style.curves(axes, of_box, "fs_per_force", "difference", apart=APART, lw=1, capsize=0)
         for box, axes in zip(boxes, grid[0], strict=True):
             axes.set_title(style.MODELS.get(box, box))
         for axes in grid[-1]:
             axes.set_xlabel("fs per force")
         handles, labels = grid[0][0].get_legend_handles_labels()
-        made.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)), fontsize=12)
-        made.savefig(path)
+        picture.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)), fontsize=12)
+        picture.savefig(path)
 
 
 main = command(StepSettings, study, __doc__, __name__)

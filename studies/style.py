@@ -91,14 +91,14 @@ def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
     from matplotlib.figure import Figure
 
     with context():
-        made = Figure(figsize=(9, height), layout="constrained")
-        made.suptitle(title, x=0.01, ha="left", fontsize=16, fontweight="bold")
-        axes = made.subplots()
+        picture = Figure(figsize=(9, height), layout="constrained")
+        picture.suptitle(title, x=0.01, ha="left", fontsize=16, fontweight="bold")
+        axes = picture.subplots()
         axes.tick_params(labelsize=13)
         axes.xaxis.label.set_fontsize(14)
         axes.yaxis.label.set_fontsize(14)
         yield axes
-        made.savefig(path)
+        picture.savefig(path)
 
 
 @contextmanager
@@ -114,11 +114,11 @@ def figure(path: Path, columns: int, title: str = "", **options: Any) -> Iterato
     from matplotlib.figure import Figure
 
     with context():
-        made = Figure(figsize=(1 + 5.6 * columns, 4.8), layout="constrained")
+        picture = Figure(figsize=(1 + 5.6 * columns, 4.8), layout="constrained")
         if title:
-            made.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
-        yield made, list(made.subplots(1, columns, squeeze=False, **options).flat)
-        made.savefig(path)
+            picture.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+        yield picture, list(picture.subplots(1, columns, squeeze=False, **options).flat)
+        picture.savefig(path)
 
 
 def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, **look: Any) -> None:
@@ -132,19 +132,19 @@ def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, 
         look: keyword arguments of `Axes.errorbar` in place of those of the method.
     """
     groups = frame.groupby("method", sort=False)
-    for i, (method, mine) in enumerate(groups):
-        mine = mine.dropna(subset=[y]).sort_values(x)
-        if mine.empty:
+    for i, (method, selected) in enumerate(groups):
+        selected = selected.dropna(subset=[y]).sort_values(x)
+        if selected.empty:
             continue
-        error = mine[f"{y}_error"].fillna(0) if f"{y}_error" in mine else None
+        error = selected[f"{y}_error"].fillna(0) if f"{y}_error" in selected else None
         drawn = {"capsize": 3, "label": method} | of_method(method) | look
         shift = apart * (i - (len(groups) - 1) / 2)
-        axes.errorbar(mine[x] + shift, mine[y], error, **drawn)
+        axes.errorbar(selected[x] + shift, selected[y], error, **drawn)
 
 
-def shared_legend(made: Figure, axes: Axes) -> None:
+def shared_legend(picture: Figure, axes: Axes) -> None:
     """Draw one legend for all panels, beside them, with the labels of one."""
-    made.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
+    picture.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
 
 
 def logarithmic(axes: Axes) -> None:

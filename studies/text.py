@@ -67,15 +67,15 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
     for field in _fields(columns):
         if len(rows) and field not in rows and not field.endswith("_error"):
             raise ValueError(f"there is no column {field!r}; there are {', '.join(rows)}")
-    made = pd.DataFrame(
+    result = pd.DataFrame(
         [{cell(heading, row): cell(form, row) for heading, form in columns.items()} for row in rows.to_dict("records")],
         columns=None if len(rows) else list(columns),
     )
     lines = [heading for heading in columns if "{" not in heading]
     if len(rows) and len(lines) < len(columns):
-        made = made.groupby(lines, sort=False).first().reset_index()
-    made = made.fillna(UNKNOWN)
-    return made.loc[:, ~made.isin(["", UNKNOWN]).all()]
+        result = result.groupby(lines, sort=False).first().reset_index()
+    result = result.fillna(UNKNOWN)
+    return result.loc[:, ~result.isin(["", UNKNOWN]).all()]
 
 
 def _fields(columns: Mapping[str, str]) -> Iterator[str]:
@@ -114,7 +114,7 @@ def cell(form: str, row: Mapping[str, Any]) -> str:
     return UNKNOWN if re.search(r"\bnan\b", filled) else filled
 
 
-def markdown(made: pd.DataFrame) -> str:
+def markdown(table: pd.DataFrame) -> str:
     """Return a table of text as a page has it."""
-    lines = [list(made.columns), ["---"] * len(made.columns), *made.to_numpy().tolist()]
+    lines = [list(table.columns), ["---"] * len(table.columns), *table.to_numpy().tolist()]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)

@@ -86,15 +86,15 @@ def listed(claims: Iterable[Claim]) -> str:
     return "\n".join([*lines, "The records were made by these commands:\n", *made_by])
 
 
-def one(frame: pd.DataFrame, **wanted: object) -> pd.Series:
+def one(frame: pd.DataFrame, **conditions: object) -> pd.Series:
     """Return the only row that has these values.
 
     Raises:
         LookupError: there is none, or there are several.
     """
     rows = frame
-    for name, value in wanted.items():
+    for name, value in conditions.items():
         rows = rows[rows[name] == value]
     if len(rows) != 1:
-        raise LookupError(f"{len(rows)} rows have {wanted}")
+        raise LookupError(f"{len(rows)} rows have {conditions}")
     return rows.iloc[0]

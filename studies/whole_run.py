@@ -135,7 +135,7 @@ def start(task: Task) -> Liquid:
     """Return the equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
     file, *forcefield = LIQUIDS[liquid]
-    kept = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
+    path = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
     box = forcefields.read_box(SYSTEMS / file, forcefield or None, None if molecules else "hbonds")
     topology, positions, system = box.topology, box.positions, box.system
     if molecules:
@@ -145,7 +145,7 @@ def start(task: Task) -> Liquid:
     if not molecules:
         prepare_system(system)
     context = make_context(system, CONSTANT_ENERGY["sier4g"].make(0.003), settings.platform)
-    state = equilibrated(context, positions, settings.temperature, seed, settings.equilibrate, kept)
+    state = equilibrated(context, positions, settings.temperature, seed, settings.equilibrate, path)
     bodies = find_bodies.RigidBodies.from_system(system, None if molecules else topology)
     return Liquid(system, bodies, state, settings.platform)
 
@@ -153,10 +153,10 @@ def start(task: Task) -> Liquid:
 def run(task: Task) -> dict[str, Any]:
     """Return the energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
     method = CONSTANT_ENERGY[task.method]
-    found = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
-    figures, series = conserved(start(task), method, found["fs_per_force"], task.settings.time, INTERVAL)
+    row = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
+    figures, series = conserved(start(task), method, row["fs_per_force"], task.settings.time, INTERVAL)
     if series is None:
-        return found | figures | {"walk": math.nan}
+        return row | figures | {"walk": math.nan}
     H, V = series.total, series.potential
     further = {
         "walk": 100 * energy_walk(series.time, H, V),
@@ -164,12 +164,12 @@ def run(task: Task) -> dict[str, Any]:
         "temperature": float(np.nanmean(series.translation)),
         "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
     }
-    return found | figures | further
+    return row | figures | further
 
 
 def points(runs: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each liquid, size, length, scheme and step: means over the starts with standard errors."""
-    return pd.DataFrame([_point(mine) for _, mine in runs.groupby(POINT, sort=False)])
+    return pd.DataFrame([_point(group) for _, group in runs.groupby(POINT, sort=False)])
 
 
 def _point(runs: pd.DataFrame) -> dict[str, Any]:
@@ -228,30 +228,34 @@ def law(rows: pd.DataFrame) -> dict[str, Any]:
         return {}
     inverse = WATER / (rows["step"].to_numpy(dtype=float) / 1000)
     columns = np.column_stack([rows["method"] == name for name in names] + [-inverse]).astype(float)
-    found, *_ = np.linalg.lstsq(columns, np.log(rows["walk"].to_numpy(dtype=float)), rcond=None)
-    return {"period": WATER, "decay": found[-1], "at_infinity": dict(zip(names, np.exp(found[:-1]), strict=True))}
+    parameters, *_ = np.linalg.lstsq(columns, np.log(rows["walk"].to_numpy(dtype=float)), rcond=None)
+    return {
+        "period": WATER,
+        "decay": parameters[-1],
+        "at_infinity": dict(zip(names, np.exp(parameters[:-1]), strict=True)),
+    }
 
 
 def first_box(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the points of the box and the length of run that have the most of them."""
-    return max((mine for _, mine in rows.groupby(POINT[:5], sort=False)), key=len)
+    return max((group for _, group in rows.groupby(POINT[:5], sort=False)), key=len)
 
 
 def figure(record: Record, path: Path) -> None:
     """Draw the walk against the step, with its law."""
-    with style.figure(path, 1) as (made, (axes,)):
+    with style.figure(path, 1) as (picture, (axes,)):
         rows = first_box(record.tables["rows"])
         style.curves(axes, rows.assign(walk_error=rows["walk_error"].fillna(0)), "step", "walk")
-        found = record.notes["law"]
-        for name, scale in found.get("at_infinity", {}).items():
-            mine = rows[(rows["method"] == name) & rows["walk"].between(*FITTED)]["step"]
-            steps = np.linspace(mine.min() - 0.7, mine.max() + 0.5)
-            curve = scale * np.exp(-found["decay"] * 1000 * found["period"] / steps)
+        law = record.notes["law"]
+        for name, scale in law.get("at_infinity", {}).items():
+            fitted = rows[(rows["method"] == name) & rows["walk"].between(*FITTED)]["step"]
+            steps = np.linspace(fitted.min() - 0.7, fitted.max() + 0.5)
+            curve = scale * np.exp(-law["decay"] * 1000 * law["period"] / steps)
             axes.plot(steps, curve, color=style.of_method(name)["color"], lw=4, alpha=0.25)
         axes.set(yscale="log", xlabel="step (fs)", ylabel="walk of the energy (% of rms(V))")
         axes.set_title("Fourth order: a quarter off the step\ntakes away most of the walk", fontweight="bold")
         axes.yaxis.set_major_formatter("{x:g}")
-        style.shared_legend(made, axes)
+        style.shared_legend(picture, axes)
 
 
 def energies(record: Record, path: Path) -> None:
@@ -262,8 +266,8 @@ def energies(record: Record, path: Path) -> None:
     title = f"Over {time} SIER4G holds the energy {pair['gain']:.0f} times as well as Verlet,\nwith as many forces"
     with style.one_message(path, title) as axes:
         for step, method in ((pair["step_verlet"], VERLET), (pair["step"], SIER4G.name)):
-            wanted = pair[POINT].to_dict() | {"method": method, "step": step}
-            run = runs[(runs[POINT] == pd.Series(wanted)).all(axis=1) & (runs["broken"] == "")].iloc[0]
+            conditions = pair[POINT].to_dict() | {"method": method, "step": step}
+            run = runs[(runs[POINT] == pd.Series(conditions)).all(axis=1) & (runs["broken"] == "")].iloc[0]
             means = 100 * (np.array(run["means"]) - np.mean(run["means"])) / run["rms_V"]
             # What the means over 1 ps leave out: oscillations within each.
             inner = math.sqrt(max(0.0, run["percent"] ** 2 - means.var()))

@@ -13,11 +13,11 @@ EXAMPLES = ROOT / "examples"
 
 
 def output(directory, name, *arguments):
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, str(EXAMPLES / name), *arguments], cwd=directory, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stderr
+    return process.stdout
 
 
 @pytest.mark.thorough

@@ -25,8 +25,8 @@ def test_imports_are_lean(code, absent):
     check = (
         f"import sys, numpy\nbefore = set(sys.modules)\n{code}\nprint(*sorted({absent!r} & set(sys.modules) - before))"
     )
-    found = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.split()
-    assert found == []
+    result = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.split()
+    assert result == []
 
 
 def test_quantities_are_read_in_named_units():

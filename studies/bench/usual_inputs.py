@@ -16,8 +16,8 @@ STEP = 2.0
 
 def installed() -> list[Peer]:
     """The programs on this machine, GROMACS in mixed precision, which is its usual one."""
-    found = [peers.lammps("LAMMPS", lammps_input), peers.gromacs("GROMACS", mdp)]
-    return [peer for peer in found if peer is not None]
+    programs = [peers.lammps("LAMMPS", lammps_input), peers.gromacs("GROMACS", mdp)]
+    return [peer for peer in programs if peer is not None]
 
 
 def lammps_input(liquid: Liquid, step: float, steps: int, every: int) -> str:

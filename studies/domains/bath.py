@@ -47,34 +47,34 @@ def settled(model: Model, time: float, step: float, seed: int, platform: str, ke
     if kept.exists():
         return openmm.XmlSerializer.deserialize(kept.read_text())
     first = min(SETTLING, 1e-3 * step)
-    made = METHODS["sier2"].make(model, first, SETTLING_FRICTION, seed)
-    context = make_context(made.system, made.integrator, platform)
-    context.setPositions(made.positions)
+    moving = METHODS["sier2"].make(model, first, SETTLING_FRICTION, seed)
+    context = make_context(moving.system, moving.integrator, platform)
+    context.setPositions(moving.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 500)
     context.setVelocitiesToTemperature(model.temperature, seed)
-    made.integrator.step(round(0.1 * time / first))
-    made.integrator.setStepSize(1e-3 * step)
-    made.integrator.step(round(0.9 * time / (1e-3 * step)))
+    moving.integrator.step(round(0.1 * time / first))
+    moving.integrator.setStepSize(1e-3 * step)
+    moving.integrator.step(round(0.9 * time / (1e-3 * step)))
     state = context.getState(positions=True, velocities=True)
     replace_file(kept, openmm.XmlSerializer.serialize(state))
     return state
 
 
-def context_at(made: Made, model: Model, start: openmm.State, seed: int, platform: str) -> openmm.Context:
+def context_at(moving: Made, model: Model, start: openmm.State, seed: int, platform: str) -> openmm.Context:
     """A Context at a phase point of the rigid model, with new velocities."""
-    context = make_context(made.system, made.integrator, platform)
+    context = make_context(moving.system, moving.integrator, platform)
     positions = md(start.getPositions(asNumpy=True))
     context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    context.setPositions(placed(made, positions))
+    context.setPositions(placed(moving, positions))
     context.setVelocitiesToTemperature(model.temperature, seed)
     return context
 
 
-def placed(made: Made, positions: np.ndarray) -> np.ndarray:
+def placed(moving: Made, positions: np.ndarray) -> np.ndarray:
     """Positions of all particles, those of frames included, from those of atoms."""
-    if made.framed is None:
+    if moving.framed is None:
         return positions
-    return np.asarray(md(made.framed.addFramePositions(positions)))
+    return np.asarray(md(moving.framed.addFramePositions(positions)))
 
 
 def averages(
@@ -100,55 +100,55 @@ def averages(
         seed: of the bath and of the velocities.
         platform: of OpenMM.
     """
-    made = METHODS[name].make(model, 1e-3 * step, friction, seed)
-    context = context_at(made, model, start, seed, platform)
-    per_call = 1e-3 * step * (TRIAL if isinstance(made.integrator, SIERHMCIntegrator) else 1)
+    moving = METHODS[name].make(model, 1e-3 * step, friction, seed)
+    context = context_at(moving, model, start, seed, platform)
+    per_call = 1e-3 * step * (TRIAL if isinstance(moving.integrator, SIERHMCIntegrator) else 1)
     every = max(1, round(interval / per_call))
     samples = []
     try:
         for _ in range(max(1, round(time / (every * per_call)))):
-            made.integrator.step(every)
-            samples.append(sample(model, made, context))
+            moving.integrator.step(every)
+            samples.append(sample(model, moving, context))
             if not samples[-1]["temperature"] < HIGHEST:
                 raise openmm.OpenMMException(f"{samples[-1]['temperature']:.0f} K")
     except (openmm.OpenMMException, ArithmeticError, ValueError, RuntimeError) as error:
         return {"broken": f"{model.name}, {METHODS[name].name} at {step:g} fs: {' '.join(str(error).split())[:120]}"}
-    kept = samples[len(samples) // 10 :]
-    found: dict[str, Any] = {"broken": "", "samples": len(kept)}
+    equilibrated = samples[len(samples) // 10 :]
+    row: dict[str, Any] = {"broken": "", "samples": len(equilibrated)}
     for key in OBSERVED:
-        found[key], found[f"{key}_error"], _ = mean_and_error(np.array([each[key] for each in kept]))
-    if isinstance(made.integrator, SIERHMCIntegrator):
-        found["accepted"] = made.integrator.acceptanceRate
-    return found
+        row[key], row[f"{key}_error"], _ = mean_and_error(np.array([each[key] for each in equilibrated]))
+    if isinstance(moving.integrator, SIERHMCIntegrator):
+        row["accepted"] = moving.integrator.acceptanceRate
+    return row
 
 
-def sample(model: Model, made: Made, context: openmm.Context) -> dict[str, float]:
+def sample(model: Model, moving: Made, context: openmm.Context) -> dict[str, float]:
     """What is observed of a Context, by `OBSERVED`."""
     state = context.getState(energy=True, positions=True, groups=ALL_GROUPS - (1 << SPRINGS))
     interactions = context.getState(energy=True, groups=1 << INTERACTIONS).getPotentialEnergy()
     positions = md(state.getPositions(asNumpy=True))[: len(model.positions)]
     potential = md(state.getPotentialEnergy()) - model.offset
-    found = dict.fromkeys(OBSERVED, math.nan)
-    found |= temperatures(made, state)
-    found |= {"potential": potential, "volume": md(state.getPeriodicBoxVolume())}
+    observed = dict.fromkeys(OBSERVED, math.nan)
+    observed |= temperatures(moving, state)
+    observed |= {"potential": potential, "volume": md(state.getPeriodicBoxVolume())}
     if model.chains:
-        found["bonds"] = potential - md(interactions)
+        observed["bonds"] = potential - md(interactions)
         masses = np.array([md(model.rigid.getParticleMass(i)) for i in range(len(model.positions))])
-        found["gyration"] = gyration(positions, masses, model.chains)
-    return found
+        observed["gyration"] = gyration(positions, masses, model.chains)
+    return observed
 
 
-def temperatures(made: Made, state: openmm.State) -> dict[str, float]:
+def temperatures(moving: Made, state: openmm.State) -> dict[str, float]:
     """Temperatures in K: of all motion and, with this package's integrators, of bodies and linkers."""
-    if isinstance(made.integrator, SIERIntegrator):
-        found = made.integrator.computeTemperatures().in_kelvin()
+    if isinstance(moving.integrator, SIERIntegrator):
+        kelvins = moving.integrator.computeTemperatures().in_kelvin()
         return {
-            "temperature": found.total,
-            "translation": found.translation,
-            "rotation": found.rotation,
-            "linkers": found.flexible,
+            "temperature": kelvins.total,
+            "translation": kelvins.translation,
+            "rotation": kelvins.rotation,
+            "linkers": kelvins.flexible,
         }
-    return {"temperature": 2 * md(state.getKineticEnergy()) / (freedoms(made.system) * GAS_CONSTANT)}
+    return {"temperature": 2 * md(state.getKineticEnergy()) / (freedoms(moving.system) * GAS_CONSTANT)}
 
 
 def freedoms(system: openmm.System) -> int:
@@ -161,6 +161,6 @@ def gyration(positions: np.ndarray, masses: np.ndarray, chains: Sequence[Sequenc
     """The root of the mean square radius of gyration of chains that are whole, nm."""
     squares = []
     for chain in chains:
-        mine, weights = positions[chain], masses[chain] / masses[chain].sum()
-        squares.append(weights @ ((mine - weights @ mine) ** 2).sum(axis=1))
+        x, weights = positions[chain], masses[chain] / masses[chain].sum()
+        squares.append(weights @ ((x - weights @ x) ** 2).sum(axis=1))
     return float(np.sqrt(np.mean(squares)))

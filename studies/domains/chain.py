@@ -89,11 +89,11 @@ def domain() -> np.ndarray:
         around = centre + RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         helix = np.column_stack([around, along])
         helices.append(helix if number % 2 == 0 else helix[::-1])
-    parts = [helices[0]]
+    pieces = [helices[0]]
     for number, helix in enumerate(helices[1:]):
         outwards = np.array([0, 0, 1.0 if number % 2 == 0 else -1.0])
-        parts += [arc(parts[-1][-1], helix[0], outwards), helix]
-    return np.concatenate(parts)
+        pieces += [arc(pieces[-1][-1], helix[0], outwards), helix]
+    return np.concatenate(pieces)
 
 
 def arc(start: np.ndarray, end: np.ndarray, outwards: np.ndarray) -> np.ndarray:
@@ -110,9 +110,9 @@ def arc(start: np.ndarray, end: np.ndarray, outwards: np.ndarray) -> np.ndarray:
     along = across / gap
     away = outwards - along * (outwards @ along)
     away /= np.linalg.norm(away)
-    turned = angle * (np.arange(1, chords)[:, None] - chords / 2)
-    lift = radius * (np.cos(turned) - math.cos(chords * angle / 2))
-    return (start + end) / 2 + radius * np.sin(turned) * along + lift * away
+    angles = angle * (np.arange(1, chords)[:, None] - chords / 2)
+    lift = radius * (np.cos(angles) - math.cos(chords * angle / 2))
+    return (start + end) / 2 + radius * np.sin(angles) * along + lift * away
 
 
 def one_chain() -> np.ndarray:
@@ -167,8 +167,8 @@ def _model(name: str, centres: np.ndarray) -> Model:
 
 def stiff_model() -> Model:
     """The same chains with bonds as fast as those of atoms, and beads as heavy as carbon."""
-    found = model()
-    system = openmm.XmlSerializer.clone(found.rigid)
+    network = model()
+    system = openmm.XmlSerializer.clone(network.rigid)
     for bead in range(system.getNumParticles()):
         system.setParticleMass(bead, CARBON)
     for force in system.getForces():
@@ -176,7 +176,7 @@ def stiff_model() -> Model:
             for number in range(force.getNumBonds()):
                 one, other, length, _ = force.getBondParameters(number)
                 force.setBondParameters(number, one, other, length, STIFF)
-    return replace(found, name="two chains with stiff bonds", rigid=system, network=None)
+    return replace(network, name="two chains with stiff bonds", rigid=system, network=None)
 
 
 def _system(chains: int, bonds: set[Pair], left_out: set[Pair], bodies: list[list[int]]) -> openmm.System:
@@ -205,17 +205,17 @@ def _system(chains: int, bonds: set[Pair], left_out: set[Pair], bodies: list[lis
 
 def topology(chains: int = 2) -> app.Topology:
     """The chains with residues of one bead, numbered from 1."""
-    made = app.Topology()
+    result = app.Topology()
     for name in string.ascii_uppercase[:chains]:
-        chain = made.addChain(name)
+        chain = result.addChain(name)
         beads = []
         for number, letter in enumerate(SEQUENCE, 1):
-            residue = made.addResidue(NAMES[letter], chain, str(number))
-            beads.append(made.addAtom("CA", None, residue))
+            residue = result.addResidue(NAMES[letter], chain, str(number))
+            beads.append(result.addAtom("CA", None, residue))
         for first, second in itertools.pairwise(beads):
-            made.addBond(first, second)
-    made.setPeriodicBoxVectors(EDGE * np.eye(3) * unit.nanometer)
-    return made
+            result.addBond(first, second)
+    result.setPeriodicBoxVectors(EDGE * np.eye(3) * unit.nanometer)
+    return result
 
 
 def write(folder: Path, chains: int = 2) -> None:
@@ -223,11 +223,13 @@ def write(folder: Path, chains: int = 2) -> None:
 
     They do nothing, but tell programs that write trajectories which atoms are one molecule.
     """
-    made = model(chains)
-    inside = pairs_within(made.bodies) & {pair for molecule in made.chains for pair in itertools.pairwise(molecule)}
-    system = with_force(made.rigid, springs(made.positions, dict.fromkeys(inside, STIFFNESS)))
+    network = model(chains)
+    inside = pairs_within(network.bodies) & {
+        pair for molecule in network.chains for pair in itertools.pairwise(molecule)
+    }
+    system = with_force(network.rigid, springs(network.positions, dict.fromkeys(inside, STIFFNESS)))
     with (folder / "chain.pdb").open("w") as file:
-        app.PDBFile.writeFile(topology(chains), made.positions * unit.nanometer, file)
+        app.PDBFile.writeFile(topology(chains), network.positions * unit.nanometer, file)
     (folder / "system.xml").write_text(openmm.XmlSerializer.serialize(system))
 
 

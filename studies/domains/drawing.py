@@ -36,10 +36,10 @@ def figure(record: Record, path: Path) -> None:
             draw(seen, record.notes["pictures"][CHAIN])
         for springs in (False, True):
             exact = rows[rows["method"].str.contains(EXACT) & (rows["method"].str.contains(SPRINGS) == springs)]
-            mine = rows[~rows["method"].str.contains(EXACT) & (rows["method"].str.contains(SPRINGS) == springs)]
-            mine = mine.dropna(subset=["ns_a_day"])
-            if len(exact) and len(mine):
-                off = mine.assign(off=mine["bonds"] - exact["bonds"].iloc[0], off_error=mine["bonds_error"])
+            of_kind = rows[~rows["method"].str.contains(EXACT) & (rows["method"].str.contains(SPRINGS) == springs)]
+            of_kind = of_kind.dropna(subset=["ns_a_day"])
+            if len(exact) and len(of_kind):
+                off = of_kind.assign(off=of_kind["bonds"] - exact["bonds"].iloc[0], off_error=of_kind["bonds_error"])
                 style.curves(against, off, "ns_a_day", "off")
                 for row in off.to_dict("records"):
                     place = row["ns_a_day"], row["off"]

@@ -99,16 +99,16 @@ def system_of(model: Model, chosen: Integrator) -> openmm.System:
     system = model.network if chosen.springs else model.rigid
     if system is None:
         raise ValueError(f"{model.name} has no springs")
-    made = openmm.XmlSerializer.clone(system)
-    for force in made.getForces():
+    copy = openmm.XmlSerializer.clone(system)
+    for force in copy.getForces():
         if force.getName() in chosen.fast:
             force.setForceGroup(FAST)
-    return made
+    return copy
 
 
 def warmed(model: Model, start: openmm.State, seed: int) -> openmm.State:
     """A phase point of the model with springs in the bath."""
-    made = METHODS["langevinmiddle"].make(model, 1e-3 * model.usual, WARMING_FRICTION, seed)
-    context = bath.context_at(made, model, start, seed, "CPU")
-    made.integrator.step(round(1e3 * WARMING / model.usual))
+    moving = METHODS["langevinmiddle"].make(model, 1e-3 * model.usual, WARMING_FRICTION, seed)
+    context = bath.context_at(moving, model, start, seed, "CPU")
+    moving.integrator.step(round(1e3 * WARMING / model.usual))
     return context.getState(positions=True, velocities=True)

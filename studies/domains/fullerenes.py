@@ -44,10 +44,10 @@ def model(cells: int = 2) -> Model:
     random = np.random.default_rng(1)
     faces = 0.5 * np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]])
     for cell, corner in itertools.product(itertools.product(range(cells), repeat=3), faces):
-        turned = buckminsterfullerene() @ rotation(random)
-        places.append(turned + LATTICE * (np.array(cell) + corner))
-        bodies.append([system.addParticle(CARBON) for _ in turned])
-        for _ in turned:
+        rotated = buckminsterfullerene() @ rotation(random)
+        places.append(rotated + LATTICE * (np.array(cell) + corner))
+        bodies.append([system.addParticle(CARBON) for _ in rotated])
+        for _ in rotated:
             force.addParticle(0, SIGMA, EPSILON)
     exclude(force, pairs_within(bodies))
     system.addForce(force)

@@ -67,7 +67,7 @@ def data(model: Model, positions: np.ndarray) -> str:
             if i not in owner or owner[i] != owner.get(i + 1):
                 bonds.append(f"{len(bonds) + 1} 1 {i + 1} {i + 2}")
     masses = [f"{number + 1} {chain.RESIDUES[residue][0]}" for number, residue in enumerate(residues)]
-    parts = [
+    sections = [
         "chains of rigid domains",
         f"{len(atoms)} atoms\n{len(bonds)} bonds\n{len(residues)} atom types\n1 bond types",
         "\n".join(f"0 {edge} {axis}lo {axis}hi" for axis in "xyz"),
@@ -75,7 +75,7 @@ def data(model: Model, positions: np.ndarray) -> str:
         "Atoms # full\n\n" + "\n".join(atoms),
         "Bonds\n\n" + "\n".join(bonds),
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(sections) + "\n"
 
 
 def script(model: Model, step: float, steps: int, every: int, friction: float, seed: int) -> str:
@@ -150,32 +150,32 @@ def run(
     (place / "data").write_text(data(model, positions))
     (place / "in.lmp").write_text(script(model, step, steps, every, friction, seed))
     command = [PROGRAM, "-in", "in.lmp", "-log", "log", "-screen", "none"]
-    done = subprocess.run(command, cwd=place, capture_output=True, text=True)
+    process = subprocess.run(command, cwd=place, capture_output=True, text=True)
     log = (place / "log").read_text()
     table = re.search(r"^ *(Step .*)\n((?: *\d.*\n)+)Loop time of ([\d.eE+-]+)", log, re.M)
     use = re.search(r"([\d.]+)% CPU use", log)
-    if done.returncode or table is None or use is None:
-        error = re.search(r"ERROR.*", log + done.stdout + done.stderr)
-        raise RuntimeError(f"LAMMPS stopped: {error[0] if error else done.stderr[-200:]}")
+    if process.returncode or table is None or use is None:
+        error = re.search(r"ERROR.*", log + process.stdout + process.stderr)
+        raise RuntimeError(f"LAMMPS stopped: {error[0] if error else process.stderr[-200:]}")
     rows = np.array([line.split() for line in table[2].splitlines()], dtype=float)
     samples = dict(zip(table[1].split(), rows.T, strict=True))
     return Run(samples, float(table[3]) * float(use[1]) / 100)
 
 
-def averages(made: Run, model: Model) -> dict[str, Any]:
+def averages(run: Run, model: Model) -> dict[str, Any]:
     """Means of what `studies.domains.bath` observes of a run, without its first tenth."""
-    found: dict[str, Any] = {}
+    row: dict[str, Any] = {}
     gas = md(openmm.unit.MOLAR_GAS_CONSTANT_R) / KCAL
     bodies = len(model.bodies)
-    squares = [made.samples[f"c_g{number}"] ** 2 for number in range(len(model.chains))]
+    squares = [run.samples[f"c_g{number}"] ** 2 for number in range(len(model.chains))]
     series = {
-        "translation": 2 * made.samples["c_moved"] / (3 * bodies * gas),
-        "rotation": 2 * made.samples["c_turned"] / (3 * bodies * gas),
-        "linkers": made.samples["c_hot"],
-        "potential": KCAL * made.samples["PotEng"],
-        "bonds": KCAL * made.samples["E_bond"],
+        "translation": 2 * run.samples["c_moved"] / (3 * bodies * gas),
+        "rotation": 2 * run.samples["c_turned"] / (3 * bodies * gas),
+        "linkers": run.samples["c_hot"],
+        "potential": KCAL * run.samples["PotEng"],
+        "bonds": KCAL * run.samples["E_bond"],
         "gyration": ANGSTROM * np.sqrt(np.mean(squares, axis=0)),
     }
     for key, values in series.items():
-        found[key], found[f"{key}_error"], _ = mean_and_error(values[len(values) // 10 :])
-    return found
+        row[key], row[f"{key}_error"], _ = mean_and_error(values[len(values) // 10 :])
+    return row

@@ -68,11 +68,11 @@ def _sier2(model: Model, step: float, friction: float, seed: int, fast: set[int]
 
 def _inner(model: Model, step: float, friction: float, seed: int) -> Made:
     """The bonds of linkers act in inner steps, though such a model does not need it at its usual step."""
-    made = _sier2(model, step, friction, seed, {FAST})
-    for force in made.system.getForces():
+    moving = _sier2(model, step, friction, seed, {FAST})
+    for force in moving.system.getForces():
         if force.getName() == LINKERS:
             force.setForceGroup(FAST)
-    return made
+    return moving
 
 
 def _hybrid(model: Model, step: float, friction: float, seed: int) -> Made:
@@ -97,8 +97,8 @@ def _hybrid_springs(model: Model, step: float, friction: float, seed: int) -> Ma
 
 
 def _middle(model: Model, step: float, friction: float, seed: int) -> Made:
-    made = openmm.XmlSerializer.clone(model.network)
-    return Made(made, _langevin_middle(model, made, step, friction, seed), model.positions)
+    network = openmm.XmlSerializer.clone(model.network)
+    return Made(network, _langevin_middle(model, network, step, friction, seed), model.positions)
 
 
 def _frames(model: Model, step: float, friction: float, seed: int) -> Made:

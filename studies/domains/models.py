@@ -104,6 +104,6 @@ def with_network(
 
 def with_force(system: openmm.System, force: openmm.Force) -> openmm.System:
     """A copy of a System with one more Force."""
-    made = openmm.XmlSerializer.clone(system)
-    made.addForce(force)
-    return made
+    copy = openmm.XmlSerializer.clone(system)
+    copy.addForce(force)
+    return copy

@@ -38,9 +38,9 @@ def by_turns(
     contexts = []
     for name, steps in plan.baths.items():
         for step in steps if METHODS[name].inner else [*steps, model.usual][:1]:
-            made = METHODS[name].make(model, 1e-3 * step, FRICTION, seed)
-            contexts.append(bath.context_at(made, model, start, seed, platform))
-            actions[name, step] = _turn(made.integrator)
+            moving = METHODS[name].make(model, 1e-3 * step, FRICTION, seed)
+            contexts.append(bath.context_at(moving, model, start, seed, platform))
+            actions[name, step] = _turn(moving.integrator)
     for name, steps in plan.energies.items():
         chosen = energy.INTEGRATORS[name]
         integrator = chosen.make(model, 1e-3 * steps[0])
@@ -54,8 +54,8 @@ def by_turns(
             actions[lammps.SHORT, step] = _turn_of_lammps(model, start, step, seed, Path(place))
         seconds = turns(actions, rounds)
     rows: list[dict[str, Any]] = []
-    for (name, step), found in seconds.items():
-        spent = median_and_error(found)
+    for (name, step), times in seconds.items():
+        spent = median_and_error(times)
         for each in [step] if (name, step) in _with_own_turns(plan) else _steps(model, plan, name):
             rows.append({"method": _name(name), "step": each, **_speed(name, each, spent)})
     return rows
@@ -108,7 +108,7 @@ def _turn_of_lammps(model: Model, start: openmm.State, step: float, seed: int, p
     positions = md(start.getPositions(asNumpy=True))
 
     def take() -> float:
-        made = lammps.run(model, positions, step, LAMMPS_STEPS, LAMMPS_STEPS, FRICTION, seed, place)
-        return made.seconds / LAMMPS_STEPS
+        run = lammps.run(model, positions, step, LAMMPS_STEPS, LAMMPS_STEPS, FRICTION, seed, place)
+        return run.seconds / LAMMPS_STEPS
 
     return take

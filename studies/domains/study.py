@@ -117,8 +117,8 @@ class DomainSettings(RunsSettings):
 
     def start(self, name: str, plan: Plan, model: Model) -> openmm.State:
         """The equilibrated phase point of a model, which is kept for all runs of a seed."""
-        kept = self.out / f"start of {name}, seed {self.seed}.xml"
-        return bath.settled(model, plan.settle / self.shorter, plan.step, self.seed, self.platform, kept)
+        path = self.out / f"start of {name}, seed {self.seed}.xml"
+        return bath.settled(model, plan.settle / self.shorter, plan.step, self.seed, self.platform, path)
 
 
 def tasks(settings: DomainSettings) -> Iterator[Task]:
@@ -149,21 +149,21 @@ def run(task: Task) -> dict[str, Any]:
     plan = PLANS[name]
     model = plan.build()
     start = settings.start(name, plan, model)
-    found = task.point | {"model": model.name, "broken": ""}
+    row = task.point | {"model": model.name, "broken": ""}
     if kind == SPEED:
         rows = speed.by_turns(model, plan, start, settings.rounds, settings.seed, settings.platform)
-        return found | {"rows": rows, "picture": drawing.picture(model, md(start.getPositions(asNumpy=True)))}
+        return row | {"rows": rows, "picture": drawing.picture(model, md(start.getPositions(asNumpy=True)))}
     if kind == ENERGY:
         time = plan.energy_time / settings.shorter
-        return found | _energies(model, method, step, time, start, settings.seed)
+        return row | _energies(model, method, step, time, start, settings.seed)
     time = min(plan.time / settings.shorter, 1e-3 * step * plan.most)
-    found |= {"time": time}
+    row |= {"time": time}
     if method == lammps.SHORT:
-        return found | _by_lammps(settings, model, step, time, start)
-    made = bath.averages(
+        return row | _by_lammps(settings, model, step, time, start)
+    averages = bath.averages(
         model, method, step, time, plan.interval, settings.friction, start, settings.seed, settings.platform
     )
-    return found | {"method": METHODS[method].name} | made
+    return row | {"method": METHODS[method].name} | averages
 
 
 def _energies(model: Model, method: str, step: float, time: float, start: openmm.State, seed: int) -> dict[str, Any]:
@@ -175,8 +175,8 @@ def _by_lammps(settings: DomainSettings, model: Model, step: float, time: float,
     steps = every * round(time / (1e-3 * step * every))
     place = settings.out / "lammps"
     positions = md(start.getPositions(asNumpy=True))
-    made = lammps.run(model, positions, step, steps, every, settings.friction, settings.seed, place)
-    return {"method": lammps.NAME, "broken": ""} | lammps.averages(made, model)
+    run = lammps.run(model, positions, step, steps, every, settings.friction, settings.seed, place)
+    return {"method": lammps.NAME, "broken": ""} | lammps.averages(run, model)
 
 
 def averages(runs: pd.DataFrame) -> pd.DataFrame:
@@ -206,10 +206,10 @@ def lattice(row: pd.Series) -> tuple[float, float]:
 
 def exact_of(rows: pd.DataFrame, row: pd.Series) -> pd.Series | None:
     """The exact run with which a run is compared: of the same model, and with springs if it has some."""
-    mine = rows[(rows["key"] == row["key"]) & (rows["seed"] == row["seed"])]
+    of_run = rows[(rows["key"] == row["key"]) & (rows["seed"] == row["seed"])]
     springs = row["name"] in METHODS and METHODS[row["name"]].springs
     names = [name for name, method in METHODS.items() if method.exact and method.springs == springs]
-    exact = mine[mine["name"].isin(names)]
+    exact = of_run[of_run["name"].isin(names)]
     return None if exact.empty or row["name"] in names else exact.iloc[0]
 
 
@@ -222,32 +222,32 @@ def worst(row: pd.Series, exact: pd.Series | None) -> float:
     for key in set(COMPARED) - set(PLANS[row["key"]].slow):
         error = math.hypot(row[f"{key}_error"], exact[f"{key}_error"])
         off.append((row[key] - exact[key]) / error if error else 0.0)
-    known = [abs(each) for each in off if math.isfinite(each)]
-    return max(known, default=math.nan)
+    finite = [abs(each) for each in off if math.isfinite(each)]
+    return max(finite, default=math.nan)
 
 
 def longest_right(rows: pd.DataFrame, key: str, method: str) -> float:
     """The longest step up to which all that were tried are right; NaN if the shortest is not."""
-    found = math.nan
+    longest = math.nan
     for _, row in rows[(rows["key"] == key) & (rows["method"] == method)].sort_values("step").iterrows():
         if not row["off"] < RIGHT:
             break
-        found = row["step"]
-    return found
+        longest = row["step"]
+    return longest
 
 
 def speeds(runs: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
     """ns a day of each method at each step, over that of springs at the longest step at which they are right."""
-    made = []
+    tables = []
     for _, run in _of_speed(runs):
-        found = pd.DataFrame(run["rows"]).replace({None: math.nan}).assign(key=run["key"], model=run["model"])
-        limits = {method: longest_right(rows, run["key"], method) for method in found["method"]}
-        found["longest"] = found["method"].map(limits)
+        measured = pd.DataFrame(run["rows"]).replace({None: math.nan}).assign(key=run["key"], model=run["model"])
+        limits = {method: longest_right(rows, run["key"], method) for method in measured["method"]}
+        measured["longest"] = measured["method"].map(limits)
         springs = METHODS["langevinmiddle"].name
-        theirs = found[(found["method"] == springs) & (found["step"] == limits.get(springs))]["ns_a_day"]
-        found["over"] = found["ns_a_day"] / (theirs.iloc[0] if len(theirs) else math.nan)
-        made.append(found)
-    return pd.concat(made, ignore_index=True) if made else pd.DataFrame()
+        reference = measured[(measured["method"] == springs) & (measured["step"] == limits.get(springs))]["ns_a_day"]
+        measured["over"] = measured["ns_a_day"] / (reference.iloc[0] if len(reference) else math.nan)
+        tables.append(measured)
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def gains(energies: pd.DataFrame, timed: pd.DataFrame) -> pd.DataFrame:
@@ -257,27 +257,31 @@ def gains(energies: pd.DataFrame, timed: pd.DataFrame) -> pd.DataFrame:
     square of the step.
     """
     rows = []
-    theirs = energy.INTEGRATORS["verlet"].name
-    for key, mine in energies.groupby("key", sort=False) if len(energies) else ():
-        verlet = mine[mine["method"] == theirs].sort_values("step")
+    reference = energy.INTEGRATORS["verlet"].name
+    for key, of_model in energies.groupby("key", sort=False) if len(energies) else ():
+        verlet = of_model[of_model["method"] == reference].sort_values("step")
         if verlet.empty:
             continue
         # A step costs the same at any length.
         cost = timed[timed["key"] == key].groupby("method")["ms"].first() if len(timed) else pd.Series(dtype=float)
-        for _, row in mine[mine["method"] != theirs].iterrows():
+        for _, row in of_model[of_model["method"] != reference].iterrows():
             step, ours = same_error(verlet, row["rms"]), row["method"]
-            gain = cost[theirs] / step / (cost[ours] / row["step"]) if {ours, theirs} <= set(cost.index) else math.nan
+            gain = (
+                cost[reference] / step / (cost[ours] / row["step"])
+                if {ours, reference} <= set(cost.index)
+                else math.nan
+            )
             rows.append({name: row[name] for name in ("key", "model", "method", "step", "rms")})
             rows[-1] |= {"verlet": step, "gain": gain}
     return pd.DataFrame(rows)
 
 
-def same_error(verlet: pd.DataFrame, wanted: float) -> float:
+def same_error(verlet: pd.DataFrame, error: float) -> float:
     """The step of Verlet with an error of the energy."""
     steps, errors = np.log(verlet["step"].to_numpy(float)), np.log(verlet["rms"].to_numpy(float))
-    if wanted < verlet["rms"].min():
-        return float(np.exp(steps[0] + (math.log(wanted) - errors[0]) / 2))
-    return float(np.exp(np.interp(math.log(wanted), errors, steps)))
+    if error < verlet["rms"].min():
+        return float(np.exp(steps[0] + (math.log(error) - errors[0]) / 2))
+    return float(np.exp(np.interp(math.log(error), errors, steps)))
 
 
 def study(settings: DomainSettings, report: Report = SILENT) -> Record:
@@ -299,6 +303,6 @@ def made_of(settings: DomainSettings, runs: pd.DataFrame) -> Record:
     energies = runs[runs["kind"] == ENERGY].dropna(axis=1, how="all")
     broken = runs.loc[runs["broken"] != "", ["key", "name", "step", "broken"]]
     pictures = {run["key"]: run["picture"] for _, run in _of_speed(runs)}
-    kept = rows.drop(columns=[name for name in ("rows", "picture") if name in rows])
-    found = {"averages": kept, "speeds": timed, "energies": energies, "gains": gains(energies, timed)}
-    return Record(settings.shared(), found | {"broken": broken}, {"pictures": pictures})
+    means = rows.drop(columns=[name for name in ("rows", "picture") if name in rows])
+    tables = {"averages": means, "speeds": timed, "energies": energies, "gains": gains(energies, timed)}
+    return Record(settings.shared(), tables | {"broken": broken}, {"pictures": pictures})

@@ -38,12 +38,12 @@ CUTOFF = 1.1
 
 def orbit(place: tuple[float, float, float]) -> np.ndarray:
     """All places of the cell that the symmetry Pm-3m makes of one, (n, 3) in fractions of its edge."""
-    found = set()
+    positions = set()
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1, -1), repeat=3):
             image = np.array(signs) * np.array(place)[list(order)]
-            found.add(tuple(np.round(image % 1.0, 6) % 1.0))
-    return np.array(sorted(found))
+            positions.add(tuple(np.round(image % 1.0, 6) % 1.0))
+    return np.array(sorted(positions))
 
 
 def model(cells: int = 2, per_cage: int = 5) -> Model:

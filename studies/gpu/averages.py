@@ -45,13 +45,13 @@ class Observed:
         """Return what is averaged, energies in kJ/mol and temperatures in K."""
         context.applyVelocityConstraints(1e-6)
         state = context.getState(positions=True, velocities=True, energy=True)
-        found = {"potential": md(state.getPotentialEnergy())}
-        found |= self._temperatures(md(state.getVelocities(asNumpy=True)))
+        row = {"potential": md(state.getPotentialEnergy())}
+        row |= self._temperatures(md(state.getVelocities(asNumpy=True)))
         if self._bonded is not None:
             self._bonded.setPositions(state.getPositions(asNumpy=True))
             for group, name in enumerate(BONDED):
-                found[name] = md(self._bonded.getState(energy=True, groups=1 << group).getPotentialEnergy())
-        return found
+                row[name] = md(self._bonded.getState(energy=True, groups=1 << group).getPotentialEnergy())
+        return row
 
     def _temperatures(self, velocities: np.ndarray) -> dict[str, float]:
         """Return those of translation and rotation of water."""
@@ -80,8 +80,8 @@ def _waters(system: openmm.System) -> np.ndarray:
     pairs = tables.constraints(system).pairs
     molecules = joined(system.getNumParticles(), pairs)
     numbers, sizes = np.unique(molecules, return_counts=True)
-    held = np.bincount(molecules[pairs[:, 0]], minlength=numbers.max() + 1)
-    chosen = numbers[(sizes == 3) & (held[numbers] == 3)]
+    counts = np.bincount(molecules[pairs[:, 0]], minlength=numbers.max() + 1)
+    chosen = numbers[(sizes == 3) & (counts[numbers] == 3)]
     atoms = np.flatnonzero(np.isin(molecules, chosen))
     return atoms[np.argsort(molecules[atoms], kind="stable")].reshape(-1, 3)
 
@@ -102,8 +102,8 @@ def averages(
     row: dict[str, Any] = {"method": method.name}
     for name, series in pd.DataFrame(samples).items():
         row[str(name)], row[f"{name}_error"], _ = mean_and_error(series.to_numpy())
-    made, accepted = _trials(integrator) - before
-    return row | ({"trials": int(made), "accepted": accepted / made} if made else {})
+    trials, accepted = _trials(integrator) - before
+    return row | ({"trials": int(trials), "accepted": accepted / trials} if trials else {})
 
 
 def _trials(integrator: openmm.Integrator) -> np.ndarray:

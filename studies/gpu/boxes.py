@@ -43,10 +43,10 @@ def named(name: str, benchmarks: Path | None) -> BoxSystem:
     if kind in AMBER and not number:
         return _of_amber(name, _file(benchmarks, Path("Amber20_Benchmark_Suite", "PME"), name))
     if kind == "dhfr" and benchmarks is None and not number:
-        made = boxes.dhfr(CUTOFF, CUTOFF, TOLERANCE, HYDROGEN)
-        made.system.addForce(openmm.CMMotionRemover())
-        positions = made.positions.value_in_unit(unit.nanometer)
-        return BoxSystem(made.topology.getNumResidues(), positions, made.system, name, has_solute=True)
+        box = boxes.dhfr(CUTOFF, CUTOFF, TOLERANCE, HYDROGEN)
+        box.system.addForce(openmm.CMMotionRemover())
+        positions = box.positions.value_in_unit(unit.nanometer)
+        return BoxSystem(box.topology.getNumResidues(), positions, box.system, name, has_solute=True)
     if kind not in FORCE_FIELDS:
         raise ValueError(f"unknown box {name!r}; known are water-N, dhfr, dhfr-N, apoa1, {', '.join(AMBER)}")
     file, fields = FORCE_FIELDS[kind]

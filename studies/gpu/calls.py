@@ -10,5 +10,5 @@ CALL = 10
 
 def advance(integrator: openmm.Integrator, steps: int) -> None:
     """Make steps by tens, and what is left at the end."""
-    for done in range(0, steps, CALL):
-        integrator.step(min(CALL, steps - done))
+    for start in range(0, steps, CALL):
+        integrator.step(min(CALL, steps - start))

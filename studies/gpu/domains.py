@@ -40,9 +40,9 @@ def timed(settings: GpuSettings) -> list[dict[str, Any]]:
     contexts, durations = {}, {}
     for name, steps in STEPS.items():
         for step in steps:
-            made = METHODS[name].make(model, 1e-3 * step, FRICTION, settings.seed)
+            moving = METHODS[name].make(model, 1e-3 * step, FRICTION, settings.seed)
             called = f"{METHODS[name].name}, {step:g} fs"
-            contexts[called], durations[called] = _context(made, settings), step
+            contexts[called], durations[called] = _context(moving, settings), step
     for engine, step in (("native", 40.0), ("exact", 60.0)):
         called = f"SIER2, {'frames' if engine == 'native' else 'exact engine'}, {step:g} fs"
         contexts[called], durations[called] = _context(_own(model, engine, step), settings), step
@@ -76,8 +76,8 @@ def _own(model: Model, engine: str, step: float) -> Made:
     return Made(framed.system, integrator, np.asarray(md(framed.positions)), framed)
 
 
-def _context(made: Made, settings: GpuSettings) -> openmm.Context:
-    context = make_context(made.system, made.integrator, settings.platform)
-    context.setPositions(made.positions)
+def _context(moving: Made, settings: GpuSettings) -> openmm.Context:
+    context = make_context(moving.system, moving.integrator, settings.platform)
+    context.setPositions(moving.positions)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)
     return context

@@ -66,10 +66,10 @@ def methods(has_solute: bool) -> list[Contestant]:
     ]
 
 
-def averaged(has_solute: bool, wanted: Collection[str]) -> list[Contestant]:
+def averaged(has_solute: bool, names: Collection[str]) -> list[Contestant]:
     """Return those of `methods` whose averages are compared, if their names are wanted."""
-    found = [method for method in methods(has_solute) if method.method.has_bath and method != EXACT_ENGINE]
-    return [method for method in found if method.name in wanted]
+    contestants = [method for method in methods(has_solute) if method.method.has_bath and method != EXACT_ENGINE]
+    return [method for method in contestants if method.name in names]
 
 
 def at_constant_energies() -> list[Contestant]:

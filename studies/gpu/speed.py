@@ -40,10 +40,10 @@ def speeds(
         run(contexts[name], counts[name])
         return (time.perf_counter() - begin) / counts[name]
 
-    found = turns({name: partial(seconds, name) for name in contexts}, settings.rounds)
-    rates = {name: durations[name] / each for name, each in found.items()}
+    times = turns({name: partial(seconds, name) for name in contexts}, settings.rounds)
+    rates = {name: durations[name] / each for name, each in times.items()}
     rows = []
-    for name, each in found.items():
+    for name, each in times.items():
         over, error, _ = median_and_error(rates[name] / rates[reference])
         middle = float(np.median(each))
         rows.append(

@@ -94,13 +94,13 @@ def measure(name: str, settings: GpuSettings, tables: Tables, report: Report) ->
     box = boxes.named(name, settings.benchmarks)
     report.note(f"{name}: {box.system.getNumParticles()} atoms")
     place, started = {"box": name, "atoms": box.system.getNumParticles()}, Started(box, settings)
-    known = {method.name: method for method in methods(box.has_solute)}
-    wanted = {REFERENCE, *(method.name for method in chosen(settings.methods, known, "method"))}
-    timed = [method for called, method in known.items() if called in wanted - {SHORT_STEPS}]
+    by_name = {method.name: method for method in methods(box.has_solute)}
+    chosen_names = {REFERENCE, *(method.name for method in chosen(settings.methods, by_name, "method"))}
+    timed = [method for called, method in by_name.items() if called in chosen_names - {SHORT_STEPS}]
     contexts = {method.name: started.context(method) for method in timed}
     for row in speeds(contexts, {method.name: method.duration for method in timed}, REFERENCE, settings):
         tables.add("speeds", place, row, "{box}: {method}, {microseconds:.0f} µs a step, {over:.2f}")
-    for method in averaged(box.has_solute, wanted) if name in settings.averages else ():
+    for method in averaged(box.has_solute, chosen_names) if name in settings.averages else ():
         row = averages(box.has_solute, contexts.get(method.name) or started.context(method), method, settings)
         tables.add("averages", place, row, "{box}: {method}, V {potential:.0f} ± {potential_error:.0f} kJ/mol")
     del contexts
@@ -137,8 +137,8 @@ def study(settings: GpuSettings, report: Report = SILENT) -> Record:
     tables = Tables(report)
 
     def written() -> Record:
-        found = {name: pd.DataFrame(rows) for name, rows in tables.rows.items()}
-        return Record(settings.recorded(), found, device(settings.platform)).write(settings.out / "gpu.json")
+        frames = {name: pd.DataFrame(rows) for name, rows in tables.rows.items()}
+        return Record(settings.recorded(), frames, device(settings.platform)).write(settings.out / "gpu.json")
 
     for row in domains.timed(settings) if settings.chains else ():
         tables.add("domains", {}, row, "{chains} chains: {method}, {microseconds:.0f} µs a step, {over:.2f}")
@@ -157,5 +157,5 @@ def device(platform: str | None) -> dict[str, str]:
     context = make_context(system, openmm.VerletIntegrator(0.001), platform)
     chosen = context.getPlatform()
     names = chosen.getPropertyNames()
-    kept = [name for name in ("DeviceName", "Precision") if name in names]
-    return {"platform": chosen.getName()} | {name: chosen.getPropertyValue(context, name) for name in kept}
+    relevant = [name for name in ("DeviceName", "Precision") if name in names]
+    return {"platform": chosen.getName()} | {name: chosen.getPropertyValue(context, name) for name in relevant}

@@ -77,8 +77,8 @@ def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.C
     if hasattr(integrator, "setRandomNumberSeed"):
         integrator.setRandomNumberSeed(seed)
     platform = openmm.Platform.getPlatformByName("OpenCL")
-    made = openmm.Context(system, integrator, platform, {"Precision": precision})
-    made.setPositions(positions)
-    made.applyConstraints(1e-6)
-    made.setVelocitiesToTemperature(BATH.temperature, seed)
-    return made
+    result = openmm.Context(system, integrator, platform, {"Precision": precision})
+    result.setPositions(positions)
+    result.applyConstraints(1e-6)
+    result.setVelocitiesToTemperature(BATH.temperature, seed)
+    return result

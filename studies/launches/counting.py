@@ -73,19 +73,19 @@ def numbers(commands: Iterable[Commands]) -> Counter[str]:
 
     A wait is whatever OpenMM waits for: blocking transfers too.
     """
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for each in commands:
         if each.kind == "kernel":
-            found["launches"] += each.number
-            found[kind_of(each.kernel)] += each.number
+            counts["launches"] += each.number
+            counts[kind_of(each.kernel)] += each.number
         if name := TRANSFERS.get(each.kind):
-            found[name] += each.number
-            found[f"{name}_bytes"] += each.bytes
+            counts[name] += each.number
+            counts[f"{name}_bytes"] += each.bytes
             if each.is_blocking:
-                found[f"blocking_{name}"] += each.number
+                counts[f"blocking_{name}"] += each.number
         if each.is_blocking:
-            found["waits"] += each.number
-    return found
+            counts["waits"] += each.number
+    return counts
 
 
 def divided(
@@ -124,8 +124,8 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
             for _ in range(number):
                 times.append(shim.python_time(partial(step, steps), case.kind))
 
-        found = numbers(shim.counted(make))
-        return {name: count / number for name, count in found.items()}, 1e6 * min(times)
+        counts = numbers(shim.counted(make))
+        return {name: count / number for name, count in counts.items()}, 1e6 * min(times)
 
     (one, of_one), (many, of_many) = calls(1, case.calls), calls(case.steps, LONG_CALLS)
     per_step, per_call = divided(one, many, case.steps)
@@ -144,12 +144,12 @@ def run(box: str, name: str, precision: str, seed: int, library: Path) -> dict[s
     """
     environment = opencl.environment() | {"LD_PRELOAD": str(library), "OPENMM_CPU_THREADS": "1"}
     command = [sys.executable, "-c", PROGRAM, box, name, precision, str(seed)]
-    done = subprocess.run(
+    process = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
     )
-    if done.returncode:
-        raise OSError(f"counting {name} in {box} failed: {done.stderr.strip()[-2000:]}")
-    return json.loads(done.stdout.splitlines()[-1])
+    if process.returncode:
+        raise OSError(f"counting {name} in {box} failed: {process.stderr.strip()[-2000:]}")
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def main() -> None:

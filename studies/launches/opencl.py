@@ -12,8 +12,8 @@ def environment() -> dict[str, str]:
     variables = dict(os.environ)
     library = Path(sys.prefix) / "lib"
     if runtimes := sorted(library.glob("libintelocl.so.*")):
-        found = [str(library), *filter(None, [variables.get("LD_LIBRARY_PATH")])]
-        variables["LD_LIBRARY_PATH"] = os.pathsep.join(found)
+        folders = [str(library), *filter(None, [variables.get("LD_LIBRARY_PATH")])]
+        variables["LD_LIBRARY_PATH"] = os.pathsep.join(folders)
         variables.setdefault("OCL_ICD_FILENAMES", str(runtimes[-1]))
         # Of a Context's time, which is that of compiling its kernels, half goes into vectorizing them.
         variables.setdefault("CL_CONFIG_USE_VECTORIZER", "False")

@@ -56,7 +56,7 @@ class _Struct(ctypes.Structure):
 def compiler() -> str | None:
     """Return the C compiler that the environment variable CC names, or one that is on the PATH."""
     names = [os.environ.get("CC"), *COMPILERS]
-    return next((found for name in names if name and (found := shutil.which(name))), None)
+    return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
 def build(folder: Path) -> Path:
@@ -69,9 +69,9 @@ def build(folder: Path) -> Path:
         raise OSError(f"no C compiler is on the PATH, neither of {', '.join(COMPILERS)}, nor named by CC: install one")
     path = folder.resolve() / LIBRARY
     line = [program, "-O2", "-shared", "-fPIC", "-o", str(path), str(SOURCE), "-ldl", "-pthread"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise OSError(f"{program} cannot compile {SOURCE.name}: {done.stderr}")
+    process = subprocess.run(line, capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise OSError(f"{program} cannot compile {SOURCE.name}: {process.stderr}")
     return path
 
 
@@ -97,10 +97,10 @@ class Shim:
         try:
             action()
         finally:
-            found = self._library.stop_counting(ctypes.byref(number))
+            commands = self._library.stop_counting(ctypes.byref(number))
         return [
             Commands(each.kind.decode(), each.kernel.decode(), bool(each.is_blocking), each.number, each.bytes)
-            for each in found[: number.value]
+            for each in commands[: number.value]
         ]
 
     def finish(self) -> None:

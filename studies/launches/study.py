@@ -71,8 +71,8 @@ def run(task: Task) -> dict[str, Any]:
     """Return the point of a case with what it sends."""
     point, settings = task.point, task.settings
     library = settings.out.resolve() / shim.LIBRARY
-    found = counting.run(point["box"], point["name"], point["precision"], settings.seed, library)
-    return point | found
+    row = counting.run(point["box"], point["name"], point["precision"], settings.seed, library)
+    return point | row
 
 
 def rows_of(run: dict[str, Any]) -> list[dict[str, Any]]:
@@ -93,16 +93,16 @@ def kernels_of(run: dict[str, Any]) -> list[dict[str, Any]]:
 
 def study(settings: LaunchesSettings, report: Report = SILENT) -> Record:
     """Count what `out` lacks, and write launches.json."""
-    wanted = list(tasks(settings))
+    points = list(tasks(settings))
     shim.build(settings.out)
     form = "{box}, {precision}, {name}"
-    runs = records.all_runs(settings, "launches", wanted, run, report, form).to_dict("records")
-    order = [task.point for task in wanted]
+    runs = records.all_runs(settings, "launches", points, run, report, form).to_dict("records")
+    order = [task.point for task in points]
     counted = [each for point in order for each in runs if point.items() <= each.items()]
     rows = pd.DataFrame([row for each in counted for row in rows_of(each)])
     kernels = pd.DataFrame([row for each in counted for row in kernels_of(each)])
     shown = rows.assign(bytes=rows["reads_bytes"] + rows["writes_bytes"])
     for per in ("step", "call"):
         report.table(f"For each {per}", text.table(shown[shown["per"] == per], COLUMNS))
-    made = Record(settings.recorded(), {"rows": rows, "kernels": kernels}, {})
-    return made.write(settings.out / "launches.json")
+    record = Record(settings.recorded(), {"rows": rows, "kernels": kernels}, {})
+    return record.write(settings.out / "launches.json")

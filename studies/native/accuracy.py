@@ -74,9 +74,9 @@ def compare(begun: Liquid, scheme: Scheme, settings: NativeSettings, report: Rep
     rows: list[dict[str, Any]] = []
     for (engine, place, k), fs in product(cases, settings.fs):
         method = of_scheme(scheme, engine=engine, substeps=k)
-        found, _ = conserved(replace(begun, platform=place), method, fs, settings.time, INTERVAL)
+        result, _ = conserved(replace(begun, platform=place), method, fs, settings.time, INTERVAL)
         row = {"scheme": scheme.name, "fs_per_force": fs, "engine": engine, "platform": place, "substeps": k or ""}
-        rows.append(row | {"ratio": found["percent"] / exact.setdefault(fs, found["percent"])} | found)
+        rows.append(row | {"ratio": result["percent"] / exact.setdefault(fs, result["percent"])} | result)
         report.note(text.cell("{scheme} at {fs_per_force:g} fs, {engine} on {platform}: {percent:.5f} %", rows[-1]))
     return rows
 

@@ -49,13 +49,13 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
     """Take turns, and write native-cost.json."""
     schemes = chosen(settings.schemes, CATALOGUE, "scheme")
     box = boxes.read(settings)
-    made: dict[str, tuple[int, openmm.Integrator]] = {VERLET: (1, openmm.VerletIntegrator(STEP))}
+    integrators: dict[str, tuple[int, openmm.Integrator]] = {VERLET: (1, openmm.VerletIntegrator(STEP))}
     for scheme in schemes:
         n = scheme.force_evaluations
         for engine in ("exact", "native"):
-            made[f"{scheme.name} {engine}"] = n, SIERIntegrator(n * STEP, scheme, engine=engine)
+            integrators[f"{scheme.name} {engine}"] = n, SIERIntegrator(n * STEP, scheme, engine=engine)
     contexts, actions = [], {}
-    for name, (n, integrator) in made.items():
+    for name, (n, integrator) in integrators.items():
         context = make_context(box.system, integrator, settings.platform)
         context.setPositions(box.positions)
         context.applyConstraints(1e-6)
@@ -69,10 +69,10 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
         for what, other in (("native / exact", f"{scheme.name} exact"), ("native / Verlet", VERLET)):
             ratio, error, _ = median_and_error(native / seconds[other])
             rows.append({"scheme": scheme.name, "what": what, "ratio": ratio, "ratio_error": error})
-    found = pd.DataFrame(rows)
-    shown = text.table(found, text.columns("scheme", "what", "ratio"))
+    table = pd.DataFrame(rows)
+    shown = text.table(table, text.columns("scheme", "what", "ratio"))
     report.table(f"{settings.box.stem} on {settings.platform}", shown)
-    return Record(settings.recorded(), {"rows": found}, {}).write(settings.out / "native-cost.json")
+    return Record(settings.recorded(), {"rows": table}, {}).write(settings.out / "native-cost.json")
 
 
 main = command(CostSettings, study, __doc__, __name__)

@@ -76,9 +76,11 @@ def _turn_in_field(settings: PaperSettings, report: Report) -> Record:
 def _simulate_water(settings: PaperSettings, report: Report) -> Record:
     chosen = replace(water_runs.QUICK if settings.quick else water_runs.WaterSettings(), seed=settings.seed)
     tasks = water_runs.tasks(chosen)
-    made = records.all_runs(settings, "water", tasks, water_runs.run, report, "{kind}, phase point {number}")
-    mine = [each for each in made.to_dict("records") if any(task.point.items() <= each.items() for task in tasks)]
-    runs = [run for each in mine for run in each["runs"]]
+    all_runs = records.all_runs(settings, "water", tasks, water_runs.run, report, "{kind}, phase point {number}")
+    selected = [
+        each for each in all_runs.to_dict("records") if any(task.point.items() <= each.items() for task in tasks)
+    ]
+    runs = [run for each in selected for run in each["runs"]]
     return water.evaluate(chosen, liquids.water_box(chosen.molecules).edge, runs)
 
 

@@ -99,8 +99,8 @@ def find(settings: DipoleSettings, report: Report = SILENT) -> Record:
     runs = [(method, step) for step in settings.force_steps_fs for method in PAPER]
     rows = []
     with report.progress("dipole in a field", len(runs)) as advance:
-        for done, (method, step) in enumerate(runs):
-            advance(done, f"dipole in a field: {method.name}, h/f = {step:g} fs")
+        for number, (method, step) in enumerate(runs):
+            advance(number, f"dipole in a field: {method.name}, h/f = {step:g} fs")
             rows.append({"method": method.name, "force_step_fs": step} | _averages(*_spreads(method, step, settings)))
         advance(len(runs))
     return Record(asdict(settings), {"rows": pd.DataFrame(rows)}, {})
@@ -183,8 +183,8 @@ def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, 
     ratio = 100 * energy.rms / potential.rms
     size = np.abs(momentum.mean)
     variance, rms = momentum.rms**2, momentum.rms
-    value, error, _ = jackknife(lambda kept: float(ratio[kept].mean()), n)
-    Lz, Lz_error, _ = jackknife(lambda kept: float(np.sqrt(variance[kept].mean()) / size[kept].mean()), n)
+    value, error, _ = jackknife(lambda sample: float(ratio[sample].mean()), n)
+    Lz, Lz_error, _ = jackknife(lambda sample: float(np.sqrt(variance[sample].mean()) / size[sample].mean()), n)
     return {
         "energy": value,
         "energy_error": error,
@@ -214,12 +214,12 @@ def tables(record: Record) -> dict[str, pd.DataFrame]:
     }
 
 
-def _beside(rows: pd.DataFrame, name: str, theirs: dict, told: Callable[[float, float], str]) -> pd.DataFrame:
+def _beside(rows: pd.DataFrame, name: str, of_paper: dict, comparison: Callable[[float, float], str]) -> pd.DataFrame:
     """Rows with a quantity as text, the paper's, and the ratio of both."""
-    beside = []
+    columns = []
     for row in rows.to_dict("records"):
-        paper = theirs.get((row["method"], row["force_step_fs"]))
-        row["ours"] = told(row[name], row[f"{name}_error"])
-        row["paper"] = "-" if paper is None else told(*paper)
-        beside.append(row | {"ratio": published.ratio(row[name], None if paper is None else paper[0])})
-    return pd.DataFrame(beside)
+        paper = of_paper.get((row["method"], row["force_step_fs"]))
+        row["ours"] = comparison(row[name], row[f"{name}_error"])
+        row["paper"] = "-" if paper is None else comparison(*paper)
+        columns.append(row | {"ratio": published.ratio(row[name], None if paper is None else paper[0])})
+    return pd.DataFrame(columns)

@@ -89,8 +89,8 @@ def find(settings: FreeRotationSettings, report: Report = SILENT) -> Record:
     runs = [(method, step) for step in settings.steps_fs for method in PAPER]
     curves, taus = [], []
     with report.progress("free rotation", len(runs)) as advance:
-        for done, (method, step) in enumerate(runs):
-            advance(done, f"free rotation: {method.name}, {step:g} fs")
+        for number, (method, step) in enumerate(runs):
+            advance(number, f"free rotation: {method.name}, {step:g} fs")
             curve, tau = _curve(method, step, settings)
             curves.append(curve)
             taus.append({"method": method.name, "step_fs": step} | tau)
@@ -122,12 +122,12 @@ def _curve(method: OwnMethod, step_fs: float, settings: FreeRotationSettings) ->
         state = step(state)
         if count in marks:
             squares.append(judge(state, start, bodies.species[0].moments, h, count))
-    times, found = np.array(marks) * h, np.array(squares)
-    delta, error, _ = np.array([jackknife(_root_mean(row), found.shape[1]) for row in found]).T
+    times, values = np.array(marks) * h, np.array(squares)
+    delta, error, _ = np.array([jackknife(_root_mean(row), values.shape[1]) for row in values]).T
     curve = pd.DataFrame({"time": times, "delta": delta, "delta_error": error})
     before, after = (_energies(each, bodies) for each in (start, state))
     energy = 100 * float(np.sqrt(((after - before) ** 2).mean()) / before.mean())
-    return curve.assign(method=method.name, step_fs=step_fs), summarize(times, delta, found) | {"energy": energy}
+    return curve.assign(method=method.name, step_fs=step_fs), summarize(times, delta, values) | {"energy": energy}
 
 
 def _marks(last: int, per_decade: int) -> list[int]:
@@ -161,7 +161,7 @@ def summarize(times: np.ndarray, delta: np.ndarray, squares: np.ndarray) -> dict
     moderate = np.flatnonzero(delta <= MODERATE)
     last = int(moderate[-1]) if moderate.size else 0
     tau, tau_error, _ = jackknife(
-        lambda kept: times[last] / (10 * math.sqrt(squares[last, kept].mean())), squares.shape[1]
+        lambda chosen: times[last] / (10 * math.sqrt(squares[last, chosen].mean())), squares.shape[1]
     )
     decade = moderate[times[moderate] >= 0.099 * times[last]]
     exponent = float(np.polyfit(np.log(times[decade]), np.log(delta[decade]), 1)[0]) if decade.size > 1 else math.nan
@@ -175,7 +175,7 @@ def summarize(times: np.ndarray, delta: np.ndarray, squares: np.ndarray) -> dict
 
 
 def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
-    return lambda kept: math.sqrt(squares[kept].mean())
+    return lambda chosen: math.sqrt(squares[chosen].mean())
 
 
 # --- as text ---

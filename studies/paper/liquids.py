@@ -132,13 +132,13 @@ def phase_point(
         time: of the run, ps; None goes on until the liquid has settled.
         seed: of bath and velocities.
     """
-    made = context(build(kind, water, cutoffs), SIERIntegrator(0.001, SIER2), kind)
-    made.setPositions(water.positions)
-    made.computeVirtualSites()
-    made.applyConstraints(1e-6)
-    openmm.LocalEnergyMinimizer.minimize(made, 100.0)
-    equilibrate(made, temperature, seed, time)
-    return made.getState(positions=True, velocities=True)
+    simulation = context(build(kind, water, cutoffs), SIERIntegrator(0.001, SIER2), kind)
+    simulation.setPositions(water.positions)
+    simulation.computeVirtualSites()
+    simulation.applyConstraints(1e-6)
+    openmm.LocalEnergyMinimizer.minimize(simulation, 100.0)
+    equilibrate(simulation, temperature, seed, time)
+    return simulation.getState(positions=True, velocities=True)
 
 
 def energies(context_: openmm.Context) -> tuple[float, float]:

@@ -44,13 +44,13 @@ CROSSINGS = {
 }
 
 
-def evaluate(settings: WaterSettings, edge: float, made: list[dict[str, Any]]) -> Record:
+def evaluate(settings: WaterSettings, edge: float, results: list[dict[str, Any]]) -> Record:
     """What follows from the runs.
 
     Args:
         settings: of the experiment.
         edge: of the box, nm.
-        made: runs from all phase points, see `water_runs.run`.
+        results: runs from all phase points, see `water_runs.run`.
 
     Returns:
         `points`: for each kind, method and `force_step_fs` the mean rms(H) over the mean rms(V) in per cent with its
@@ -58,7 +58,7 @@ def evaluate(settings: WaterSettings, edge: float, made: list[dict[str, Any]]) -
         `crossings`: for each kind the h/f in fs above which SIER4 is no longer better than SIER2, and the slopes of the
         curves in `SLOPE_RANGES`, the orders of their methods.
     """
-    runs = pd.DataFrame(made).astype({"rms_H": float, "rms_V": float, "drift": float})
+    runs = pd.DataFrame(results).astype({"rms_H": float, "rms_V": float, "drift": float})
     points = [
         _point(runs, kind, method.name, step)
         for kind in settings.kinds
@@ -76,19 +76,19 @@ def _percent(runs: pd.DataFrame) -> float:
 
 def _point(runs: pd.DataFrame, kind: str, method: str, step: float) -> dict[str, Any]:
     chosen = (runs["kind"] == kind) & (runs["method"] == method) & (runs["force_step_fs"] == step)
-    mine = runs[chosen].dropna(subset=["rms_H"])
+    complete = runs[chosen].dropna(subset=["rms_H"])
     value, error = math.nan, math.nan
-    if len(mine):
-        value, error, _ = jackknife(lambda kept: _percent(mine.iloc[kept]), len(mine))
+    if len(complete):
+        value, error, _ = jackknife(lambda sample: _percent(complete.iloc[sample]), len(complete))
     point = {"kind": kind, "method": method, "force_step_fs": step, "percent": value, "percent_error": error}
-    return point | mine[["rms_H", "rms_V", "drift"]].mean().to_dict() | {"runs": len(mine)}
+    return point | complete[["rms_H", "rms_V", "drift"]].mean().to_dict() | {"runs": len(complete)}
 
 
 def _crossing(runs: pd.DataFrame, kind: str) -> dict[str, Any]:
     numbers = np.sort(runs["number"].unique())
 
-    def crossing_of(kept: np.ndarray) -> float:
-        return intersection(*(_curve(runs, name, numbers[kept]) for name in ("SIER2", "SIER4")))
+    def crossing_of(chosen: np.ndarray) -> float:
+        return intersection(*(_curve(runs, name, numbers[chosen]) for name in ("SIER2", "SIER4")))
 
     value, error, _ = jackknife(crossing_of, len(numbers))
     slopes = {
@@ -98,12 +98,12 @@ def _crossing(runs: pd.DataFrame, kind: str) -> dict[str, Any]:
     return {"kind": kind, "force_step_fs": value, "force_step_fs_error": error} | slopes
 
 
-def _curve(runs: pd.DataFrame, method: str, kept: np.ndarray) -> dict[float, float]:
-    """h/f to rms(H)/rms(V), from the phase points `kept`; from all where none of these have runs."""
+def _curve(runs: pd.DataFrame, method: str, chosen: np.ndarray) -> dict[float, float]:
+    """h/f to rms(H)/rms(V), from the phase points `chosen`; from all where none of these have runs."""
     curve = {}
-    for step, mine in runs[runs["method"] == method].dropna(subset=["rms_H"]).groupby("force_step_fs"):
-        usable = mine[mine["number"].isin(kept)]
-        curve[step] = _percent(mine if usable.empty else usable)
+    for step, of_step in runs[runs["method"] == method].dropna(subset=["rms_H"]).groupby("force_step_fs"):
+        usable = of_step[of_step["number"].isin(chosen)]
+        curve[step] = _percent(of_step if usable.empty else usable)
     return curve
 
 
@@ -132,17 +132,17 @@ def _slope(curve: dict[float, float], limits: tuple[float, float]) -> float:
 def tables(record: Record) -> dict[str, pd.DataFrame]:
     """Return rms(H)/rms(V), methods side by side, and where SIER4 stops being better, as text by their titles."""
     settings, points = record.settings, record.tables["points"]
-    told = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
-    made = {}
+    caption = f"{_molecules(settings)}: rms(H)/rms(V) in %, {settings['runs']} runs of {settings['span']:g} ps"
+    results = {}
     columns = {"h/f (fs)": "{force_step_fs:g}", "{method}": "{shown}"}
     for kind in settings["kinds"]:
-        mine = points[points["kind"] == kind].sort_values("force_step_fs", kind="stable")
-        shown = [text.cell("{percent_text}", row) if row["runs"] else "breaks" for row in mine.to_dict("records")]
-        made[f"Liquid water, {kind}, {told}"] = text.table(mine.assign(shown=shown), columns)
+        of_kind = points[points["kind"] == kind].sort_values("force_step_fs", kind="stable")
+        shown = [text.cell("{percent_text}", row) if row["runs"] else "breaks" for row in of_kind.to_dict("records")]
+        results[f"Liquid water, {kind}, {caption}"] = text.table(of_kind.assign(shown=shown), columns)
     ratios = [published.ratio(value, published.CROSSING) for value in record.tables["crossings"]["force_step_fs"]]
     crossings = record.tables["crossings"].assign(ratio=ratios)
     title = "h/f in fs below which SIER4 conserves energy better than SIER2, and slopes of the curves"
-    return made | {title: text.table(crossings, CROSSINGS)}
+    return results | {title: text.table(crossings, CROSSINGS)}
 
 
 def _molecules(settings: Any) -> str:
@@ -157,13 +157,15 @@ def figure(record: Record, path: Path) -> None:
     with style.figure(path, len(settings["kinds"]), title, sharey=True) as (_, panels):
         for axes, crossing in zip(panels, record.tables["crossings"].to_dict("records"), strict=True):
             kind = crossing["kind"]
-            mine = points[(points["kind"] == kind) & (points["runs"] > 0)]
+            of_kind = points[(points["kind"] == kind) & (points["runs"] > 0)]
             for method in PAPER:
-                _draw(axes, mine[mine["method"] == method.name], method.name, crossing.get(f"slope_{method.name}"))
+                _draw(
+                    axes, of_kind[of_kind["method"] == method.name], method.name, crossing.get(f"slope_{method.name}")
+                )
             _mark_crossing(axes, crossing["force_step_fs"])
             axes.set(xscale="log", yscale="log", xlabel="time step per force evaluation, h/f (fs)")
             axes.set_title(kind + (", forces in single precision" if kind == liquids.PME else ""))
-            steps = sorted(mine["force_step_fs"].unique())
+            steps = sorted(of_kind["force_step_fs"].unique())
             round_steps = [t for t in (0.1, 0.2, 0.5, 1, 2, 3, 5, 7) if steps[0] <= t <= steps[-1]]
             style.plain_ticks(axes.xaxis, steps if len(steps) < 6 else round_steps)
             handles, labels = axes.get_legend_handles_labels()

@@ -117,10 +117,10 @@ def run(task: Task) -> dict[str, Any]:
         for step in settings.steps_of(method, point):
             if method.name in broken:
                 continue
-            made = point._asdict() | {"method": method.name, "force_step_fs": step}
-            made |= _run(system, point.kind, phase, method, step, settings)
-            runs.append(made)
-            if made["rms_H"] is None or made["rms_H"] > BROKEN * made["rms_V"]:
+            row = point._asdict() | {"method": method.name, "force_step_fs": step}
+            row |= _run(system, point.kind, phase, method, step, settings)
+            runs.append(row)
+            if row["rms_H"] is None or row["rms_H"] > BROKEN * row["rms_V"]:
                 broken.add(method.name)
     return task.point | {"runs": runs}
 

@@ -29,8 +29,8 @@ def test_within_1_ps_it_does_not(slope):
 
 def test_walk_is_that_of_means_over_1_ps():
     """The wave has twenty periods in a block; a cosine of ten blocks keeps sin(pi/10)/(pi/10) = 0.984."""
-    found = energy_walk(TIME, SLOW + WAVE, POTENTIAL)
-    assert found == pytest.approx(0.984 * np.std(SLOW) / np.std(POTENTIAL), rel=1e-3)
+    walk = energy_walk(TIME, SLOW + WAVE, POTENTIAL)
+    assert walk == pytest.approx(0.984 * np.std(SLOW) / np.std(POTENTIAL), rel=1e-3)
 
 
 def test_blocks_are_longer_where_samples_are_few():

@@ -42,14 +42,14 @@ def test_errors_of_means_cover_the_truth(rng, n, kept, covered):
     The scatter of such a fraction is 2.4 %, and four times that is allowed. A series of 10 independent samples does not
     show its correlation well: 61 % is what 4000 of them gave.
     """
-    found = [mean_and_error(5 + series) for series in correlated(rng, n, kept, 400).T]
-    within = np.mean([abs(estimate.value - 5) < estimate.error for estimate in found])
+    estimates = [mean_and_error(5 + series) for series in correlated(rng, n, kept, 400).T]
+    within = np.mean([abs(estimate.value - 5) < estimate.error for estimate in estimates])
     assert within == pytest.approx(covered, abs=0.1)
     # (1 + kept)/(1 - kept) samples are worth one.
     expected = n * (1 - kept) / (1 + kept)
-    assert np.median([estimate.samples for estimate in found]) == pytest.approx(expected, rel=0.45)
+    assert np.median([estimate.samples for estimate in estimates]) == pytest.approx(expected, rel=0.45)
     # Where few samples are independent, most errors are marked.
-    marked = np.mean(["≥" in str(estimate) for estimate in found])
+    marked = np.mean(["≥" in str(estimate) for estimate in estimates])
     assert marked > 0.6 if expected < FEWEST else marked < 0.1
 
 
@@ -80,13 +80,13 @@ def test_few_runs_are_pooled_by_their_errors():
 def test_slope_and_its_error(rng):
     time = np.arange(1, 2001) * 0.01
     noise = 0.3
-    found = np.array([slope_and_error(time, 2 - time / 4 + rng.normal(0, noise, 2000)) for _ in range(200)])
+    results = np.array([slope_and_error(time, 2 - time / 4 + rng.normal(0, noise, 2000)) for _ in range(200)])
     # Of a straight line with white noise; block means lose 1 % of the information.
     exact = noise / math.sqrt(2000 * np.var(time))
-    assert found[:, 0].mean() == pytest.approx(-0.25, abs=4 * exact / math.sqrt(200))
+    assert results[:, 0].mean() == pytest.approx(-0.25, abs=4 * exact / math.sqrt(200))
     # The scatter of 200 values has a relative error of 5 %; the estimate from 8 degrees of freedom is low by 3 %.
-    assert found[:, 0].std() == pytest.approx(exact, rel=0.2)
-    assert found[:, 1].mean() == pytest.approx(exact, rel=0.2)
+    assert results[:, 0].std() == pytest.approx(exact, rel=0.2)
+    assert results[:, 1].mean() == pytest.approx(exact, rel=0.2)
 
 
 def test_slope_of_few_values():
@@ -110,8 +110,10 @@ def test_jackknife_of_a_mean(rng):
 
 def test_jackknife_of_a_correlated_series_covers_the_truth(rng):
     """Variances from 8 groups of 50, correlated over 9: 63 to 68 % of 300 lie within an error, to 2.7 % by chance."""
-    found = [jackknife(lambda kept, x=x: float(np.var(x[kept])), 400, 8) for x in correlated(rng, 400, 0.8, 300).T]
-    assert np.mean([abs(estimate.value - 1) < estimate.error for estimate in found]) == pytest.approx(0.65, abs=0.11)
+    estimates = [jackknife(lambda kept, x=x: float(np.var(x[kept])), 400, 8) for x in correlated(rng, 400, 0.8, 300).T]
+    assert np.mean([abs(estimate.value - 1) < estimate.error for estimate in estimates]) == pytest.approx(
+        0.65, abs=0.11
+    )
 
 
 # --- what has not settled ---
@@ -128,8 +130,8 @@ def test_where_a_series_settles_agrees_with_pymbar(rng):
 
 def test_a_series_without_a_trend_has_settled_from_its_start(rng):
     """One in a hundred may seem not to; of 100 more than 6 do so with a probability of 7e-5."""
-    found = [settled_from(series) for series in correlated(rng, 300, 0.6, 100).T]
-    assert np.count_nonzero(found) <= 6
+    begins = [settled_from(series) for series in correlated(rng, 300, 0.6, 100).T]
+    assert np.count_nonzero(begins) <= 6
     assert settled_from(np.full(100, 0.997)) == 0
     assert settled_from(rng.normal(size=FEWEST - 1)) == 0
 

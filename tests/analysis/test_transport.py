@@ -19,8 +19,8 @@ def agrees(estimate, expected, errors=4):
 def test_diffusion_of_brownian_motion():
     rng, D, interval = np.random.default_rng(5), 2.3e-3, 0.2
     steps = rng.normal(scale=math.sqrt(2 * D * interval), size=(30, 200, 60, 3))
-    found = [transport.self_diffusion(run.cumsum(axis=0), interval) for run in steps]
-    values, errors, _ = np.array(found).T
+    diffusions = [transport.self_diffusion(run.cumsum(axis=0), interval) for run in steps]
+    values, errors, _ = np.array(diffusions).T
     # 30 runs scatter by the error that each tells of itself, to 13 % by chance and as much again by its estimate.
     assert errors.mean() == pytest.approx(values.std(ddof=1), rel=0.4)
     assert agrees(Estimate(values.mean(), errors.mean() / math.sqrt(30)), 2.3)
@@ -42,8 +42,8 @@ def test_diffusion_of_too_short_a_run_or_of_rare_frames():
 def test_correction_for_the_size_of_the_box():
     # In SI, for 1 mPa s, 2.5 nm and 300 K.
     shift = 2.837297 * 1.380649e-23 * 300 / (6 * math.pi * 1e-3 * 2.5e-9)
-    found = transport.without_finite_size(Estimate(2, 0.1), 300, 2.5, Estimate(1.0, 0.0))
-    assert found[:2] == (pytest.approx(2 + shift * 1e9, rel=1e-6), 0.1)
+    corrected = transport.without_finite_size(Estimate(2, 0.1), 300, 2.5, Estimate(1.0, 0.0))
+    assert corrected[:2] == (pytest.approx(2 + shift * 1e9, rel=1e-6), 0.1)
     # An error of 10 % in the viscosity is one of 10 % in the correction.
     uncertain = transport.without_finite_size(Estimate(2.0, 0.03), 298.15, 2.5, Estimate(0.9, 0.09))
     assert uncertain.error == pytest.approx(math.hypot(0.03, 0.1 * (uncertain.value - 2.0)))
@@ -57,10 +57,10 @@ def test_viscosity_of_a_stress_that_decays_exponentially():
     # By trapezoids, with less than 1e-6 after 3 ps. 1 bar is 1e5 Pa: V/kT in 1/Pa times Pa² times s, in mPa s.
     area = interval * 1e-12 * (0.5 + keep / (1 - keep))
     expected = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * area * 1e3
-    found = transport.shear_viscosity(tensors, interval, volume, T, last=3.0)
-    assert agrees(found, expected)
+    viscosity = transport.shear_viscosity(tensors, interval, volume, T, last=3.0)
+    assert agrees(viscosity, expected)
     # The error of an integral up to L of five components over a time t is sqrt(4 L/5 t).
-    assert found.error == pytest.approx(expected * math.sqrt(4 * 3 / 5 / 800), rel=0.4)
+    assert viscosity.error == pytest.approx(expected * math.sqrt(4 * 3 / 5 / 800), rel=0.4)
     # Where the correlation lasts longer than the integral goes, the viscosity is too low.
     early = transport.shear_viscosity(tensors, interval, volume, T, last=0.1)
     assert expected - early.value > 5 * early.error
@@ -68,7 +68,7 @@ def test_viscosity_of_a_stress_that_decays_exponentially():
 
 def test_viscosity_is_that_of_all_pairs_of_times():
     tensors, (interval, volume, T), lags = stresses(np.random.default_rng(10), 60, 0.8), (0.02, 8.0, 300.0), 10
-    found = transport.shear_viscosity(tensors, interval, volume, T, last=0.2)
+    viscosity = transport.shear_viscosity(tensors, interval, volume, T, last=0.2)
     xx, yy, zz, xy, xz, yz = tensors.T
     scale = volume * 1e-27 / (1.380649e-23 * T) * 1e10 * interval * 1e-12 * 1e3
     # Sum over all nine components of the traceless tensor is ten times that of one shear stress.
@@ -77,7 +77,7 @@ def test_viscosity_is_that_of_all_pairs_of_times():
     correlation = [
         np.mean([sum(s[i] * s[i + k] for s in squares) for i in range(60 - k)]) / 10 for k in range(lags + 1)
     ]
-    assert found.value == pytest.approx(scale * trapezoid(correlation), rel=1e-6)
+    assert viscosity.value == pytest.approx(scale * trapezoid(correlation), rel=1e-6)
 
 
 def test_viscosity_needs_a_run():
@@ -93,8 +93,8 @@ def test_places_are_followed_through_faces():
     true = rng.uniform(0, 2, (1, 6, 3)) + rng.normal(scale=0.2, size=(50, 6, 3)).cumsum(axis=0)
     true -= true.mean(axis=1, keepdims=True) - true[:1].mean(axis=1, keepdims=True)
     constant = np.repeat(edges[:1], 50, axis=0)
-    found = transport.unwrapped(np.mod(true, constant[:, None]), constant)
-    np.testing.assert_allclose(found - found[0], true - true[0], atol=1e-12)
+    result = transport.unwrapped(np.mod(true, constant[:, None]), constant)
+    np.testing.assert_allclose(result - result[0], true - true[0], atol=1e-12)
     # Where the box changes, each step is still the one that was made: a wrap at the new edge is undone.
     moved = transport.unwrapped(np.mod(true, edges[:, None]), edges)
     assert np.abs(moved - moved[0] - true + true[0]).max() < 0.5

@@ -27,14 +27,14 @@ OPTIONS = {"data_is_uncorrelated": True, "bootstrap_seed": 5, "verbosity": 0}
     ],
 )
 def test_kinetic_energies_by_group(wrong, failing):
-    found = {}
+    results = {}
     for name, data in kinetic_data([log(**wrong)], T).items():
         # One in two is taken where chance makes neighbours look alike.
         assert len(data.observables.kinetic_energy) >= ROWS / 2
         mean, width = package.kinetic_energy.distribution(data, strict=False, **OPTIONS)
-        found |= {f"{name}: mean": mean, f"{name}: width": width}
-    assert len(found) == 4
-    assert {name for name, distance in found.items() if distance > LIMIT} == failing
+        results |= {f"{name}: mean": mean, f"{name}: width": width}
+    assert len(results) == 4
+    assert {name for name, distance in results.items() if distance > LIMIT} == failing
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,8 @@ def test_two_state_points(one, two, said):
 def test_correlated_samples_of_all_logs_count_once():
     """Each sample five times over: g of this series is 5, so that one in five is taken."""
     repeated = {name: np.repeat(values, 5) for name, values in log(rows=200).items()}
-    found = ensemble_data([repeated, repeated], T)
-    assert 2 * 200 / 1.6 <= len(found.observables.potential_energy) <= 2 * 200 * 1.3
+    pooled = ensemble_data([repeated, repeated], T)
+    assert 2 * 200 / 1.6 <= len(pooled.observables.potential_energy) <= 2 * 200 * 1.3
     kinetic = kinetic_data([repeated, repeated], T)
     assert len(kinetic["rotation"].observables.kinetic_energy) <= 2 * 200 * 1.3
     for data in kinetic.values():

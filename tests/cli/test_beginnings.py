@@ -136,10 +136,10 @@ def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys, monkeyp
     write_lattice(Path("box.pdb"), 8)
     short = ["--platform", "Reference", "--dt", "2", "--temperature", "297", "--no-minimize"]
     run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0.1")
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "warning: not equilibrated after 0.1" in said
+    output = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "warning: not equilibrated after 0.1" in output
     row = "WARNING: not equilibrated after 0.102 ps at 297 K: T_trans = "
-    assert row in said
+    assert row in output
     run("run", "--restart", "box.chk", "--steps", "4")
     assert row in " ".join(capsys.readouterr().out.replace("│", " ").split())
     run("run", "box.pdb", *short, "--steps", "2", "--equilibrate", "0", "--overwrite")

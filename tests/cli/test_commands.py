@@ -97,18 +97,18 @@ def test_schemes_and_steps_are_the_usual_ones(box, options, integrator, step):
 
 def test_the_command_has_all_ensembles_that_scripts_have(box):
     """In one list of ensembles and thermostats, with the same temperature and pressure."""
-    made = set()
+    results = set()
     for ensemble, thermostat in product(ENSEMBLES, THERMOSTATS):
         options = {"box": box, "ensemble": ensemble}
         if ensemble in ("nvt", "npt"):
             options["thermostat"] = thermostat
         beginning = NewRun(options)
         integrator = SimulatedSystem(beginning.settings, beginning.sources).integrator(beginning.settings)
-        made.add(type(integrator.binding.ensemble))
+        results.add(type(integrator.binding.ensemble))
         if ensemble != "nve":
             assert integrator.binding.ensemble.temperature == 297
             assert integrator.binding.ensemble.pressure == (1 if ensemble == "npt" else None)
-    assert made == set(ensembles.ENSEMBLES.values())
+    assert results == set(ensembles.ENSEMBLES.values())
 
 
 @pytest.mark.parametrize("ensemble", ["nve", "nvt"])

@@ -50,8 +50,8 @@ def test_options_of_the_command_line_take_the_place_of_those_of_the_file(box):
 def test_a_restart_saves_the_settings_of_its_run(box):
     run("run", box, *PLATFORM, "--steps", "1", "--seed", "4", "--out", "a.dcd")
     run("run", box, "--restart", "a.chk", "--steps", "2", "--save-config", "a.toml")
-    found = read_config(Path("a.toml"))
-    assert (found["seed"], found["steps"], "restart" in found) == (4, 2, False)
+    settings = read_config(Path("a.toml"))
+    assert (settings["seed"], settings["steps"], "restart" in settings) == (4, 2, False)
 
 
 @pytest.mark.parametrize(

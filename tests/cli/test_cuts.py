@@ -94,8 +94,10 @@ def test_what_a_killed_run_wrote_is_cut_off_and_said(there, capsys, kind):
         file.truncate(file.seek(0, 2) - 10)
     run(*AGAIN, "--restart", "box.chk", "--steps", FIRST + 5)
     # Rows are written every 10 steps, of which 40 is the last.
-    said = f"cuts back to 0.1 ps, where box.chk is: box.{kind} from 0.18 ps, box.csv from 0.16 ps, p.csv from 0.16 ps"
-    assert said in capsys.readouterr().out
+    message = (
+        f"cuts back to 0.1 ps, where box.chk is: box.{kind} from 0.18 ps, box.csv from 0.16 ps, p.csv from 0.16 ps"
+    )
+    assert message in capsys.readouterr().out
     assert frames(Path(f"box.{kind}"), Path("../box.pdb")).n_frames == (FIRST + 5) // 5
 
 

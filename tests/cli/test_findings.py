@@ -64,8 +64,8 @@ def test_a_drift_is_found_with_its_error():
 def test_a_cold_rotation_is_found():
     """The error of a mean of 501 temperatures of which three are worth one is 0.9 K; that of a difference 1.3 K."""
     write_log("a.csv", change=lambda log: log.update({ROTATION: log[ROTATION] - 15}))
-    said = re.fullmatch(r"Rotation is (.+) ± .+ K colder than translation", of_logs("a.csv")[1][-1])
-    assert float(said[1]) == pytest.approx(15, abs=4)
+    match = re.fullmatch(r"Rotation is (.+) ± .+ K colder than translation", of_logs("a.csv")[1][-1])
+    assert float(match[1]) == pytest.approx(15, abs=4)
 
 
 def test_a_beginning_that_had_not_settled_is_left_out_of_means():

@@ -323,10 +323,10 @@ def test_a_state_is_read_up_to_the_size_of_its_system(here, capsys, use):
 def test_zip_files_that_are_no_checkpoints(here, capsys, way):
     method = zipfile.ZIP_LZMA if way == "compressed otherwise" else zipfile.ZIP_DEFLATED
     with zipfile.ZipFile("box.chk") as archive:
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    parts["notes.json"] = {"deep": b"[" * 10**6, "no JSON": b"\xff"}.get(way, parts["notes.json"])
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    contents["notes.json"] = {"deep": b"[" * 10**6, "no JSON": b"\xff"}.get(way, contents["notes.json"])
     with zipfile.ZipFile("box.chk", "w", method) as archive:
-        for name, content in parts.items():
+        for name, content in contents.items():
             archive.writestr(name, content)
     if way == "locked":
         # The flag of encrypted parts, in both of their headers.

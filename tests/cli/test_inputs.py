@@ -128,13 +128,13 @@ def of_openmm():
     ("given", "reader"), [(AMBER, of_amber), (GROMACS, of_gromacs), (CHARMM, of_charmm), (STATE, of_openmm)]
 )
 def test_energies_are_those_of_openmms_own_reader_to_the_last_bit(given, reader):
-    found = read(given)
+    result = read(given)
     create, positions = reader()
     system = create(**SETTINGS)
     balance_pme(system)
-    assert energy(found.system, found.positions) == energy(system, positions)
-    assert found.system.getNumConstraints() == system.getNumConstraints() == 3 * 26 + 2
-    assert len(found.listed) == found.topology.getNumAtoms() == 82
+    assert energy(result.system, result.positions) == energy(system, positions)
+    assert result.system.getNumConstraints() == system.getNumConstraints() == 3 * 26 + 2
+    assert len(result.listed) == result.topology.getNumAtoms() == 82
 
 
 def test_all_formats_hold_one_system():
@@ -143,14 +143,14 @@ def test_all_formats_hold_one_system():
     Energies of some 1e3 kJ/mol between molecules are then off by 1e-5 at most. Tails of Lennard-Jones, which OpenMM
     leaves out for CHARMM, are left out.
     """
-    found = {}
-    for name, given in ALL.items():
-        box = read(given)
+    results = {}
+    for name, case in ALL.items():
+        box = read(case)
         force_of(box.system).setUseDispersionCorrection(False)
-        found[name] = energy(box.system, box.positions)
-    assert found["gromacs"] > 100
-    for name in found:
-        assert found[name] == pytest.approx(found["gromacs"], abs=1e-5), name
+        results[name] = energy(box.system, box.positions)
+    assert results["gromacs"] > 100
+    for name in results:
+        assert results[name] == pytest.approx(results["gromacs"], abs=1e-5), name
 
 
 # --- runs ---
@@ -165,13 +165,13 @@ def test_all_formats_hold_one_system():
     ),
 )
 def test_restarts_are_bit_for_bit_alike(name, ensemble):
-    given = ALL[name]
-    small = SHORT if given in (STATE, PDB) else SMALL
-    command = ["run", *given.arguments, *small, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
+    case = ALL[name]
+    small = SHORT if case in (STATE, PDB) else SMALL
+    command = ["run", *case.arguments, *small, "--ensemble", ensemble, "--checkpoint-every", "0.04"]
     run(*command, "--steps", "20", "--out", "whole.dcd")
     run(*command, "--steps", "10", "--out", "cut.dcd")
     # The checkpoint knows the topology and everything else.
-    run("run", given.coordinates, "--platform", "Reference", "--steps", "20", "--restart", "cut.chk")
+    run("run", case.coordinates, "--platform", "Reference", "--steps", "20", "--restart", "cut.chk")
     assert_same_runs("cut", "whole")
 
 
@@ -215,15 +215,15 @@ def test_run_that_starts_from_a_checkpoint_has_its_topology():
 @pytest.mark.thorough
 def test_input_that_was_edited_since_is_refused(capsys, name):
     """The notes hold fingerprints of all files, those too that others include."""
-    given = {"molecules.itp": GROMACS, "charmm.prm": CHARMM}.get(name, AMBER)
-    run("run", *given.arguments, *SMALL, "--steps", "2", "--out", "a.dcd")
+    case = {"molecules.itp": GROMACS, "charmm.prm": CHARMM}.get(name, AMBER)
+    run("run", *case.arguments, *SMALL, "--steps", "2", "--out", "a.dcd")
     text = Path(name).read_text()
     # A title or comment, of which no energy depends.
     changed = {"amber.prmtop": ("made", "mada"), "amber.inpcrd": ("water", "Water")}.get(name, ("\n", "\n\n"))
     Path(name).write_text(text.replace(*changed, 1))
     before = contents(Path())
     message = complaint(
-        capsys, "run", given.coordinates, "--platform", "Reference", "--steps", "4", "--restart", "a.chk"
+        capsys, "run", case.coordinates, "--platform", "Reference", "--steps", "4", "--restart", "a.chk"
     )
     assert f"{name} is not the file that the run of a.chk read, or was edited" in message
     assert contents(Path()) == before
@@ -334,10 +334,10 @@ def test_coordinates_of_other_atoms_are_refused(capsys):
 
 def test_files_that_are_damaged_are_named(capsys):
     for name in (AMBER.topology, GROMACS.topology, CHARMM.topology, STATE.topology, STATE.coordinates):
-        given = next(given for given in ALL.values() if name in given[:2])
+        case = next(case for case in ALL.values() if name in case[:2])
         text = Path(name).read_text()
         Path(name).write_text(text[: len(text) // 2])
-        assert name in complaint(capsys, "info", *given.arguments)
+        assert name in complaint(capsys, "info", *case.arguments)
         Path(name).write_text(text)
 
 

@@ -56,15 +56,15 @@ def names():
 
 def test_second_holder_is_refused_and_told_of_the_first(holder):
     first = holder("a.dcd", "a.csv")
-    with FileLocks() as mine, pytest.raises(RunError) as refusal:
-        mine.hold([Path("b.csv"), Path("a.csv")])
-    said = str(refusal.value)
-    assert said.startswith(f"a.csv is being written by process {first.pid} on {os.uname().nodename} since 20")
-    assert said.endswith(" UTC: openmm-sier a.dcd a.csv")
+    with FileLocks() as locks, pytest.raises(RunError) as refusal:
+        locks.hold([Path("b.csv"), Path("a.csv")])
+    message = str(refusal.value)
+    assert message.startswith(f"a.csv is being written by process {first.pid} on {os.uname().nodename} since 20")
+    assert message.endswith(" UTC: openmm-sier a.dcd a.csv")
     # The lock on b.csv that it got first is gone, and a second refusal says the same.
     assert names() == [".a.csv.lock", ".a.dcd.lock"]
-    with FileLocks() as mine, pytest.raises(RunError, match=f"process {first.pid} on"):
-        mine.hold([Path("a.csv")])
+    with FileLocks() as locks, pytest.raises(RunError, match=f"process {first.pid} on"):
+        locks.hold([Path("a.csv")])
 
 
 def test_lock_of_a_killed_process_is_free(holder):
@@ -72,8 +72,8 @@ def test_lock_of_a_killed_process_is_free(holder):
     first.send_signal(signal.SIGKILL)
     first.wait(LIMIT)
     assert names() == [".a.dcd.lock"]
-    with FileLocks() as mine:
-        mine.hold([Path("a.dcd")])
+    with FileLocks() as locks:
+        locks.hold([Path("a.dcd")])
         assert Path(".a.dcd.lock").read_text().startswith(f"process {os.getpid()} on ")
     assert not names()
 
@@ -87,8 +87,8 @@ def test_lock_of_a_killed_process_is_free(holder):
     ],
 )
 def test_a_lock_that_cannot_be_made_is_nobodys(place, reason):
-    with FileLocks() as mine, pytest.raises(RunError) as refusal:
-        mine.hold([Path(place)])
+    with FileLocks() as locks, pytest.raises(RunError) as refusal:
+        locks.hold([Path(place)])
     real = Path(place).absolute()
     expected = f"{place} cannot be written, since its lock {real.with_name(f'.{real.name}.lock')} cannot be made: "
     assert str(refusal.value) == f"{expected}{reason}. Name a file in a directory where files can be made"
@@ -102,8 +102,8 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
     holder("link.dcd")
     # By its own name too, since --overwrite would replace the link.
     for name in ("there/a.dcd", "here/a.dcd", "link.dcd", os.path.abspath("link.dcd")):
-        with FileLocks() as mine, pytest.raises(RunError, match="is being written by"):
-            mine.hold([Path(name)])
+        with FileLocks() as locks, pytest.raises(RunError, match="is being written by"):
+            locks.hold([Path(name)])
 
 
 @pytest.mark.parametrize("make", ["file", "link", "broken link", "pipe"])
@@ -118,10 +118,10 @@ def test_a_file_with_the_name_of_a_lock_is_somebodys(make):
         place.symlink_to("mine" if make == "link" else "none")
     before = contents(Path())
     with (
-        FileLocks() as mine,
+        FileLocks() as locks,
         pytest.raises(RunError, match=r"\.a\.dcd\.lock is not a lock of openmm-sier.*: rename it"),
     ):
-        mine.hold([Path("a.dcd")])
+        locks.hold([Path("a.dcd")])
     assert contents(Path()) == before
 
 
@@ -166,7 +166,7 @@ def test_two_commands_started_one_after_the_other(tmp_path):
     """What `python -m tests.loops.two_commands` does a hundred times for each pair."""
     program = [sys.executable, "-m", "tests.loops.two_commands", "--times", "1", "--out", str(tmp_path)]
     # A process that it may fork.
-    done = subprocess.run(
+    process = subprocess.run(
         [*program, "--pairs", "run,restart"],
         capture_output=True,
         text=True,
@@ -174,4 +174,4 @@ def test_two_commands_started_one_after_the_other(tmp_path):
         check=False,
         cwd=SYSTEMS.parent,
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr

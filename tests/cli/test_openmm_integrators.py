@@ -27,15 +27,15 @@ def test_runs_that_start_from_each_other_have_the_same_motion(box):
 
 
 def test_what_they_cannot_do_is_refused(box, capsys):
-    said = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve", code=2)
-    assert "OpenMM LangevinMiddle supports the ensembles nvt, npt, got nve" in said
-    said = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc", code=2)
-    assert "OpenMM Verlet supports the ensembles nve, nvt, npt, got hmc" in said
-    said = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH", code=2)
-    assert "--rigid HOH needs a scheme of this package" in said
+    message = complaint(capsys, "run", box, "--scheme", "langevinmiddle", "--ensemble", "nve", code=2)
+    assert "OpenMM LangevinMiddle supports the ensembles nvt, npt, got nve" in message
+    message = complaint(capsys, "run", box, "--scheme", "verlet", "--ensemble", "hmc", code=2)
+    assert "OpenMM Verlet supports the ensembles nve, nvt, npt, got hmc" in message
+    message = complaint(capsys, "run", box, "--scheme", "verlet", "--rigid", "HOH", code=2)
+    assert "--rigid HOH needs a scheme of this package" in message
     seldom = ["--scheme", "verlet", "--ensemble", "npt", "--checkpoint-every", "0.02"]
-    said = complaint(capsys, "run", box, *seldom, *FAST[:4], *FAST[4:6], code=2)
-    assert "--checkpoint-every 0.02 is too short" in said
+    message = complaint(capsys, "run", box, *seldom, *FAST[:4], *FAST[4:6], code=2)
+    assert "--checkpoint-every 0.02 is too short" in message
     assert not list(Path().glob("*.csv"))
 
 
@@ -48,6 +48,8 @@ def test_a_step_that_is_too_long_is_told_of(box, capsys, monkeypatch, error):
 
     monkeypatch.setattr(openmm_integrators.OpenMMIntegrator, "step", fails)
     chosen = ["--scheme", "langevinmiddle", "--dt", "60", "--time", "60", "--equilibrate", "0", *FAST[2:4]]
-    said = complaint(capsys, "run", box, *chosen, code=3)
-    assert f"became unstable at step 0 (0 ps): {error}; the step of 60 fs is too long for OpenMM LangevinMiddle" in said
-    assert "for which 2 fs is usual: --dt 2" in said
+    message = complaint(capsys, "run", box, *chosen, code=3)
+    assert (
+        f"became unstable at step 0 (0 ps): {error}; the step of 60 fs is too long for OpenMM LangevinMiddle" in message
+    )
+    assert "for which 2 fs is usual: --dt 2" in message

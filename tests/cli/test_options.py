@@ -108,9 +108,9 @@ def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
 )
 def test_trials_have_steps_and_a_length_of_their_own(given, scheme, dt, steps):
     """Trials of 72 fs, in steps that are not those of a bath."""
-    made = new_settings({"box": Path("box.pdb"), "ensemble": "hmc", **given})
-    assert (made.scheme, made.steps_per_trial, made.friction) == (scheme, steps, 1)
-    assert made.dt == pytest.approx(dt)
+    result = new_settings({"box": Path("box.pdb"), "ensemble": "hmc", **given})
+    assert (result.scheme, result.steps_per_trial, result.friction) == (scheme, steps, 1)
+    assert result.dt == pytest.approx(dt)
 
 
 # --- wrong values in files ---

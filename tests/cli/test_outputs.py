@@ -214,10 +214,10 @@ def test_files_that_are_missing_at_a_restart(box, capsys):
 def run_process(command, **options):
     """Exit code, standard output and standard error of a shell command, in which $RUN is our command."""
     environment = {**os.environ, "RUN": f"{sys.executable} -m openmm_sier.cli"}
-    done = subprocess.run(
+    process = subprocess.run(
         ["sh", "-c", command], env=environment, capture_output=True, text=True, timeout=300, check=False, **options
     )
-    return done.returncode, done.stdout, done.stderr
+    return process.returncode, process.stdout, process.stderr
 
 
 @pytest.mark.thorough
@@ -246,9 +246,9 @@ def test_reader_of_standard_output_that_has_gone(box):
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-m", "openmm_sier.cli", "info", "box.pdb"]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=300, check=False)
+    process = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=300, check=False)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert (process.returncode, process.stderr) == (1, b"")
 
 
 # --- disks that become full ---

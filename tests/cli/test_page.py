@@ -44,10 +44,10 @@ class Reader(HTMLParser):
 
 def read(path):
     page = Path(path).read_text()
-    found = Reader(page)
+    reader = Reader(page)
     # Nothing is loaded from elsewhere: SVG refers to its own parts.
-    assert all(place.startswith("#") for place in found.loaded)
-    return found.texts
+    assert all(place.startswith("#") for place in reader.loaded)
+    return reader.texts
 
 
 def test_a_page_has_settings_means_warnings_and_versions(box, monkeypatch):

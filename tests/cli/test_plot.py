@@ -219,12 +219,12 @@ def test_runs_that_differ_in_more_than_the_seed_draw_a_warning(box, capsys, monk
         run("run", box, *SMALL, "--steps", "20", "--report-every", "0.004", *options, "--out", f"{out}.dcd")
     capsys.readouterr()
     run("plot", "a.csv", "b.csv")
-    said = capsys.readouterr().out
-    assert "differ in" not in said
-    assert "ends after" not in said
+    output = capsys.readouterr().out
+    assert "differ in" not in output
+    assert "ends after" not in output
     # Nor does a picture hide how they began.
-    assert "warning: a.csv: not equilibrated, after 0.1" in said
+    assert "warning: a.csv: not equilibrated, after 0.1" in output
     run("plot", "a.csv", "b.csv", "c.csv")
-    said = capsys.readouterr().out
-    assert "warning: c.csv and a.csv differ in dt: their mean belongs to no ensemble" in said
-    assert "warning: c.csv ends after 0.04 ps, and a.csv after 0.08 ps: means give both the same weight" in said
+    output = capsys.readouterr().out
+    assert "warning: c.csv and a.csv differ in dt: their mean belongs to no ensemble" in output
+    assert "warning: c.csv ends after 0.04 ps, and a.csv after 0.08 ps: means give both the same weight" in output

@@ -43,11 +43,11 @@ def test_the_same_line_begins_goes_on_and_ends_well(box, whole_run, capsys):
     capsys.readouterr()
     before = contents(Path())
     run(*resume(box, *WHOLE))
-    said = capsys.readouterr()
-    assert "a.chk is at step 50 (0.2 ps): the run is complete" in said.out
+    output = capsys.readouterr()
+    assert "a.chk is at step 50 (0.2 ps): the run is complete" in output.out
     # The job that finds it complete tells what came out, too.
-    assert "drift of the conserved energy" in said.out
-    assert said.err == ""
+    assert "drift of the conserved energy" in output.out
+    assert output.err == ""
     assert contents(Path()) == before
 
 
@@ -157,8 +157,8 @@ def test_a_run_that_starts_from_another_goes_on_by_itself(box, whole_run):
 
 def test_two_commands_on_one_run(box, capsys, monkeypatch):
     """The second is refused before it looks for the checkpoint, which the first may be about to write."""
-    with FileLocks() as mine:
-        mine.hold([Path("a.chk")])
+    with FileLocks() as locks:
+        locks.hold([Path("a.chk")])
         before = contents(Path())
         assert "a.chk is being written by" in complaint(capsys, *resume(box, *WHOLE))
         assert contents(Path()) == before

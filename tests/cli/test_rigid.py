@@ -50,9 +50,9 @@ def test_from_coordinates_to_a_trajectory(capsys):
 
 @pytest.mark.thorough
 def test_a_restart_has_the_words_of_the_checkpoint(capsys):
-    given = ("run", *CHAIN, *SHORT, *DOMAINS, "--checkpoint-every", "0.1")
-    run(*given, "--steps", "20", "--out", "whole.dcd")
-    run(*given, "--steps", "10", "--out", "cut.dcd")
+    words = ("run", *CHAIN, *SHORT, *DOMAINS, "--checkpoint-every", "0.1")
+    run(*words, "--steps", "20", "--out", "whole.dcd")
+    run(*words, "--steps", "10", "--out", "cut.dcd")
     assert read_checkpoint("cut.chk")[1].plan["rigid"] == ["A:2-13", "A:24-37"]
     run("run", "--restart", "cut.chk", "--steps", "15", "--platform", "Reference")
     again = ("run", "--restart", "cut.chk", "--steps", "20", "--platform", "Reference")

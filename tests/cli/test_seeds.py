@@ -98,8 +98,8 @@ def rows(seed):
 def process_of(seed):
     """The process that writes a run, as its lock tells; None where nobody does, or is about to."""
     lock = Path(f".a-seed{seed}.csv.lock")
-    found = re.match(r"process (\d+) ", lock.read_text()) if lock.exists() else None
-    return int(found[1]) if found else None
+    result = re.match(r"process (\d+) ", lock.read_text()) if lock.exists() else None
+    return int(result[1]) if result else None
 
 
 def wait_for_members():
@@ -145,9 +145,9 @@ def test_seeds_are_shown_as_they_are_read():
 def test_names_with_a_dash_are_no_options_of_a_member():
     options = {"forcefield": [Path("-f.xml"), Path("g.xml")], "pressure": -5.0, "topology": Path("-t.top")}
     line = command_of(Path("-w.pdb"), Member(1, Path("-m-seed1.dcd")), options)
-    given = parse(line).carry_out.args[0].chosen()
-    assert given.pop("resume")
-    assert given == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
+    chosen = parse(line).carry_out.args[0].chosen()
+    assert chosen.pop("resume")
+    assert chosen == {"box": Path("-w.pdb"), "out": Path("-m-seed1.dcd"), "seed": 1, **options}
     # Where a member looks for it.
     assert line[line.index("--out") + 1] == "./-m-seed1.dcd"
 

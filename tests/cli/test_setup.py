@@ -17,15 +17,15 @@ def structure():
 
 def test_what_is_made_is_read(structure, capsys):
     run("setup", structure, "--padding", "0.5", "--salt", "0.2", "--shape", "octahedron")
-    said = capsys.readouterr().out
-    for part in ("residues added", "1 between", "heavy atoms added", "hydrogens added", "waters added", "octahedron"):
-        assert part in said
-    assert "wrote 1VII-water.pdb; continue with: openmm-sier run 1VII-water.pdb --ensemble npt" in said
+    output = capsys.readouterr().out
+    for change in ("residues added", "1 between", "heavy atoms added", "hydrogens added", "waters added", "octahedron"):
+        assert change in output
+    assert "wrote 1VII-water.pdb; continue with: openmm-sier run 1VII-water.pdb --ensemble npt" in output
     # As `run` does, it reads the force field that the file names, and makes the System.
     run("info", "1VII-water.pdb")
-    said = capsys.readouterr().out
-    assert "1VII-water.pdb, amber14-all.xml amber14/tip3p.xml (named in the PDB file)" in said
-    assert "HOH" in said
+    output = capsys.readouterr().out
+    assert "1VII-water.pdb, amber14-all.xml amber14/tip3p.xml (named in the PDB file)" in output
+    assert "HOH" in output
 
 
 def test_files_in_the_way(structure, capsys):

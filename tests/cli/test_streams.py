@@ -15,8 +15,8 @@ def test_a_box_that_names_no_force_field(tmp_path, capsys):
     path = tmp_path / "box.pdb"
     inputs = (Path(openmm_sier.__file__).parents[1] / "systems/tip3p-512.pdb").read_text()
     path.write_text("".join(line for line in inputs.splitlines(keepends=True) if "FORCEFIELD" not in line))
-    said = complaint(capsys, "info", path)
-    assert "box.pdb: no force field is named: give its `files` (--forcefield), such as tip3p.xml for water" in said
+    message = complaint(capsys, "info", path)
+    assert "box.pdb: no force field is named: give its `files` (--forcefield), such as tip3p.xml for water" in message
 
 
 #: Renames a terminal, and moves its cursor.
@@ -27,9 +27,9 @@ def test_texts_of_files_control_no_terminal(capsys):
     note(ESCAPES)
     note_warning(ESCAPES)
     table(ESCAPES, ("", ""), [("cell", ESCAPES)])
-    said = capsys.readouterr().out
-    assert said.count(ESCAPED) == 4
-    assert all(letter.isprintable() for line in said.splitlines() for letter in line)
+    output = capsys.readouterr().out
+    assert output.count(ESCAPED) == 4
+    assert all(letter.isprintable() for line in output.splitlines() for letter in line)
     assert ESCAPED in complaint(capsys, "run", f"{ESCAPES}.pdb")
     assert ESCAPED in complaint(capsys, "run", "box.pdb", f"--{ESCAPES}", code=MISUSED)
 

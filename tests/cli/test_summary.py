@@ -37,17 +37,17 @@ def test_means_are_over_runs_and_errors_from_their_scatter(logs, capsys):
     assert density["value"] == pytest.approx(np.mean(values))
     assert density["error"] == pytest.approx(np.std(values, ddof=1) / math.sqrt(8))
     assert (rest["runs"], rest["length"], rest["left_out"], rest["settled"]) == (list(logs), 20, 0, True)
-    said = capsys.readouterr().out
-    assert "8 runs, 20 ps" in said
-    assert "mean over 8 runs" in said
-    assert f"{Estimate(density['value'], density['error'])} g/ml" in said
+    output = capsys.readouterr().out
+    assert "8 runs, 20 ps" in output
+    assert "mean over 8 runs" in output
+    assert f"{Estimate(density['value'], density['error'])} g/ml" in output
     # Findings follow the table, once.
-    assert said.count("Rotation: no difference from translation shows within") == 1
+    assert output.count("Rotation: no difference from translation shows within") == 1
     lowest = list(logs)[int(np.argmin(values))].removesuffix(".csv")
     # As many digits as the mean has.
     digits = len(str(Estimate(density["value"], density["error"])).split()[0].partition(".")[2])
-    assert f"{min(values):.{digits}f} ({lowest})" in said
-    assert "wrote a.json" in said
+    assert f"{min(values):.{digits}f} ({lowest})" in output
+    assert "wrote a.json" in output
 
 
 def test_of_fewer_than_five_runs_the_errors_are_those_of_each(logs):
@@ -65,8 +65,8 @@ def test_what_had_not_settled_is_left_out_and_said(capsys):
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--json", "a.json")
     _, rest = written()
     assert rest["moved_before"] == ["potential energy"]
-    told = f"Settled after {rest['left_out']:.4g} ps: potential energy. Means are of the rest"
-    assert told in capsys.readouterr().out
+    message = f"Settled after {rest['left_out']:.4g} ps: potential energy. Means are of the rest"
+    assert message in capsys.readouterr().out
     run("summary", "seed1.csv", "seed2.csv", "seed3.csv", "--skip", "2", "--json", "a.json")
     means, rest = written()
     assert rest["left_out"] == 2
@@ -109,9 +109,9 @@ def test_logs_of_one_run_count_once(capsys):
     means, rest = written()
     assert rest["runs"] == ["copy.csv", "other.csv"]
     assert means["density"]["runs"][0]["value"] == pytest.approx(whole[DENSITY].mean())
-    said = capsys.readouterr().out
-    assert "mean over 2 runs" in said
-    assert "warning: copy.csv, a.csv, part.csv and seldom.csv are logs of one run, which counts once" in said
+    output = capsys.readouterr().out
+    assert "mean over 2 runs" in output
+    assert "warning: copy.csv, a.csv, part.csv and seldom.csv are logs of one run, which counts once" in output
     run("plot", "a.csv", "copy.csv")
     assert "warning: a.csv and copy.csv are logs of one run, which counts once" in capsys.readouterr().out
     run("summary", "a.csv", "other.csv", "later.csv", "--json", "a.json")
@@ -134,18 +134,18 @@ def test_runs_of_one_seed_are_told_by_their_checkpoints(box, capsys):
     Path("gpu.csv").write_text("".join([*lines[:2], *(line.replace(".", ".0", 2) for line in lines[2:])]))
     capsys.readouterr()
     run("summary", "a.csv", "again.csv", "two.csv", "gpu.csv")
-    said = capsys.readouterr().out
-    assert "mean over 2 runs" in said
+    output = capsys.readouterr().out
+    assert "mean over 2 runs" in output
     assert (
-        "warning: again.csv, a.csv and gpu.csv are logs of one run, which counts once. Give each run a --seed" in said
+        "warning: again.csv, a.csv and gpu.csv are logs of one run, which counts once. Give each run a --seed" in output
     )
-    assert "noise" not in said
+    assert "noise" not in output
     run("summary", "a.csv", "on.csv", "two.csv")
-    said = capsys.readouterr().out
-    assert "mean over 3 runs" in said
+    output = capsys.readouterr().out
+    assert "mean over 3 runs" in output
     assert (
         "warning: a.csv and on.csv have the same seed, settings and inputs, and so the same noise: give each run"
-        in said
+        in output
     )
 
 

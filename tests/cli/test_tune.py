@@ -33,16 +33,20 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
     options += ["--steps-per-trial", "3"]
     run("tune", box, *options, "--trials", "10", "--samples", "10", "--acceptance", "0.8")
     assert not list(Path().iterdir())
-    said = capsys.readouterr().out
-    scheme, step, trial = re.search(r"^(\S+), steps of (.*) fs, (.*) in a trial$", said, re.MULTILINE).groups()
-    (found,) = made
-    assert (scheme, step, int(trial)) == (found.scheme.name, f"{1000 * found.schemeStepSize:.4g}", found.stepsPerTrial)
-    chosen = next(each for each in found.lengths if each.steps == found.stepsPerTrial)
-    assert str(chosen) in said
+    output = capsys.readouterr().out
+    scheme, step, trial = re.search(r"^(\S+), steps of (.*) fs, (.*) in a trial$", output, re.MULTILINE).groups()
+    (result,) = made
+    assert (scheme, step, int(trial)) == (
+        result.scheme.name,
+        f"{1000 * result.schemeStepSize:.4g}",
+        result.stepsPerTrial,
+    )
+    chosen = next(each for each in result.lengths if each.steps == result.stepsPerTrial)
+    assert str(chosen) in output
     # A trial has one force more at its start, and one or two for the move of the volume; it goes on twice at most.
-    in_steps = found.scheme.force_evaluations * chosen.steps
+    in_steps = result.scheme.force_evaluations * chosen.steps
     assert in_steps <= chosen.forces <= 3 * in_steps + 3
-    program, *arguments = shlex.split(said.splitlines()[-1])
+    program, *arguments = shlex.split(output.splitlines()[-1])
     assert program == "openmm-sier"
     run(*arguments, "--steps", "3", "--report-every", "0.001")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
@@ -53,13 +57,15 @@ def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatc
     assert f"{plan['dt']:.4g}" == step
     assert str(plan["steps_per_trial"]) == trial
     assert log("box.csv")["Acceptance"][-1] in (0, pytest.approx(1 / 3), pytest.approx(2 / 3), 1)
-    assert f"integrator = SIERHMCIntegrator(297*kelvin, {step}*femtoseconds, '{scheme}', stepsPerTrial={trial}" in said
+    assert (
+        f"integrator = SIERHMCIntegrator(297*kelvin, {step}*femtoseconds, '{scheme}', stepsPerTrial={trial}" in output
+    )
 
 
 def test_line_keeps_what_was_given():
     words = "tune a/b.crd --topology c.psf --forcefield x.prm --edges 1 1 2 --dt 6 --no-minimize --start s.chk"
-    given = parse(words.split()).carry_out.args[0].chosen()
-    assert run_line(given, FOUND) == (
+    options = parse(words.split()).carry_out.args[0].chosen()
+    assert run_line(options, FOUND) == (
         "openmm-sier run a/b.crd --ensemble hmc --topology c.psf --forcefield x.prm --edges 1.0 1.0 2.0 "
         "--dt 8.023 --no-minimize --start s.chk --scheme sier2p3 --steps-per-trial 4"
     )

@@ -37,8 +37,8 @@ def site(tmp_path_factory):
         pytest.skip(f"the site cannot be built without {', '.join(missing)}: install the extra docs")
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-n", "docs", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=BUILDING)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=BUILDING)
+    assert process.returncode == 0, process.stderr
     return folder
 
 

@@ -93,11 +93,11 @@ def names(water, tmp_path, monkeypatch):
     simulation = app.Simulation(topology, copy.deepcopy(system), integrator, platform("Reference"))
     simulation.context.setPositions(positions)
     (tmp_path / "run.csv").write_text(conservation.csv_line(conservation.COLUMNS[:6]) + "0,0,-1,1,0,0\n")
-    found = {"np": np, "openmm": openmm, "Simulation": app.Simulation}
-    found |= {name: getattr(unit, name) for name in ("bar", "dalton", "femtoseconds", "kelvin", "picosecond")}
-    found |= {name: getattr(openmm_sier, name) for name in openmm_sier.__all__}
-    found |= {name: getattr(reporters, name) for name in dir(reporters) if name.endswith("Reporter")}
-    return found | {"topology": topology, "positions": positions, "system": system, "simulation": simulation}
+    results = {"np": np, "openmm": openmm, "Simulation": app.Simulation}
+    results |= {name: getattr(unit, name) for name in ("bar", "dalton", "femtoseconds", "kelvin", "picosecond")}
+    results |= {name: getattr(openmm_sier, name) for name in openmm_sier.__all__}
+    results |= {name: getattr(reporters, name) for name in dir(reporters) if name.endswith("Reporter")}
+    return results | {"topology": topology, "positions": positions, "system": system, "simulation": simulation}
 
 
 @pytest.mark.filterwarnings("ignore:Call prepare_system", "ignore:A step of")

@@ -33,8 +33,8 @@ class Environment:
     def __init__(self, folder: Path) -> None:
         venv.create(folder / "venv")
         self.python = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
-        found = self.execute(self.python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
-        self.packages = Path(found.strip())
+        result = self.execute(self.python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
+        self.packages = Path(result.strip())
         self.caches, self.sources = folder / "caches", folder / "sources"
         needed = folder / "needed"
         needed.mkdir()
@@ -55,11 +55,11 @@ class Environment:
         # Every platform's place for caches.
         for name in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA"):
             environment[name] = str(getattr(self, "caches", ""))
-        done = subprocess.run(
+        process = subprocess.run(
             command, cwd=self.python.parent, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
         )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
+        assert process.returncode == 0, process.stdout + process.stderr
+        return process.stdout
 
     def pip(self, *arguments: str | Path) -> None:
         self.execute(sys.executable, "-m", "pip", "--python", self.python, *arguments)

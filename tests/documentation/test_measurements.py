@@ -22,11 +22,11 @@ CODE = re.compile(r"^```\{code-cell\}\n(.*?)^```$|\{eval\}`([^`]*)`", re.MULTILI
 def test_cells_of_a_page_can_be_executed(page, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "DOCS", tmp_path)
     names = {}
-    for found in CODE.finditer(page.read_text()):
-        if found[1]:
-            exec(compile(found[1], page.name, "exec"), names)
+    for results in CODE.finditer(page.read_text()):
+        if results[1]:
+            exec(compile(results[1], page.name, "exec"), names)
         else:
-            assert re.search(r"\d", eval(found[2], names)), found[2]
+            assert re.search(r"\d", eval(results[2], names)), results[2]
 
 
 def test_no_table_of_a_page_is_typed():

@@ -42,10 +42,10 @@ def is_there(name: str) -> bool:
     parts = name.split(".")
     for n in range(len(parts), 0, -1):
         if (ROOT.joinpath(*parts[:n]).with_suffix(".py")).exists() or ROOT.joinpath(*parts[:n]).is_dir():
-            found = None if n == len(parts) else importlib.import_module(".".join(parts[:n]))
-            for part in parts[n:]:
-                found = getattr(found, part, None)
-                if found is None:
+            result = None if n == len(parts) else importlib.import_module(".".join(parts[:n]))
+            for attribute in parts[n:]:
+                result = getattr(result, attribute, None)
+                if result is None:
                     return False
             return True
     return False

@@ -71,9 +71,9 @@ QUESTIONS = [
 @pytest.fixture(scope="session")
 def pages(site):
     """Paths of all pages within the site."""
-    found = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html"))
-    assert {"index.html", "search.html", "guide/howto/index.html", "api/index.html"} <= set(found)
-    return found
+    results = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html"))
+    assert {"index.html", "search.html", "guide/howto/index.html", "api/index.html"} <= set(results)
+    return results
 
 
 def resize(browser, width):

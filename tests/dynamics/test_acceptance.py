@@ -18,9 +18,9 @@ def test_over_relaxed_energies_are_canonical_and_opposite(freedoms):
     -14/17.
     """
     olds = np.random.default_rng(1).chisquare(freedoms, DRAWS)
-    found = np.array([over_relaxed(old, freedoms, generator(2, draw)) for draw, old in enumerate(olds)])
-    assert stats.kstest(found, stats.chi2(freedoms).cdf).pvalue > 1e-3
-    correlation = stats.spearmanr(olds, found).statistic
+    results = np.array([over_relaxed(old, freedoms, generator(2, draw)) for draw, old in enumerate(olds)])
+    assert stats.kstest(results, stats.chi2(freedoms).cdf).pvalue > 1e-3
+    correlation = stats.spearmanr(olds, results).statistic
     # Four standard errors, (1 - r^2)/sqrt(n) each.
     assert correlation == pytest.approx(-14 / 17, abs=4 * (1 - (14 / 17) ** 2) / DRAWS**0.5)
 

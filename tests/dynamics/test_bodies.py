@@ -28,9 +28,9 @@ def atoms_of(bodies, state):
 
 def each_body(bodies):
     """Number, atoms and masses of every body."""
-    for kind, part in zip(bodies.species, bodies.parts, strict=True):
+    for kind, columns in zip(bodies.species, bodies.parts, strict=True):
         for i, atoms in enumerate(kind.atoms):
-            yield part.start + i, atoms, kind.masses
+            yield columns.start + i, atoms, kind.masses
 
 
 @pytest.fixture
@@ -56,16 +56,16 @@ def test_directions_of_axes_are_those_of_the_atoms(kind, rng):
 def test_species_from_coordinates(kind):
     """The frame is principal, right-handed and at the centre of mass, and the shape is kept."""
     masses, coordinates, freedoms = GEOMETRIES[kind]
-    found = species(kind, [range(len(masses))])
-    sites, masses = found.sites, np.array(masses)
+    result = species(kind, [range(len(masses))])
+    sites, masses = result.sites, np.array(masses)
     tensor = np.einsum("k,ak,bk->ab", masses, sites, sites)
     inertia = np.trace(tensor) * np.eye(3) - tensor
-    scale = max(found.moments.max(), 1e-300)
+    scale = max(result.moments.max(), 1e-300)
     assert np.abs(sites @ masses).max() < 1e-15 * masses.sum()
-    assert np.abs(inertia - np.diag(found.moments)).max() < 1e-14 * scale
-    assert (np.diff(found.moments) >= -1e-14 * scale).all()
-    assert found.dof == freedoms
-    assert found.mass == pytest.approx(masses.sum())
+    assert np.abs(inertia - np.diag(result.moments)).max() < 1e-14 * scale
+    assert (np.diff(result.moments) >= -1e-14 * scale).all()
+    assert result.dof == freedoms
+    assert result.mass == pytest.approx(masses.sum())
 
     x = np.array(coordinates, dtype=float)
     apart = np.linalg.norm(x[:, None] - x[None], axis=2)
@@ -81,11 +81,11 @@ def test_lines_and_points_have_exact_zeros(rng, noise):
     for kind, zeros in (("carbon dioxide", 1), ("pair", 1), ("ion", 3), ("water", 0)):
         masses, coordinates, _ = GEOMETRIES[kind]
         shaken = np.array(coordinates) + noise * rng.normal(size=(len(masses), 3))
-        found = Species.from_coordinates([range(len(masses))], masses, shaken)
-        assert np.count_nonzero(found.moments == 0) == zeros
+        body = Species.from_coordinates([range(len(masses))], masses, shaken)
+        assert np.count_nonzero(body.moments == 0) == zeros
         if zeros == 1:
-            assert found.moments[1] == pytest.approx(found.moments[2], rel=1e-15)
-            assert not found.sites[1:].any()
+            assert body.moments[1] == pytest.approx(body.moments[2], rel=1e-15)
+            assert not body.sites[1:].any()
 
 
 # --- atoms and bodies -------------------------------------------------------------------------------------------------

@@ -112,14 +112,14 @@ def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monke
 @pytest.mark.thorough
 def test_another_process_finds_the_code_on_disk(tmp_path):
     """Names on disk tell of the code alone, not of the process or its hashes; and it does what it did."""
-    found = []
+    results = []
     for seed in ("1", "2"):
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONHASHSEED": seed}
         printed = run_python(MOVED, environment=environment)
-        found.append((printed, {(path.name, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.nb*")}))
+        results.append((printed, {(path.name, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.nb*")}))
     # The rotation, the projection and the drift, with an index each.
-    assert len(found[0][1]) == 6
-    assert found[1] == found[0]
+    assert len(results[0][1]) == 6
+    assert results[1] == results[0]
 
 
 class ElapsedTimer:

@@ -76,13 +76,13 @@ def test_forces_of_a_gradient_kick_exert_the_torque_of_the_displaced_ones(rng, m
     constraints, state = system.constraints(), system.start(rng)
     q = constraints.displaced(state.q, state.p, 0.01)
     F = 1000 * rng.normal(size=q.shape)
-    found = DisplacedForces(constraints, None)(state.q, q, F)
+    result = DisplacedForces(constraints, None)(state.q, q, F)
     expected = np.cross(q, F, axis=0).sum(axis=1)
     # Sums over some ten atoms; the rotation is that of the inverse moments of inertia, whose condition is below 10.
     error = 1e-13 * np.abs(F).max()
-    assert np.abs(found.sum(axis=1) - F.sum(axis=1)).max() < error
-    assert np.abs(np.cross(state.q, found, axis=0).sum(axis=1) - expected).max() < error
-    added = found - constraints.project(q, F)
+    assert np.abs(result.sum(axis=1) - F.sum(axis=1)).max() < error
+    assert np.abs(np.cross(state.q, result, axis=0).sum(axis=1) - expected).max() < error
+    added = result - constraints.project(q, F)
     assert np.abs(added).max() > 1e-3 * np.abs(F).max()
     rates = added / system.masses
     apart = state.q[:, :, None] - state.q[:, None, :]
@@ -125,9 +125,9 @@ def with_water():
     chain = chains()
     system, x = system_of(chain, waters=1)
     masses = [system.getParticleMass(i)._value for i in range(len(x))]
-    held = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    lengths = [length._value for _, _, length in held]
-    atoms = Points(x, masses, [(i, j) for i, j, _ in held], lengths, molecules=[*chain.molecules, 2, 2, 2])
+    constrained = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    lengths = [length._value for _, _, length in constrained]
+    atoms = Points(x, masses, [(i, j) for i, j, _ in constrained], lengths, molecules=[*chain.molecules, 2, 2, 2])
     bodies = RigidBodies.from_system(system)
     return atoms, bodies, bodies.constraints
 
@@ -231,8 +231,8 @@ def test_nested_steps_reverse_and_conserve():
     there = run(operators, SIER4G, start, 0.004, 30)
     back = run(operators, SIER4G, there, -0.004, 30)
     assert distance(back, start) < 1e-8
-    for found, expected in zip(totals(there), totals(start), strict=True):
-        assert np.abs(found - expected).max() < 3e-13 * np.abs(start.p).max()
+    for results, expected in zip(totals(there), totals(start), strict=True):
+        assert np.abs(results - expected).max() < 3e-13 * np.abs(start.p).max()
 
 
 def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
@@ -268,9 +268,9 @@ def test_harmonic_averages_around_a_bath_are_exact(longest):
         return np.array(rows).T
 
     there, away = linear(moves[DRIFT_TO_BATH]), linear(moves[DRIFT_FROM_BATH])
-    kept = np.exp(-friction * h)
-    noise = away @ np.diag([0, 1 - kept**2]) @ away.T
-    covariance = solve_discrete_lyapunov(away @ np.diag([1, kept]) @ there, noise)
+    damping = np.exp(-friction * h)
+    noise = away @ np.diag([0, 1 - damping**2]) @ away.T
+    covariance = solve_discrete_lyapunov(away @ np.diag([1, damping]) @ there, noise)
     # Rounding of a covariance that takes some hundred steps to be forgotten. Were the bath between whole steps, <q^2>
     # would be off by (omega e)^2/4: 3 % with the shortest inner steps, of 0.9 fs.
     assert k * covariance[0, 0] == pytest.approx(1, abs=1e-10)

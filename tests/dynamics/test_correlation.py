@@ -22,8 +22,8 @@ def test_inefficiency_is_that_of_pymbar(rng, kept):
 @pytest.mark.parametrize("kept", [0.0, 0.5, 0.9])
 def test_the_error_is_the_scatter_between_series_of_known_memory(rng, kept):
     """x' = a x + noise has (1 + a)/(1 - a) values in an independent one."""
-    found = [inefficiency_and_error(correlated(rng, 2000, kept)) for _ in range(30)]
-    values, errors = np.transpose(found)
+    results = [inefficiency_and_error(correlated(rng, 2000, kept)) for _ in range(30)]
+    values, errors = np.transpose(results)
     # The sum ends where noise makes the correlation negative, and values below 1 count as 1: 6 % above the truth
     # without memory, 5 % with the longest. The mean of 30 is known to 5 % with that one.
     assert values.mean() == pytest.approx((1 + kept) / (1 - kept), rel=0.15)

@@ -18,4 +18,4 @@ def test_every_free_rotation_map_has_an_example():
     finder = doctest.DocTestFinder(recurse=False)
     maps = importlib.import_module("openmm_sier.dynamics.rotation")
     for name in maps.__all__:
-        assert any(found.examples for found in finder.find(getattr(maps, name))), name
+        assert any(results.examples for results in finder.find(getattr(maps, name))), name

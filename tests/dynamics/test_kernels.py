@@ -40,12 +40,12 @@ for array in arrays:
 
 @pytest.mark.thorough
 def test_python_executes_what_numba_compiles():
-    found = []
+    results = []
     for disabled in ("1", "0"):
         text = run_python(STEPS, environment=os.environ | {"NUMBA_DISABLE_JIT": disabled})
-        found.append([np.array(line.split(), dtype=float) for line in text.splitlines()])
-    assert len(found[0]) == 7
-    for one, other in zip(*found, strict=True):
+        results.append([np.array(line.split(), dtype=float) for line in text.splitlines()])
+    assert len(results[0]) == 7
+    for one, other in zip(*results, strict=True):
         assert np.abs(one).max() > 0
         # Sums of products are contracted to fused operations, or not: rounding of some 300 terms of order one, for the
         # fast body in some stages and angles up to 30, and times the condition of the cage.

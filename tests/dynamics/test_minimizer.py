@@ -16,8 +16,8 @@ KINDS = [WATER, METHANE, CARBON_DIOXIDE, ION, WATER]
 
 @pytest.fixture
 def cluster(rng):
-    found = SoftCluster(KINDS)
-    return found, thermal_state(rng, found.bodies, rng.uniform(-0.3, 0.3, (3, found.bodies.n)))
+    result = SoftCluster(KINDS)
+    return result, thermal_state(rng, result.bodies, rng.uniform(-0.3, 0.3, (3, result.bodies.n)))
 
 
 def settled(cluster, state, iterations):
@@ -31,15 +31,15 @@ def energy_at(cluster, state, q, A):
 @pytest.mark.thorough
 def test_it_ends_at_a_minimum(cluster):
     """Another minimizer, in rotation vectors about the attitudes found, finds no lower energy nearby."""
-    found, state = cluster
-    last = next(point for point in settled(found, state, 1000) if point.rms < 1)
+    results, state = cluster
+    last = next(point for point in settled(results, state, 1000) if point.rms < 1)
     assert orthogonality_error(last.A) < 1e-12
-    lowest = energy_at(found, state, last.q, last.A)
-    n = found.bodies.n
+    lowest = energy_at(results, state, last.q, last.A)
+    n = results.bodies.n
 
     def energy(x):
         q, turns = last.q + x[: 3 * n].reshape(3, n), Rotation.from_rotvec(x[3 * n :].reshape(n, 3)).as_matrix()
-        return energy_at(found, state, q, np.einsum("ayn,nxy->axn", last.A, turns))
+        return energy_at(results, state, q, np.einsum("ayn,nxy->axn", last.A, turns))
 
     rng = np.random.default_rng(3)
     for _ in range(3):
@@ -50,12 +50,12 @@ def test_it_ends_at_a_minimum(cluster):
 
 def test_no_body_is_thrown(cluster):
     """Bodies on one another feel any force; each goes at most by LARGEST_DISPLACEMENT, and they come apart."""
-    found, state = cluster
+    results, state = cluster
     q = state.q.copy()
     q[:, 1:] = q[:, :1] + 1e-4 * state.q[:, 1:]
     crowded = type(state)(q, state.p, state.A, state.L)
-    points = settled(found, crowded, 300)
+    points = settled(results, crowded, 300)
     for one, other in pairwise(points):
         assert np.linalg.norm(other.q - one.q, axis=0).max() <= LARGEST_DISPLACEMENT * (1 + 1e-12)
-    energies = [energy_at(found, state, point.q, point.A) for point in points]
+    energies = [energy_at(results, state, point.q, point.A) for point in points]
     assert energies[-1] < energies[0] - 50

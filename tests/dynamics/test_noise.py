@@ -11,6 +11,6 @@ def test_numbers_are_those_of_a_fresh_generator(seed, draw, stream):
     expected = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, draw, stream]))
     # What an earlier draw has left, such as half of a 64-bit number, must not count.
     generator(9, 9).integers(0, 9, 3, dtype=np.uint32)
-    found = generator(seed, draw, stream)
-    assert np.array_equal(found.standard_normal(7), expected.standard_normal(7))
-    assert np.array_equal(found.integers(0, 2**31, 5), expected.integers(0, 2**31, 5))
+    numbers = generator(seed, draw, stream)
+    assert np.array_equal(numbers.standard_normal(7), expected.standard_normal(7))
+    assert np.array_equal(numbers.integers(0, 2**31, 5), expected.integers(0, 2**31, 5))

@@ -21,8 +21,8 @@ def stage_map(stage: Stage, h: float):
     if stage.flow == DRIFT:
         return np.array([[1, time], [0, 1]]), np.zeros((2, 2))
     if stage.operator == BATH:
-        kept = math.exp(-FRICTION * time)
-        return np.diag([1, kept]), np.diag([0, 1 - kept**2])
+        damping = math.exp(-FRICTION * time)
+        return np.diag([1, damping]), np.diag([0, 1 - damping**2])
     # The force of a gradient kick is that at q + shift h^2 (-k q).
     force = -k * (1 - stage.shift * h * h * k)
     return np.array([[1, 0], [time * force, 1]]), np.zeros((2, 2))
@@ -49,8 +49,8 @@ def largest(scheme: Scheme, fs_per_force: float) -> float:
 def test_averages_keep_the_order_of_the_scheme(scheme):
     """The slope at three steps is the order of the scheme; SIER2 has no error at all, see below."""
     bathed = scheme.with_bath()
-    found = [largest(bathed, dt) for dt in (0.5, 0.25, 0.125)]
-    slopes = [math.log2(a / b) for a, b in pairwise(found)]
+    errors = [largest(bathed, dt) for dt in (0.5, 0.25, 0.125)]
+    slopes = [math.log2(a / b) for a, b in pairwise(errors)]
     # The next term of the error is (w h)^2 times some units beside the first one: w h is 0.08 at the last step of six
     # forces, which moves the slope by some hundredths, and at the first one it is four times as large.
     assert slopes[1] == pytest.approx(scheme.order, abs=0.2)

@@ -56,10 +56,10 @@ def test_no_thread_is_at_work_after_an_interrupt(three_threads):
 
     with pytest.raises(KeyboardInterrupt):
         threads.shared(loop)(11)
-    found = list(finished)
-    assert found
+    results = list(finished)
+    assert results
     time.sleep(0.1)
-    assert finished == found
+    assert finished == results
 
 
 def test_loops_in_a_forked_process(three_threads):
@@ -81,9 +81,9 @@ def test_loops_in_a_forked_process(three_threads):
 @pytest.mark.parametrize(("n", "parts"), [(5, [(0, 5)]), (6, [(0, 3), (3, 6)]), (100, [(0, 33), (33, 66), (66, 100)])])
 def test_shares_are_large_enough_for_a_thread(three_threads, n, parts):
     """The results of all shares are summed."""
-    found = []
-    assert threads.shared(lambda start, stop: found.append((start, stop)) or stop - start)(n) == n
-    assert sorted(found) == parts
+    results = []
+    assert threads.shared(lambda start, stop: results.append((start, stop)) or stop - start)(n) == n
+    assert sorted(results) == parts
 
 
 def test_cores_are_those_that_the_process_is_bound_to(monkeypatch):

@@ -105,8 +105,8 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     _, system, point = settled("box-tip4pew", *periodic_system("tip4pew"))
     # At 10^5 bar each move to a smaller box is accepted.
     system.addForce(seeded(openmm.MonteCarloBarostat(1e5 * unit.bar, 300 * unit.kelvin, 2), 1))
-    made = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G, countsHeat=True) for _ in range(3)]
-    on_cpu, on_gpu, again = (seeded(each, 1) for each in made)
+    result = [SIERLangevinIntegrator(300, 5, 0.004, SIER4G, countsHeat=True) for _ in range(3)]
+    on_cpu, on_gpu, again = (seeded(each, 1) for each in result)
     first = context_at(system, on_cpu, point, "CPU", steps=3)
     context = gpu_context(gpu, "mixed", system, on_gpu, point)
     context.setState(full_state(first))
@@ -237,17 +237,17 @@ def framed():
     """Two domains, benzene and carbon dioxide with frames, and their phase point at 300 K."""
     system, positions, bodies = system_of("36 beads", "benzene", "36 beads", "carbon dioxide", apart=2.2)
     system.addForce(polar(system, bodies, charge=0.4))
-    found = with_frames(system, moved(positions, bodies), bodies)
-    context = openmm.Context(found.system, openmm.VerletIntegrator(0.001), platform())
-    context.setPositions(found.positions)
+    framed = with_frames(system, moved(positions, bodies), bodies)
+    context = openmm.Context(framed.system, openmm.VerletIntegrator(0.001), platform())
+    context.setPositions(framed.positions)
     context.setVelocitiesToTemperature(300, 4)
-    return found, phase_point(context), bodies
+    return framed, phase_point(context), bodies
 
 
 def test_bodies_with_frames_move_as_on_reference(gpu, framed):
     """By Verlet; forces of mixed precision are good to 1e-6, and SETTLE, which holds benzene, to 5e-9 nm."""
     made, point, _ = framed
-    found = []
+    results = []
     for name in ("Reference", gpu):
         integrator = openmm.VerletIntegrator(0.001)
         integrator.setConstraintTolerance(1e-7)
@@ -256,9 +256,9 @@ def test_bodies_with_frames_move_as_on_reference(gpu, framed):
         else:
             context = context_at(made.system, integrator, point)
         integrator.step(200)
-        found.append(made.getAtomPositions(context.getState(positions=True)))
-    assert np.abs(found[0] - point[0][: made.numAtoms]).max() > 0.02
-    assert np.abs(found[1] - found[0]).max() < 2e-6
+        results.append(made.getAtomPositions(context.getState(positions=True)))
+    assert np.abs(results[0] - point[0][: made.numAtoms]).max() > 0.02
+    assert np.abs(results[1] - results[0]).max() < 2e-6
 
 
 def test_bodies_with_frames_in_a_bath_and_under_pressure(gpu, framed):

@@ -87,9 +87,9 @@ def test_momentum_and_angular_momentum_are_conserved(chain):
     integrator.step(100)
     state = integrator.getBodyState()
     scale = np.abs(state.p).sum(), np.abs(state.q).max() * np.abs(state.p).sum()
-    for found, expected, size in zip(bodies.total_momenta(state), before, scale, strict=True):
+    for results, expected, size in zip(bodies.total_momenta(state), before, scale, strict=True):
         # Rounding of some thousand kicks.
-        assert np.abs(found - expected).max() < 1e-12 * size
+        assert np.abs(results - expected).max() < 1e-12 * size
     assert context.getStepCount() == 100
 
 
@@ -189,8 +189,8 @@ def test_forces_and_torques_are_those_of_the_whole_system(chain):
     q, A = known.fit(point[0])
     context = plain_context(system, known.place(q, A, point[0].copy()))
     expected = known.forces_and_torques(array(context.getState(forces=True, groups={FAST}).getForces()), A)
-    found = solute(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
-    for mine, theirs in zip(found, expected, strict=True):
+    result = solute(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
+    for mine, theirs in zip(result, expected, strict=True):
         # Those within bodies, which cancel, are there in the whole System alone.
         assert np.abs(mine - theirs[:, members]).max() < 1e-10 * np.abs(theirs).max()
     assert np.abs(expected[1]).max() > 10
@@ -282,6 +282,6 @@ def test_frames_of_a_prepared_system_are_prepared_anew():
     other = made(exact, system)
     other.setPositions(positions)
     exact.step(20)
-    found = framed.getAtomPositions(context.getState(positions=True))
+    atom_positions = framed.getAtomPositions(context.getState(positions=True))
     # Two schemes of fourth order at a sixtieth of the period of a bond.
-    assert np.abs(found - phase_point(other)[0]).max() < 1e-6
+    assert np.abs(atom_positions - phase_point(other)[0]).max() < 1e-6

@@ -114,8 +114,8 @@ def test_positions_and_velocities_must_be_finite(cluster, engine, which, value):
 def test_a_run_that_ends_in_no_numbers_says_so(engine):
     """Also one of few atoms, whose heat is not judged, and on the Reference platform, which computes on."""
     system = assembled([16.0], field("100*sqrt(0.1 - x)", [0]))
-    made = SIERIntegrator(0.002, SIER2, engine=engine)
-    context = context_at(system, made, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
+    result = SIERIntegrator(0.002, SIER2, engine=engine)
+    context = context_at(system, result, (np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])))
     with pytest.raises((RunawayError, openmm.OpenMMException), match="not finite"):
         context.getIntegrator().step(200)
 

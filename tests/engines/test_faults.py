@@ -154,8 +154,8 @@ def test_a_fault_at_any_line_with_a_barostat(box):
 @pytest.mark.parametrize("acts", [[openmm.MonteCarloBarostat], [openmm.MonteCarloBarostat, openmm.AndersenThermostat]])
 def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts, monkeypatch):
     # At 10^5 bar each move to a smaller box is accepted.
-    made = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
-    system = with_forces(box[1], *(seeded(kind(*made[kind]), 5) for kind in acts))
+    arguments = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
+    system = with_forces(box[1], *(seeded(kind(*arguments[kind]), 5) for kind in acts))
     integrator = seeded(SIERIntegrator(0.001, "SIER2"))
     context = context_at(system, integrator, box[2], "CPU", steps=1)
     seen = []

@@ -160,12 +160,12 @@ def test_energies_and_temperatures_in_a_bath(make):
         translation.append(moving)
         rotation.append(whole - moving)
     half = 0.5 * GAS_CONSTANT * T
-    for found, freedoms in ((potential, 15), (translation, 15), (rotation, 14)):
+    for results, freedoms in ((potential, 15), (translation, 15), (rotation, 14)):
         # Samples are 80 fs apart and a bath of 5/ps keeps energies for about 100 fs, so that at least a third of them
         # are independent: an energy of n freedoms deviates by sqrt(2 n) kT/2. Errors of the step are of (w h)^2/4,
         # below 0.002 for benzene, whose w is 7/ps.
-        error = half * np.sqrt(2 * freedoms / (len(found) / 3))
-        assert np.mean(found) == pytest.approx(half * freedoms, abs=6.5 * error + 0.003 * half * freedoms)
+        error = half * np.sqrt(2 * freedoms / (len(results) / 3))
+        assert np.mean(results) == pytest.approx(half * freedoms, abs=6.5 * error + 0.003 * half * freedoms)
 
 
 def test_openmm_counts_the_degrees_of_freedom_of_the_bodies():
@@ -192,9 +192,9 @@ def test_checkpoints_continue_a_run_and_minimization_keeps_bodies_rigid():
     before = energies(context)[0]
     openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
     assert energies(context)[0] < before - 1
-    found = framed.getAtomPositions(context.getState(positions=True))
+    atom_positions = framed.getAtomPositions(context.getState(positions=True))
     for atoms in bodies:
-        shapes = [np.linalg.norm(x[atoms][:, None] - x[atoms][None], axis=2) for x in (found, positions)]
+        shapes = [np.linalg.norm(x[atoms][:, None] - x[atoms][None], axis=2) for x in (atom_positions, positions)]
         # Sites stand on axes of unit length, whatever the frame's own errors, which lines alone feel: 1e-5 of a length.
         assert np.abs(shapes[0] - shapes[1]).max() < 1e-5
     context.setVelocitiesToTemperature(T, 2)
@@ -233,9 +233,9 @@ def test_barostats_of_openmm_move_bodies_as_wholes(barostat):
         volumes.add(context.getState().getPeriodicBoxVolume()._value)
     # Half of the moves is accepted at least, of thirty.
     assert len(volumes) > 1
-    found = framed.getAtomPositions(context.getState(positions=True))
+    atom_positions = framed.getAtomPositions(context.getState(positions=True))
     for atoms in bodies:
-        shapes = [np.linalg.norm(x[atoms][:, None] - x[atoms][None], axis=2) for x in (found, positions)]
+        shapes = [np.linalg.norm(x[atoms][:, None] - x[atoms][None], axis=2) for x in (atom_positions, positions)]
         assert np.abs(shapes[0] - shapes[1]).max() < 1e-9
 
 
@@ -276,6 +276,6 @@ def test_frozen_atoms_stay_and_exert_their_forces():
     integrator = openmm.VerletIntegrator(0.002)
     context = context_of(framed.system, integrator, framed.positions, 0 * framed.positions)
     integrator.step(50)
-    found = framed.getAtomPositions(context.getState(positions=True))
-    assert (found[wall] == positions[wall]).all()
-    assert np.abs(found - positions).max() > 1e-4
+    atom_positions = framed.getAtomPositions(context.getState(positions=True))
+    assert (atom_positions[wall] == positions[wall]).all()
+    assert np.abs(atom_positions - positions).max() > 1e-4

@@ -81,11 +81,11 @@ def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
     peer = context_at(system, tiny, point)
     shift_velocities(peer, -0.5e-5)
     tiny.step(1000)
-    found, expected = phase_point(context)[0], phase_point(peer)[0]
+    results, expected = phase_point(context)[0], phase_point(peer)[0]
     # Accelerations of 1e4 nm/ps^2 give Verlet an error of 1e4 (1e-5 ps)^2 in each period of 0.01 ps, 1e-6 nm. Bonds
     # without constraints, whose periods are 20 fs, add as much to a step of 0.5 fs. The atoms move by 1e-2 nm.
-    assert np.abs(found - expected).max() < 5e-6
-    assert np.array_equal(found[atoms], point[0][atoms])
+    assert np.abs(results - expected).max() < 5e-6
+    assert np.array_equal(results[atoms], point[0][atoms])
 
 
 @pytest.mark.parametrize("engine", ENGINES)

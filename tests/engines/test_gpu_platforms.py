@@ -23,5 +23,7 @@ def test_on_gpu_platforms():
             "on the CPU"
         )
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(SUITE)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, env=opencl.environment(), check=False)
-    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
+    process = subprocess.run(
+        command, capture_output=True, text=True, timeout=LIMIT, env=opencl.environment(), check=False
+    )
+    assert process.returncode == 0, process.stdout[-8000:] + process.stderr[-2000:]

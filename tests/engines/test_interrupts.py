@@ -44,10 +44,10 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
 
     def interrupted(which, handler):
         nonlocal calls
-        found, calls = change(which, handler), calls + 1
+        results, calls = change(which, handler), calls + 1
         if calls == number:
             signal.raise_signal(signal.SIGINT)
-        return found
+        return results
 
     with monkeypatch.context() as patched:
         patched.setattr(_signal, "signal", interrupted)

@@ -80,13 +80,13 @@ def test_runs_conserves_and_restarts(case, bath):
 
     one = integrator()
     context = started(system, one, positions, steps=0)
-    start, found = total_energy(context), []
+    start, result = total_energy(context), []
     for _ in range(10):
         one.step(5)
-        found.append(total_energy(context) - (one.getHeat()._value if bath else 0) - start)
+        result.append(total_energy(context) - (one.getHeat()._value if bath else 0) - start)
     # Fourth order at a fiftieth to a hundredth of the period of the fastest motion: 1e-3 of thermal energies of up to
     # 70 kJ/mol.
-    assert np.abs(found).max() < 0.15
+    assert np.abs(result).max() < 0.15
     state = one.getBodyState()
     assert residual(one.bodies.constraints, state.q) < 1e-13
     assert_restart_is_the_same(system, context, integrator(), 7)
@@ -104,15 +104,15 @@ def test_temperatures_of_what_is_rigid_and_what_is_not():
     kinetic = context.getState(energy=True).getKineticEnergy()._value
     # The field acts on absolute positions, so that the centre of mass has its heat.
     total = 2 * kinetic / (bodies.dof * GAS_CONSTANT)
-    found = integrator.computeTemperatures().in_kelvin()
+    kelvins = integrator.computeTemperatures().in_kelvin()
     # Velocities drawn by OpenMM satisfy the constraints to 1e-5.
-    assert found.total == pytest.approx(total, rel=1e-4)
+    assert kelvins.total == pytest.approx(total, rel=1e-4)
     weights = 6 * 3, 4 * 3, 18 * 3 - 12
-    assert np.dot(weights, found[1:]) / sum(weights) == pytest.approx(found.total, rel=1e-12)
+    assert np.dot(weights, kelvins[1:]) / sum(weights) == pytest.approx(kelvins.total, rel=1e-12)
     v = phase_point(context)[1][:18]
     masses = np.array([system.getParticleMass(i)._value for i in range(18)])
     chain = (masses * (v**2).sum(axis=1)).sum() / ((18 * 3 - 12) * GAS_CONSTANT)
-    assert found.flexible == pytest.approx(chain, rel=1e-4)
+    assert kelvins.flexible == pytest.approx(chain, rel=1e-4)
 
 
 # --- fast forces ---
@@ -211,8 +211,8 @@ def test_positions_far_off_the_constraints_are_refused():
 
 def test_atoms_in_a_row_are_refused():
     """Both ways out, carbon as a virtual site and a named body, are in `test_body_kinds`."""
-    held = ((0, 1, 0.116), (1, 2, 0.116), (0, 2, 0.232))
-    system = assembled((15.999, 12.011, 15.999), constraints=held)
+    lengths = ((0, 1, 0.116), (1, 2, 0.116), (0, 2, 0.232))
+    system = assembled((15.999, 12.011, 15.999), constraints=lengths)
     with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*virtual sites.*name the atoms in `bodies`"):
         openmm.Context(system, SIERIntegrator(0.002), platform())
 
@@ -285,9 +285,9 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
     A = np.repeat(np.eye(3)[:, :, None], len(members), axis=2)
-    found, _ = integrator.binding.engine.motion.fast.at(q[:, members].copy(), A)
+    results, _ = integrator.binding.engine.motion.fast.at(q[:, members].copy(), A)
     # Forces of the CPU platform pass through single precision where they are summed.
-    assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
+    assert np.abs(results - expected).max() < 1e-5 * np.abs(expected).max()
 
 
 def test_an_engine_with_fast_forces_needs_no_garbage_collector():

@@ -45,8 +45,8 @@ def test_approaches_the_exact_engine_as_substeps_grow(name, cluster):
     exact = trajectory(system, point, scheme=scheme, engine="exact")
     errors = {}
     for k in (1, 2, 5):
-        found = trajectory(system, point, scheme=scheme, engine="native", substeps=k)
-        errors[k] = np.abs(found - exact).max()
+        frames = trajectory(system, point, scheme=scheme, engine="native", substeps=k)
+        errors[k] = np.abs(frames - exact).max()
     # Equal steps are of second order: a factor of 4 +- 1 %. Virtual sites that are not moved within a step, or a
     # coefficient that is wrong, leave an error that does not fall. Five are 1e3 times as good as one, down to what
     # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
@@ -107,11 +107,11 @@ def test_step_of_a_bath_is_that_of_langevin_middle(cluster, counts_heat):
     own = SIERLangevinIntegrator(0, 20, 0.004, SIER2, engine="native", countsHeat=counts_heat)
     other = openmm.LangevinMiddleIntegrator(0, 20, 0.004)
     other.setConstraintTolerance(1e-9)
-    found, expected = (phase_point(context_at(system, integrator, point, steps=6)) for integrator in (own, other))
+    results, expected = (phase_point(context_at(system, integrator, point, steps=6)) for integrator in (own, other))
     assert np.abs(expected[0] - point[0]).max() > 1e-3
     # Rounding; SETTLE's single precision is the same for both. A solution of the constraints more, another time over
     # which they change velocities, or velocities that are not constrained first move atoms by 8e-5 nm and more.
-    assert np.abs(found[0] - expected[0]).max() < 1e-12
+    assert np.abs(results[0] - expected[0]).max() < 1e-12
 
 
 def test_langevin_brings_the_temperature():
@@ -158,13 +158,13 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
         _bound = context_at(system, given, point, steps=2)
-    found, time, _ = run_as_stranger(tmp_path, system, given, state)
+    results, time, _ = run_as_stranger(tmp_path, system, given, state)
     expected = []
     for _ in range(4):
         integrator.step(1)
         expected.append(energies(context))
     # One program on one platform: the same but for the constraints that the first step renews.
-    assert np.array(found) == pytest.approx(np.array(expected), rel=1e-7)
+    assert np.array(results) == pytest.approx(np.array(expected), rel=1e-7)
     assert time == pytest.approx(4 * 0.003, abs=1e-15)
 
 
@@ -178,8 +178,8 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
 )
 def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings, remedy, tmp_path):
     _, _, waters = cluster_system(1)
-    held = [waters.getConstraintParameters(i) for i in range(waters.getNumConstraints())]
-    system = assembled((16.0, 1.0, 1.0, 30.0, 40.0), constraints=held)
+    constrained = [waters.getConstraintParameters(i) for i in range(waters.getNumConstraints())]
+    system = assembled((16.0, 1.0, 1.0, 30.0, 40.0), constraints=constrained)
     if rigid := settings.pop("rigid", None):
         positions = np.random.default_rng(1).random((5, 3))
         settings["bodies"] = RigidBodies.from_system(system, rigid=rigid, positions=positions)

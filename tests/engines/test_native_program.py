@@ -16,7 +16,7 @@ from tests.support.waters import context_at, phase_point
 @pytest.mark.parametrize("substeps", [1, 2, 3, 4, 5, 7])
 def test_substeps_make_up_the_drift(substeps):
     program = native_program.write(SIER4G, substeps)
-    drifts = [line for part in program.parts for line in part if line.title == "drift"]
+    drifts = [line for group in program.parts for line in group if line.title == "drift"]
     assert len(drifts) == 2
     for line in drifts:
         assert len(line.lengths) == substeps
@@ -95,5 +95,5 @@ def test_schemes_with_long_drifts_have_more_substeps(name, substeps, inner):
     assert SIERIntegrator(0.002, scheme).program == native_program.write(scheme, substeps)
     assert SIERIntegrator(0.002, scheme, substeps=2).program == native_program.write(scheme, 2)
     nested = native_program.write(scheme, inner, {1})
-    lengths = [d for part in nested.parts for line in part for d in line.lengths]
+    lengths = [d for group in nested.parts for line in group for d in line.lengths]
     assert nested.inner_fraction == pytest.approx(max(map(abs, lengths)), rel=1e-14)

@@ -49,7 +49,7 @@ def free_part(context, kind, velocities):
     molecule. Otherwise all motion that leaves constrained distances as they are.
     """
     x, roots = phase_point(context)[0].reshape(-1, *kind.places.shape), np.repeat(np.sqrt(kind.masses), 3)
-    found, freedoms = [], 0
+    results, freedoms = [], 0
     for places, theirs in zip(x, velocities.reshape(x.shape), strict=True):
         if len(kind.pairs) == len(places) * (len(places) - 1) // 2:
             turns = [np.cross(axis, places - places[0]).ravel() for axis in np.eye(3)]
@@ -59,16 +59,16 @@ def free_part(context, kind, velocities):
             for row, (i, j) in zip(gradients, kind.pairs, strict=True):
                 row[i], row[j] = places[i] - places[j], places[j] - places[i]
             basis = null_space(gradients.reshape(len(kind.pairs), -1) / roots).T
-        found.append(np.linalg.pinv(basis) @ basis @ (roots * theirs.ravel()) / roots)
+        results.append(np.linalg.pinv(basis) @ basis @ (roots * theirs.ravel()) / roots)
         freedoms += len(basis)
-    return np.reshape(found, velocities.shape), freedoms
+    return np.reshape(results, velocities.shape), freedoms
 
 
 def misfit(context):
     """Largest error of a constrained distance, nm."""
     system, (x, _) = context.getSystem(), phase_point(context)
-    found = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    return max(abs(np.linalg.norm(x[i] - x[j]) - length._value) for i, j, length in found)
+    results = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    return max(abs(np.linalg.norm(x[i] - x[j]) - length._value) for i, j, length in results)
 
 
 @pytest.mark.parametrize("name", PLATFORMS)
@@ -76,9 +76,9 @@ def test_velocities_of_a_temperature(kind, name):
     context, _ = context_of(kind, name=name, edge=3)
     context.setVelocitiesToTemperature(300, 5)
     _, v = phase_point(context)
-    found, freedoms = free_part(context, kind, v)
+    results, freedoms = free_part(context, kind, v)
     # Velocities of some nm/ps, with projections of points that are solved to 1e-11.
-    assert np.abs(found - v).max() < 1e-9
+    assert np.abs(results - v).max() < 1e-9
     kinetic = 0.5 * (np.tile(kind.masses, 27)[:, None] * v**2).sum()
     # Four standard deviations of the chi-squared distribution; the seed is fixed.
     assert abs(2 * kinetic / (GAS_CONSTANT * 300 * freedoms) - 1) < 4 * np.sqrt(2 / freedoms)
@@ -129,13 +129,13 @@ def test_energy_is_minimized(kind, name):
 @pytest.mark.parametrize("make", [SIERIntegrator, SIERHMCIntegrator, SIERLangevinIntegrator])
 def test_the_native_engine_refuses(kind, make):
     arguments = {SIERIntegrator: (0.002,), SIERHMCIntegrator: (300, 0.002), SIERLangevinIntegrator: (300, 1, 0.002)}
-    told = r"OpenMM cannot satisfy the constraints of atoms 0, 1, 2.*engine='exact'"
+    message = r"OpenMM cannot satisfy the constraints of atoms 0, 1, 2.*engine='exact'"
 
     def first_step():
         context, _ = context_of(kind, make(*arguments[make], engine="native"))
         context.getIntegrator().step(1)
 
-    with pytest.raises(openmm.OpenMMException, match=told):
+    with pytest.raises(openmm.OpenMMException, match=message):
         first_step()
 
 
@@ -184,8 +184,8 @@ def test_surplus_constraints_make_nothing_hotter():
 def test_water_is_left_to_openmm():
     """Velocities for a seed are OpenMM's, bit for bit."""
     context, _ = context_of(triangle([16.0, 1.0, 1.0]))
-    found = []
+    results = []
     for draw in (openmm.Context.setVelocitiesToTemperature, inspect.unwrap(openmm.Context.setVelocitiesToTemperature)):
         draw(context, 300, 4)
-        found.append(phase_point(context)[1])
-    assert np.array_equal(*found)
+        results.append(phase_point(context)[1])
+    assert np.array_equal(*results)

@@ -191,10 +191,10 @@ def test_stored_xml_samples_exactly_without_this_package(tmp_path):
     system = anharmonic.system()
     plain = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x))
     state = plain.getState(positions=True)
-    rows, (made, accepted), time = samples_as_stranger(tmp_path, system, integrator, state, 4000)
-    assert made == 4020
+    rows, (result, accepted), time = samples_as_stranger(tmp_path, system, integrator, state, 4000)
+    assert result == 4020
     # 0.7, which scatters by 0.03 between displaced starts.
-    assert 0.5 < accepted / made < 0.9
+    assert 0.5 < accepted / result < 0.9
     # Sums of 4000 numbers.
     assert time == pytest.approx(4020 * 2 * 0.02, rel=1e-10)
     assert (np.abs(anharmonic.distances([anharmonic.observed(*row) for row in rows])) < 4.5).all()

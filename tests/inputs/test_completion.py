@@ -54,13 +54,13 @@ def test_what_is_missing_is_added_and_said(whole):
     expected = kept(villin())
     # The chain ends early, and has a terminal oxygen there.
     assert sorted(heavy(whole.topology)) == sorted([*expected, (LAST, expected[-1][1], "OXT")])
-    said = dict(whole.changes)
-    assert said["residues added"] == "1 between ASP A 44 and ASP A 46"
-    assert said["missing at an end, left out"] == "26 after VAL A 50"
+    changes = dict(whole.changes)
+    assert changes["residues added"] == "1 between ASP A 44 and ASP A 46"
+    assert changes["missing at an end, left out"] == "26 after VAL A 50"
     # Of phenylalanine, seven of its side chain; then those of glutamic acid, which is missing.
-    assert said["heavy atoms added"] == "8 to PHE A 47, VAL A 50, 9 of added residues"
+    assert changes["heavy atoms added"] == "8 to PHE A 47, VAL A 50, 9 of added residues"
     hydrogens = sum(atom.element.symbol == "H" for atom in whole.topology.atoms())
-    assert said["hydrogens added"].startswith(f"{hydrogens},")
+    assert changes["hydrogens added"].startswith(f"{hydrogens},")
 
 
 @pytest.mark.thorough
@@ -72,21 +72,21 @@ def test_ends_are_added_where_they_are_asked_for(structure):
 
 @pytest.mark.parametrize("shape", representatives(["cube", "dodecahedron"], "dodecahedron"))
 def test_run_reads_what_is_made(whole, shape, tmp_path):
-    made = solvate(whole, shape, padding=0.6, salt=0.5)
+    solvated = solvate(whole, shape, padding=0.6, salt=0.5)
     path = tmp_path / "box.pdb"
-    path.write_text(as_pdb(made))
+    path.write_text(as_pdb(solvated))
     box = read_input(path)
     assert box.files == FILES
-    assert box.system.getNumParticles() == made.topology.getNumAtoms()
+    assert box.system.getNumParticles() == solvated.topology.getNumAtoms()
     # A PDB file has lengths to 1e-4 nm and angles to 5e-5 rad. Read vectors may be another choice for the same lattice.
-    wanted, read = box_vectors(made.topology), box_vectors(box.topology)
-    assert np.linalg.det(read) == pytest.approx(np.linalg.det(wanted), rel=5e-4)
-    whole_numbers = read @ np.linalg.inv(wanted)
+    written, read = box_vectors(solvated.topology), box_vectors(box.topology)
+    assert np.linalg.det(read) == pytest.approx(np.linalg.det(written), rel=5e-4)
+    whole_numbers = read @ np.linalg.inv(written)
     assert whole_numbers == pytest.approx(np.round(whole_numbers), abs=5e-4)
     names = Counter(residue.name for residue in box.topology.residues())
-    said = dict(made.changes)
-    assert said["waters added"] == str(names["HOH"])
-    assert said["ions added"] == f"{names['CL']} CL, {names['NA']} NA"
+    changes = dict(solvated.changes)
+    assert changes["waters added"] == str(names["HOH"])
+    assert changes["ions added"] == f"{names['CL']} CL, {names['NA']} NA"
     assert min(names["CL"], names["NA"]) >= 1
     force = next(force for force in box.system.getForces() if isinstance(force, openmm.NonbondedForce))
     charges = [
@@ -99,12 +99,12 @@ def test_run_reads_what_is_made(whole, shape, tmp_path):
 @pytest.mark.thorough
 def test_virtual_sites_are_left_to_the_reader(structure, tmp_path):
     files = ("amber14-all.xml", "amber14/tip4pew.xml")
-    made = solvate(complete(structure, files), "octahedron", padding=0.6, salt=0)
-    assert all(atom.element is not None for atom in made.topology.atoms())
+    solvated = solvate(complete(structure, files), "octahedron", padding=0.6, salt=0)
+    assert all(atom.element is not None for atom in solvated.topology.atoms())
     path = tmp_path / "box.pdb"
-    path.write_text(as_pdb(made))
-    waters = sum(residue.name == "HOH" for residue in made.topology.residues())
-    assert read_input(path).system.getNumParticles() == made.topology.getNumAtoms() + waters
+    path.write_text(as_pdb(solvated))
+    waters = sum(residue.name == "HOH" for residue in solvated.topology.residues())
+    assert read_input(path).system.getNumParticles() == solvated.topology.getNumAtoms() + waters
 
 
 @pytest.mark.thorough
@@ -136,8 +136,8 @@ def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, mon
     path = write_incomplete(tmp_path / "a.pdb", also=SULFATE)
     with pytest.raises(ForceFieldError, match=r"has no template for SO4 B 1: leave them out with leave_out=\[.SO4.\]"):
         complete(path)
-    found = complete(path, leave_out=["SO4"])
-    assert ("residues left out", "1 SO4") in found.changes
+    result = complete(path, leave_out=["SO4"])
+    assert ("residues left out", "1 SO4") in result.changes
     with pytest.raises(ForceFieldError, match="has no residue GOL to leave out; it has "):
         complete(path, leave_out=["GOL"])
 

@@ -43,22 +43,22 @@ def tethered():
 
 def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     """From springs at rest: half of the energy has still to come when the bath has the temperature already."""
-    told = Told()
-    found = equilibrate(context_of(*tethered), TEMPERATURE, report=told)
+    report = Told()
+    outcome = equilibrate(context_of(*tethered), TEMPERATURE, report=report)
     # One in a hundred windows is out of bounds by chance, so that 17 of them are so with a probability of 1e-34.
-    assert found.settled
-    assert 3 <= found.time < equilibration.LONGEST
+    assert outcome.settled
+    assert 3 <= outcome.time < equilibration.LONGEST
     # 180 degrees of freedom each: the bounds, within which what has settled is.
     bound = TEMPERATURE * math.sqrt(2 / 180)
-    assert abs(found.means.translation - TEMPERATURE) < bound
-    assert abs(found.means.rotation - TEMPERATURE) < bound
+    assert abs(outcome.means.translation - TEMPERATURE) < bound
+    assert abs(outcome.means.rotation - TEMPERATURE) < bound
     # 360 springs with kT/2 each, whose sum is known over 2 ps to 3.3 % (a correlation time of 0.2 ps). Seven times that
     # has a probability of 1e-11.
     thermal = 180 * GAS_CONSTANT * TEMPERATURE
-    assert found.means.potential == pytest.approx(thermal, rel=7 * math.sqrt(2 / 360 / 5))
-    (note,) = told.notes
+    assert outcome.means.potential == pytest.approx(thermal, rel=7 * math.sqrt(2 / 360 / 5))
+    (note,) = report.notes
     assert "not settled" not in note
-    ((_, fractions),) = told.runs
+    ((_, fractions),) = report.runs
     assert fractions == sorted(fractions)
 
 
@@ -70,29 +70,29 @@ def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
     """
     monkeypatch.setattr(equilibration, "LONGEST", 4.0)
     with pytest.warns(EquilibrationWarning, match="not equilibrated after 4"):
-        found = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
-    assert not found.settled
-    assert abs(found.means.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
+        outcome = equilibrate(context_of(*falling_water(80, 0.75)), TEMPERATURE)
+    assert not outcome.settled
+    assert abs(outcome.means.translation - TEMPERATURE) < TEMPERATURE * math.sqrt(2 / 240)
 
 
 def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered):
     monkeypatch.setattr(equilibration, "LONGEST", 4.0)
     system = with_forces(tethered[0], seeded(openmm.AndersenThermostat(2 * TEMPERATURE, 50), 1))
     with pytest.warns(EquilibrationWarning, match="a temperature is out of bounds"):
-        found = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
-    assert not found.settled
+        outcome = equilibrate(context_of(system, tethered[1]), TEMPERATURE)
+    assert not outcome.settled
 
 
 @pytest.mark.parametrize("time", [0.0, 0.06])
 def test_a_time_that_is_given_is_kept(tethered, time):
-    told = Told()
-    found = equilibrate(context_of(*tethered), TEMPERATURE, time=time, report=told)
-    assert found.time == pytest.approx(time)
-    assert not found.settled
+    report = Told()
+    equilibration = equilibrate(context_of(*tethered), TEMPERATURE, time=time, report=report)
+    assert equilibration.time == pytest.approx(time)
+    assert not equilibration.settled
     # Springs at rest take up half of the heat in 0.06 ps.
-    assert found.doubtful == bool(time)
-    assert len(told.notes) == bool(time)
-    assert all(note.endswith("not settled") for note in told.notes)
+    assert equilibration.doubtful == bool(time)
+    assert len(report.notes) == bool(time)
+    assert all(note.endswith("not settled") for note in report.notes)
 
 
 def test_the_context_is_equilibrated(tethered, monkeypatch):
@@ -140,16 +140,16 @@ def test_the_step_follows_the_bonds(fast):
     """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
     system, positions = system_of([spc(), spc()])
     groups = prepare_system(system).fastForceGroups if fast else None
-    told = Told()
+    report = Told()
     with silence():
         context = context_of(system, positions, SIERIntegrator(0.002, fastForceGroups=groups))
-        found = equilibrate(context, TEMPERATURE, time=0.05, report=told)
+        equilibration = equilibrate(context, TEMPERATURE, time=0.05, report=report)
     period = 2 * math.pi * math.sqrt(1 / (solutes.WITH_HYDROGEN * (1 / 1.008 + 1 / 15.999)))
     step = 0.75 * (0.45 * period if fast else SIER4G.accuracy_limit * period / (2 * math.pi))
-    assert f"equilibrates in steps of {1000 * step:.2g} fs" in told.notes[0]
-    assert found.time == pytest.approx(round(0.05 / step) * step)
+    assert f"equilibrates in steps of {1000 * step:.2g} fs" in report.notes[0]
+    assert equilibration.time == pytest.approx(round(0.05 / step) * step)
     # Bonds in the kicks are followed to a few per cent. Velocities are drawn: 12 degrees of freedom, four deviations.
-    assert 0 < found.means.flexible < TEMPERATURE * (1 + 4 * math.sqrt(2 / 12))
+    assert 0 < equilibration.means.flexible < TEMPERATURE * (1 + 4 * math.sqrt(2 / 12))
 
 
 def test_without_an_equilibration_velocities_are_drawn(tethered):
@@ -172,9 +172,9 @@ def test_it_is_decided_by_the_seed(tethered):
 def test_energy_of_a_run_at_constant_energy_is_the_mean_of_the_equilibration(tethered):
     """Mean potential energy, and kT/2 for each of the 360 degrees of freedom, which springs leave all of them."""
     context, snapshot = context_of(*tethered), context_of(*tethered)
-    found = equilibrate(snapshot, TEMPERATURE)
+    equilibration = equilibrate(snapshot, TEMPERATURE)
     prepare(context, tethered[1] * unit.nanometer, TEMPERATURE)
-    expected = found.means.potential + 180 * GAS_CONSTANT * TEMPERATURE
+    expected = equilibration.means.potential + 180 * GAS_CONSTANT * TEMPERATURE
     assert sum(energies(context)) == pytest.approx(expected, rel=1e-9)
     # A snapshot of the bath has another energy, which is what this is for.
     assert sum(energies(snapshot)) != pytest.approx(expected, rel=1e-12)
@@ -228,10 +228,10 @@ def test_threads_are_no_more_than_the_cores_of_the_process(monkeypatch):
     usual = cpu.getPropertyDefaultValue("Threads")
     monkeypatch.setattr(equilibration, "cores", lambda: 2)
     try:
-        for default, found in (("3", "2"), ("1", "1")):
+        for default, results in (("3", "2"), ("1", "1")):
             cpu.setPropertyDefaultValue("Threads", default)
             context = equilibration.make_context(system_of([spc()])[0], openmm.VerletIntegrator(0.001), "CPU")
-            assert cpu.getPropertyValue(context, "Threads") == found
+            assert cpu.getPropertyValue(context, "Threads") == results
             assert cpu.getPropertyDefaultValue("Threads") == default
     finally:
         cpu.setPropertyDefaultValue("Threads", usual)

@@ -101,11 +101,11 @@ def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, e
         path = write_pdb(tmp_path / name, pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
     with pytest.warns(
         UserWarning, match=r"is 0.26 g/ml, less than that of a liquid. Unless this is a gas or has surfaces"
-    ) as told:
+    ) as caught:
         box = read_input(path, files=["tip3p.xml"])
     assert "at 0.259 g/ml, PME" in describe(box)
     lacks_end = name == "box.pdb" and not ending
-    assert ("the file, which has no record END, is cut off" in str(told[-1].message)) == lacks_end
+    assert ("the file, which has no record END, is cut off" in str(caught[-1].message)) == lacks_end
 
 
 def test_half_a_liquid_is_told_without_a_warning(tmp_path, lines, recwarn):
@@ -160,11 +160,11 @@ def as_mmcif(path):
     columns = [line.split(".")[1].strip() for line in lines if line.startswith("_atom_site.")]
     first = next(number for number, line in enumerate(lines) if line.startswith(("ATOM", "HETATM")))
     fields = lines[first].split()
-    made = []
+    rows = []
     for letter in "AB":
         fields[columns.index("label_alt_id")] = letter
-        made.append(" ".join(fields) + "\n")
-    path.write_text("".join([*lines[:first], *made, *lines[first + 1 :]]))
+        rows.append(" ".join(fields) + "\n")
+    path.write_text("".join([*lines[:first], *rows, *lines[first + 1 :]]))
     return path
 
 
@@ -173,10 +173,10 @@ def test_the_first_of_alternate_locations_is_taken_with_a_warning(tmp_path, line
     path = tmp_path / "box.pdb"
     path.write_text("".join([*lines[:2], *in_two_places(lines[2]), *lines[3:]]))
     with pytest.warns(UserWarning, match="alternate locations, of which the first is taken"):
-        taken = read_pdb(make(path))
+        pdb = read_pdb(make(path))
     path.write_text("".join(lines))
     np.testing.assert_allclose(
-        np.array(taken.positions.value_in_unit(unit.nanometer)),
+        np.array(pdb.positions.value_in_unit(unit.nanometer)),
         np.array(read_pdb(path).positions.value_in_unit(unit.nanometer)),
         # Files have a thousandth of an Angstrom.
         atol=1e-4,

@@ -16,26 +16,26 @@ def program():
 
 def handedness(topology, x):
     """Of each residue with CB: the triple product of N, C and CB about CA, in nm^3."""
-    found = []
+    results = []
     for residue in topology.residues():
         at = {atom.name: x[atom.index] for atom in residue.atoms()}
         if "CB" in at:
-            found.append(np.linalg.det([at[name] - at["CA"] for name in ("N", "C", "CB")]))
-    return np.array(found)
+            results.append(np.linalg.det([at[name] - at["CA"] for name in ("N", "C", "CB")]))
+    return np.array(results)
 
 
 def test_every_residue(program):
     """As a helix: hydrogens can be added, and no bond or angle of the others is far from the force field's."""
     names = sorted(program.SIDE_CHAINS)
     assert sorted(program.LETTERS.values()) == names
-    made = program.dry(names, *program.LONG_TORSIONS)
-    x = np.array(made.positions.value_in_unit(unit.nanometer))
+    peptide = program.dry(names, *program.LONG_TORSIONS)
+    x = np.array(peptide.positions.value_in_unit(unit.nanometer))
     # Clockwise, seen with the hydrogen towards the viewer: CO, R, N. Edges of 0.15 nm at tetrahedral angles.
-    turns = handedness(made.topology, x)
+    turns = handedness(peptide.topology, x)
     assert len(turns) == len(names) - 1
     assert turns == pytest.approx(turns[0], rel=0.1)
     assert turns[0] > 0
-    system = forcefield().createSystem(made.topology)
+    system = forcefield().createSystem(peptide.topology)
     bonds, angles = (
         next(force for force in system.getForces() if isinstance(force, kind))
         for kind in (openmm.HarmonicBondForce, openmm.HarmonicAngleForce)
@@ -43,12 +43,12 @@ def test_every_residue(program):
     for i, j, length, _ in map(bonds.getBondParameters, range(bonds.getNumBonds())):
         # Those of crystals and of force fields differ by 0.002 nm; those that close rings by more.
         assert np.linalg.norm(x[i] - x[j]) == pytest.approx(length._value, abs=0.006)
-    atoms = list(made.topology.atoms())
+    atoms = list(peptide.topology.atoms())
     for i, j, k, angle, _ in map(angles.getAngleParameters, range(angles.getNumAngles())):
         if "H" not in {atoms[end].element.symbol for end in (i, k)}:
             a, b = x[i] - x[j], x[k] - x[j]
-            found = np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
-            assert found == pytest.approx(angle._value, abs=0.15), [str(atoms[n]) for n in (i, j, k)]
+            result = np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+            assert result == pytest.approx(angle._value, abs=0.15), [str(atoms[n]) for n in (i, j, k)]
 
 
 def test_a_chain_that_is_turned_keeps_its_hand(program, rng):

@@ -95,10 +95,10 @@ def test_box_has_the_energy_of_the_liquid(model, energy):
     """Excess energies in kcal/mol at 298 K: L. Wang, R. Abel, R. A. Friesner and B. J. Berne, J. Chem. Theory Comput.
     5, 1462 (2009), Table 3."""
     context = reference_context(liquid(model))
-    found = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole) / 512
+    result = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole) / 512
     # One snapshot scatters by sqrt(k T^2 c/512) = 0.25 kJ/mol, the heat capacity c being some 45 J/mol/K; thrice that.
     # A start from a lattice is 20 kJ/mol off.
-    assert abs(found - energy * KCAL) < 0.75
+    assert abs(result - energy * KCAL) < 0.75
 
 
 def test_salt_solution_has_its_ions_and_its_density():

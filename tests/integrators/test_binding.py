@@ -32,7 +32,7 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
     _, system, point = cluster
     integrator = SIERIntegrator(0.002, "SIER2", engine=engine)
     context = context_at(system, integrator, point, steps=10)
-    asked, called = states_asked(monkeypatch), []
+    requests, called = states_asked(monkeypatch), []
 
     def noted(name):
         function = getattr(openmm.openmm._openmm, name)
@@ -49,7 +49,7 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
     # The watch for runaways reads velocities now and then.
     monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
     integrator.step(10)
-    assert not any(kinds & (openmm.State.Positions | openmm.State.Velocities) for kinds in asked)
+    assert not any(kinds & (openmm.State.Positions | openmm.State.Velocities) for kinds in requests)
     assert called.count("Context_setVelocities") == written
     assert called.count("Context_setPositions") == 10 * written
     assert not [name for name in called if "Variable" in name]

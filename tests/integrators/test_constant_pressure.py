@@ -89,11 +89,11 @@ def test_volume_is_that_of_openmms_barostat():
         context = context_at(its_system, seeded(made, 1), (positions, 0 * positions))
         context.setVelocitiesToTemperature(150, 1)
         made.step(1000)
-        found = []
+        results = []
         for _ in range(100):
             made.step(20)
-            found.append(context.getState().getPeriodicBoxVolume()._value)
-        means.append(np.mean(found))
+            results.append(context.getState().getPeriodicBoxVolume()._value)
+        means.append(np.mean(results))
     assert means[0] == pytest.approx(means[1], rel=0.13)
 
 
@@ -102,10 +102,10 @@ def test_volume_is_that_of_openmms_barostat():
 
 def sizes(accepted, moves, molecules=100):
     """The size after each of so many moves that are accepted with a probability."""
-    found = [MoveSize.first(molecules)]
+    results = [MoveSize.first(molecules)]
     for _ in range(moves):
-        found.append(found[-1].after(accepted))
-    return [size.largest for size in found]
+        results.append(results[-1].after(accepted))
+    return [size.largest for size in results]
 
 
 def test_a_size_at_which_enough_moves_are_accepted_stays():
@@ -115,12 +115,12 @@ def test_a_size_at_which_enough_moves_are_accepted_stays():
 
 @pytest.mark.parametrize(("accepted", "factor"), [(0.0, 0.1), (0.2, 0.4), (0.8, 2.5), (1.0, 10.0)])
 def test_the_size_changes_ever_more_rarely_and_not_for_ever(accepted, factor):
-    found = sizes(accepted, 6000, molecules=10**6)
-    changed = [moves for moves in range(1, 6001) if found[moves] != found[moves - 1]]
-    assert found[10] == pytest.approx(factor * found[0])
+    result = sizes(accepted, 6000, molecules=10**6)
+    changed = [moves for moves in range(1, 6001) if result[moves] != result[moves - 1]]
+    assert result[10] == pytest.approx(factor * result[0])
     assert set(changed) <= set(JUDGED)
     # No size is larger than the largest.
-    assert changed == list(JUDGED) or found[-1] == LARGEST_SIZE
+    assert changed == list(JUDGED) or result[-1] == LARGEST_SIZE
 
 
 def test_the_volume_of_a_gas_has_its_distribution():
@@ -129,7 +129,7 @@ def test_the_volume_of_a_gas_has_its_distribution():
     Of 60,000 moves every 30th is taken. The correlation of ln V decays within some ten moves, so that these are
     independent; a right sampler fails for one seed in a thousand.
     """
-    molecules, volume, found = 20, 21.0, []
+    molecules, volume, result = 20, 21.0, []
     size = MoveSize(1e-3)
     for draw in range(62000):
         move = MonteCarloVolumeMove.drawn(5, draw, molecules, size.largest)
@@ -137,9 +137,9 @@ def test_the_volume_of_a_gas_has_its_distribution():
         if move.is_accepted(probability):
             volume *= move.factor**3
         size = size.after(probability)
-        found.append(volume)
+        result.append(volume)
     assert size.largest == LARGEST_SIZE
-    assert stats.kstest(found[2000::30], stats.gamma(molecules + 1).cdf).pvalue > 1e-3
+    assert stats.kstest(result[2000::30], stats.gamma(molecules + 1).cdf).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("energy", [np.nan, np.inf])
@@ -179,14 +179,14 @@ def test_the_box_of_a_network_answers(engine):
     Of 400 moves these are 100 to 300, with standard errors of 9. Those of the first size would be 4 with one of 2.
     """
     system, positions = network()
-    made = moved_every_step(engine)
-    context = context_at(system, made, (positions, 0 * positions))
+    integrator = moved_every_step(engine)
+    context = context_at(system, integrator, (positions, 0 * positions))
     context.setVelocitiesToTemperature(297.0, 1)
-    made.step(JUDGED[3])
+    integrator.step(JUDGED[3])
     moved = 0
     for _ in range(400):
         before = context.getState().getPeriodicBoxVolume()
-        made.step(1)
+        integrator.step(1)
         moved += context.getState().getPeriodicBoxVolume() != before
     assert 20 <= moved <= 380
 
@@ -218,22 +218,22 @@ def test_a_restart_goes_on_with_the_size_of_moves(tmp_path, monkeypatch, engine,
 @both_engines
 def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     system, positions = network()
-    made = moved_every_step(engine)
-    context = context_at(system, made, (positions, 0 * positions))
+    integrator = moved_every_step(engine)
+    context = context_at(system, integrator, (positions, 0 * positions))
     context.setVelocitiesToTemperature(297.0, 1)
-    made.step(9)
-    before, propagate = everything(context), made.binding.engine.propagate
+    integrator.step(9)
+    before, propagate = everything(context), integrator.binding.engine.propagate
 
     def failing(steps):
         raise KeyboardInterrupt
 
-    made.binding.engine.propagate = failing
+    integrator.binding.engine.propagate = failing
     with pytest.raises(KeyboardInterrupt):
-        made.step(1)
+        integrator.step(1)
     assert_same(everything(context), before)
-    made.binding.engine.propagate = propagate
-    made.step(1)
-    assert made.binding.stored.ledger.counts[MOVES] == 10
+    integrator.binding.engine.propagate = propagate
+    integrator.step(1)
+    assert integrator.binding.stored.ledger.counts[MOVES] == 10
 
 
 @both_engines
@@ -276,11 +276,11 @@ def test_chunks_of_steps_do_not_matter(box, make):
     _, system, point = box
     ends = []
     for chunks in ([24], [1] * 24, [5, 7, 12]):
-        made = make()
-        context = context_at(system, made, point)
+        result = make()
+        context = context_at(system, result, point)
         volume = context.getState().getPeriodicBoxVolume()
         for steps in chunks:
-            made.step(steps)
+            result.step(steps)
         assert context.getState().getPeriodicBoxVolume() != volume
         ends.append(everything(context))
     assert_same(ends[0], ends[1])
@@ -290,20 +290,20 @@ def test_chunks_of_steps_do_not_matter(box, make):
 @pytest.mark.usefixtures("coin")
 def test_without_friction_the_volume_still_moves(box):
     _, system, point = box
-    made = seeded(SIERLangevinIntegrator(297.0, 0.0, 0.001, pressure=1e3, barostatInterval=1), 1)
-    context = context_at(system, made, point)
-    found = set()
+    result = seeded(SIERLangevinIntegrator(297.0, 0.0, 0.001, pressure=1e3, barostatInterval=1), 1)
+    context = context_at(system, result, point)
+    results = set()
     for _ in range(6):
-        made.step(1)
-        found.add(context.getState().getPeriodicBoxVolume()._value)
-    assert len(found) > 2
+        result.step(1)
+        results.add(context.getState().getPeriodicBoxVolume()._value)
+    assert len(results) > 2
 
 
 def test_a_pressure_is_set_where_there_is_one():
-    made = integrator(pressure=200 * unit.atmosphere, interval=7)
-    made.setPressure(3)
-    assert made.getPressure().value_in_unit(unit.bar) == pytest.approx(3)
-    assert made.getBarostatInterval() == 7
+    result = integrator(pressure=200 * unit.atmosphere, interval=7)
+    result.setPressure(3)
+    assert result.getPressure().value_in_unit(unit.bar) == pytest.approx(3)
+    assert result.getBarostatInterval() == 7
     plain = SIERLangevinIntegrator(297.0, 2.0, 0.001)
     assert plain.getBarostatInterval() is None
     with pytest.raises(ValueError, match="create it with a pressure"):
@@ -321,10 +321,10 @@ def test_a_barostat_of_the_system_is_refused(box):
 
 def test_a_box_too_small_for_the_cutoff(box):
     _, system, point = box
-    made = integrator(pressure=1e6, interval=1)
-    context = context_at(system, made, point)
+    result = integrator(pressure=1e6, interval=1)
+    context = context_at(system, result, point)
     with pytest.raises(openmm.OpenMMException, match=r"could not try a volume of 1\.\d+ nm\^3: .* twice"):
-        made.step(500)
+        result.step(500)
     steps = context.getState().getStepCount()
     assert steps > 0
     # All is as the last completed step left it.
@@ -337,15 +337,15 @@ def test_a_box_too_small_for_the_cutoff(box):
 
 def test_an_error_that_is_not_about_the_box(box, monkeypatch):
     _, system, point = box
-    made = integrator(interval=1)
-    context = context_at(system, made, point)
+    result = integrator(interval=1)
+    context = context_at(system, result, point)
 
     def scale(factor):
         raise openmm.OpenMMException("Something else.")
 
-    monkeypatch.setattr(made.binding.engine, "scale", scale)
+    monkeypatch.setattr(result.binding.engine, "scale", scale)
     with pytest.raises(openmm.OpenMMException, match=r"nm\^3: Something else\. The Context is left at the last"):
-        made.step(1)
+        result.step(1)
     assert context.getStepCount() == 0
 
 

@@ -174,10 +174,10 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     """
     integrator = sampler(0.010, extraChances=2, scheme=SIER2)
     context = context_at(cluster[0], integrator, cluster[1], steps=1)
-    asked = []
+    requests = []
 
     def decide(seed, draw):
-        asked.append((seed, draw))
+        requests.append((seed, draw))
         return decision
 
     monkeypatch.setattr(metropolis, "largest_error", decide)
@@ -195,7 +195,7 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
         # Kinetic energies of the Context are rounded to some 1e-9 kJ/mol, and so are those of the bodies.
         change = errors[-1] * KT if wanted < 4 else 0.0
         assert conserved(context) - before == pytest.approx(change, abs=1e-7)
-    assert len(asked) == len(set(asked)) == 12
+    assert len(requests) == len(set(requests)) == 12
     assert context.getTime()._value == pytest.approx(13 * 4 * 0.010, rel=1e-13)
     assert (integrator.getExtraChances(), sampler(extraChances=0).getExtraChances()) == (2, 0)
 
@@ -242,13 +242,13 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
     options = {"frictionCoeff": 20.0} if kept else {}
     integrator = sampler(0.001, 1, engine=engine, **options)
     _context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=10)
-    freedoms, found = (10 if at_rest else 13), []
+    freedoms, result = (10 if at_rest else 13), []
     for _ in range(1000):
         integrator.step(1)
-        found.append(2 * integrator.binding.engine.kinetic_energy() / KT)
-    assert stats.kstest(found[::20], stats.chi2(freedoms).cdf).pvalue > 1e-3
-    assert np.mean(found) == pytest.approx(freedoms, rel=4 * math.sqrt(2 / freedoms / 1000))
-    opposite = stats.spearmanr(found[1:], found[:-1]).statistic
+        result.append(2 * integrator.binding.engine.kinetic_energy() / KT)
+    assert stats.kstest(result[::20], stats.chi2(freedoms).cdf).pvalue > 1e-3
+    assert np.mean(result) == pytest.approx(freedoms, rel=4 * math.sqrt(2 / freedoms / 1000))
+    opposite = stats.spearmanr(result[1:], result[:-1]).statistic
     if at_rest:
         # The energy that is over-relaxed has that of the centre of mass, which is drawn anew: 3 of 13 freedoms here.
         assert opposite < -0.25
@@ -260,10 +260,10 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
 def assert_means(rows, expected, errors):
     """Means of rows within four standard errors of what they should be, which are those of 25 blocks."""
     blocks = np.array(rows)[: len(rows) // 25 * 25].reshape(25, -1, len(expected)).mean(axis=1)
-    found = blocks.std(axis=0, ddof=1) / 5
+    result = blocks.std(axis=0, ddof=1) / 5
     # An error of more than this would let a wrong rule pass.
-    assert (found < 2 * np.array(errors)).all()
-    assert (np.abs(blocks.mean(axis=0) - expected) < 4 * found).all()
+    assert (result < 2 * np.array(errors)).all()
+    assert (np.abs(blocks.mean(axis=0) - expected) < 4 * result).all()
 
 
 @pytest.mark.thorough
@@ -276,16 +276,16 @@ def test_dipoles_in_a_field_at_constant_pressure():
     nothing.setCutoffDistance(0.1)
     for _ in range(3 * n):
         nothing.addParticle(0, 1, 0)
-    bonds, pull, held = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z"), []
+    bonds, pull, constraints = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z"), []
     pull.addPerParticleParameter("pull")
     for first in range(0, 3 * n, 3):
         for a, b in ((0, 1), (1, 2), (0, 2)):
-            held.append((first + a, first + b, np.linalg.norm(sites[a] - sites[b])))
+            constraints.append((first + a, first + b, np.linalg.norm(sites[a] - sites[b])))
         bonds.addBond(first, first + 1, 0.1, 0.0)
         bonds.addBond(first, first + 2, 0.1, 0.0)
         pull.addParticle(first, [x * KT / 0.1])
         pull.addParticle(first + 1, [-x * KT / 0.1])
-    system = assembled(n * (16.0, 1.0, 2.0), nothing, bonds, pull, constraints=held)
+    system = assembled(n * (16.0, 1.0, 2.0), nothing, bonds, pull, constraints=constraints)
     system.setDefaultPeriodicBoxVectors(*((n + 1) ** (1 / 3) * np.eye(3)))
     # One kT for each nm^3, which gives the volume a gamma distribution of n + 1 degrees.
     pressure = KT * unit.kilojoule_per_mole / unit.nanometer**3 / unit.AVOGADRO_CONSTANT_NA
@@ -382,12 +382,12 @@ def test_a_native_trial_reads_no_atoms(cluster, monkeypatch, at_rest):
     _context = context_at(system, integrator, cluster[1], steps=5)
     # The watch for runaways reads velocities now and then.
     monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
-    asked, accepted = states_asked(monkeypatch), integrator.accepted
+    requests, accepted = states_asked(monkeypatch), integrator.accepted
     for _ in range(30):
         integrator.step(1)
     assert 0 < integrator.accepted - accepted < 30
     read = openmm.State.Positions | openmm.State.Velocities | openmm.State.Forces | openmm.State.Energy
-    assert not any(kinds & read for kinds in asked)
+    assert not any(kinds & read for kinds in requests)
 
 
 def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
@@ -395,9 +395,9 @@ def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
     for scheme in (SIER2, SIER4G):
         integrator = sampler(scheme=scheme, engine="exact", extraChances=0)
         _context = context_at(cluster[0], integrator, cluster[1], steps=2)
-        asked = states_asked(monkeypatch)
+        requests = states_asked(monkeypatch)
         integrator.step(10)
-        energies = [kinds for kinds in asked if kinds & openmm.State.Energy]
+        energies = [kinds for kinds in requests if kinds & openmm.State.Energy]
         assert len(energies) == 10
         assert all(kinds & openmm.State.Forces for kinds in energies)
 
@@ -409,11 +409,11 @@ def test_constrained_molecules(engine):
     system = system_of(2, [(0, 1), (0, 2), (0, 3), (4, 5)], positions)
     integrator = sampler(0.003, 3, **{**engine, "substeps": None})
     _context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=20)
-    found = []
+    results = []
     for _ in range(300):
         integrator.step(1)
-        found.append((math.exp(-integrator.lastEnergyError), integrator.computeSystemTemperature()._value))
-    weight, temperature = np.mean(found, axis=0)
+        results.append((math.exp(-integrator.lastEnergyError), integrator.computeSystemTemperature()._value))
+    weight, temperature = np.mean(results, axis=0)
     # Weights scatter by 0.3, and temperatures of 28 degrees of freedom by a quarter: more than six standard errors.
     assert weight == pytest.approx(1, abs=0.12)
     assert temperature == pytest.approx(297, rel=0.1)
@@ -446,17 +446,17 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
 
 def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(cluster):
     system, point = cluster
-    found = {}
+    results = {}
     for scheme in (SIER4G, CROOKED):
         integrator = SIERIntegrator(0.002, scheme)
         # Kept: an integrator's Context must live as long as it is asked.
         context = context_at(system, integrator, point, steps=0)
-        found[scheme.name] = metropolis.reversal_error(integrator.binding.engine, 10)
+        results[scheme.name] = metropolis.reversal_error(integrator.binding.engine, 10)
         integrator.step(1)
         assert context.getStepCount() == 1
     # Rounding of 1e-16 nm in twenty steps, which water hardly magnifies in 0.04 ps.
-    assert found[SIER4G.name] < 1e-11
-    assert found[CROOKED.name] > metropolis.REVERSIBLE
+    assert results[SIER4G.name] < 1e-11
+    assert results[CROOKED.name] > metropolis.REVERSIBLE
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])

@@ -38,9 +38,9 @@ def dipeptide():
     system = forcefield.createSystem(made.topology, constraints=app.HBonds, hydrogenMass=3, removeCMMotion=False)
     angles = backbone(made.topology)
     for atoms, centre in zip(angles, CENTRES, strict=True):
-        held = openmm.CustomTorsionForce(f"{FIRMNESS}*(1 - cos(theta - ({centre})))")
-        held.addTorsion(*atoms, [])
-        system.addForce(held)
+        restraint = openmm.CustomTorsionForce(f"{FIRMNESS}*(1 - cos(theta - ({centre})))")
+        restraint.addTorsion(*atoms, [])
+        system.addForce(restraint)
     return system, np.array(made.positions.value_in_unit(unit.nanometer)), angles
 
 
@@ -65,12 +65,12 @@ def sampled(dipeptide, integrator, every):
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)
     context.setVelocitiesToTemperature(TEMPERATURE, 1)
     integrator.step(20 * every)
-    found = []
+    results = []
     for _ in range(SAMPLES):
         integrator.step(every)
         x = context.getState(positions=True).getPositions(asNumpy=True)._value
-        found.append([dihedral(x, atoms) - centre for atoms, centre in zip(angles, CENTRES, strict=True)])
-    return np.array([mean_and_error(f(angle))[:2] for angle in np.array(found).T for f in (np.cos, np.sin)])
+        results.append([dihedral(x, atoms) - centre for atoms, centre in zip(angles, CENTRES, strict=True)])
+    return np.array([mean_and_error(f(angle))[:2] for angle in np.array(results).T for f in (np.cos, np.sin)])
 
 
 def distances(one, other):
@@ -104,9 +104,9 @@ def test_the_rule_mends_a_wrong_scheme(dipeptide, expected):
     kick = Stage(KICK, 0.3)
     scheme = Scheme("weak kicks", (kick, Stage(DRIFT, 1.0), kick))
     integrator = SIERHMCIntegrator(TEMPERATURE, 0.002, scheme, 20, FRICTION, engine="native")
-    found = distances(sampled(dipeptide, integrator, 3), expected)
+    result = distances(sampled(dipeptide, integrator, 3), expected)
     # Standard errors: five right ones exceed the limit with a probability of 4e-10.
-    assert (np.abs(found) < 6.5).all()
-    assert abs(found[0] + found[2]) / np.sqrt(2) < 6.5
+    assert (np.abs(result) < 6.5).all()
+    assert abs(result[0] + result[2]) / np.sqrt(2) < 6.5
     # The rule has something to do. Of 3000 trials some third is accepted.
     assert 0.05 < integrator.acceptanceRate < 0.9

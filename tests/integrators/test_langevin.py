@@ -62,9 +62,9 @@ def test_settings_are_those_of_openmm():
 
 def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
     _, system, point = cluster
-    given = seeded(SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0)), 11)
+    with_ensemble = seeded(SIERIntegrator(0.002, SIER2, ensemble=Langevin(TEMPERATURE, 1.0)), 11)
     ends = []
-    for integrator in (thermostat(), given):
+    for integrator in (thermostat(), with_ensemble):
         context = context_at(system, integrator, point, steps=5)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0], ends[1])
@@ -129,17 +129,17 @@ def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
     point = relaxed("box-59-heavy", topology, positions, system, steps=100)
     integrator = seeded(SIERLangevinIntegrator(300, 30, 0.009, engine="native", countsHeat=False), 6)
     context = context_at(system, integrator, point, "CPU", steps=50)
-    found = []
+    results = []
     for _ in range(1500):
         integrator.step(2)
-        found.append(integrator.computeTemperatures().in_kelvin())
+        results.append(integrator.computeTemperatures().in_kelvin())
     count = integrator.bodies.n
     # Samples are 0.5/friction, two steps, apart; 1500 of 3 count freedoms leave this error, 0.8 K, and
     # six and a half of it.
-    assert np.mean([each.rotation for each in found]) == pytest.approx(
+    assert np.mean([each.rotation for each in results]) == pytest.approx(
         300, abs=6.5 * 300 * (2 / 3 / count / 1500) ** 0.5 + 2
     )
-    assert np.mean([each.translation for each in found]) == pytest.approx(300, abs=6)
+    assert np.mean([each.translation for each in results]) == pytest.approx(300, abs=6)
     velocities = phase_point(context)[1]
     context.applyVelocityConstraints(1e-9)
     # OpenMM's own lengths are in single precision.
@@ -185,13 +185,13 @@ def test_energy_less_heat_is_conserved_at_whole_steps_with_fast_forces(engine):
     for h in (0.002, 0.001):
         integrator = seeded(SIERLangevinIntegrator(300, 2, h, SIER2, engine=engine, fastForceGroups={FAST}, substeps=2))
         context = context_at(system_of(points)[0], integrator, (state.q.T, (state.p / points.masses).T))
-        found = []
+        results = []
         for _ in range(round(0.2 / h)):
             integrator.step(1)
             potential = energies(context)[0] - integrator.getHeat()._value
             pair = integrator.getBodyState(), integrator.getWholeStepState()
-            found.append([potential + sum(integrator.bodies.kinetic_energies(each)) for each in pair])
-        for name, spread in zip(deviations, np.std(found, axis=0), strict=True):
+            results.append([potential + sum(integrator.bodies.kinetic_energies(each)) for each in pair])
+        for name, spread in zip(deviations, np.std(results, axis=0), strict=True):
             deviations[name].append(spread)
     # First order at the end of steps and second at whole ones. Noise differs from one step length to the other, which
     # changes the amplitudes of 54 degrees of freedom by some tenth.
@@ -235,9 +235,9 @@ def test_temperatures_are_those_just_after_the_bath(engine):
     # 600 degrees of freedom relax at 20/ps: 1000 steps are some 100 independent samples, and the error 1.7 K.
     assert np.mean(after_bath) == pytest.approx(300, abs=7)
     assert np.mean(at_end) - np.mean(after_bath) == pytest.approx(0.21 / 6 * 300, abs=3)
-    told = integrator.computeTemperatures().in_kelvin()
+    reported = integrator.computeTemperatures().in_kelvin()
     context.createCheckpoint()
-    assert integrator.computeTemperatures().in_kelvin() == pytest.approx(told, nan_ok=True)
+    assert integrator.computeTemperatures().in_kelvin() == pytest.approx(reported, nan_ok=True)
     # Whatever the user sets counts.
     context.setVelocities(np.zeros((2 * count, 3)))
     assert integrator.computeTemperatures().in_kelvin().flexible == 0
@@ -285,9 +285,9 @@ def test_a_force_at_another_temperature_is_spoken_of(force):
     integrator.setTemperature(280)
     with pytest.warns(
         UserWarning, match=f"The {name} has 300 K, but the heat bath of the integrator has 280 K"
-    ) as told:
+    ) as caught:
         integrator.step(1)
-    assert len(told) == 1
+    assert len(caught) == 1
     integrator.setTemperature(270)
     with silence():
         integrator.step(1)

@@ -28,8 +28,8 @@ def settled(system, positions, bodies):
 
 def shape_of(context, atoms):
     """All distances between atoms, nm."""
-    found = phase_point(context)[0][atoms]
-    return np.linalg.norm(found[:, None] - found[None], axis=2)
+    point = phase_point(context)[0][atoms]
+    return np.linalg.norm(point[:, None] - point[None], axis=2)
 
 
 @pytest.mark.thorough
@@ -54,13 +54,13 @@ def test_a_large_body_in_water_at_constant_pressure(barostat):
             bonds.addBond(atoms[0], i, 0.1, 0.0)
         system.addForce(bonds)
         system.addForce(seeded(openmm.MonteCarloBarostat(1.0, 300, 2)))
-    made = langevin(0.002, bodies, scheme=SIER4G, **options)
-    context = context_at(system, made, point, "CPU", steps=1)
+    result = langevin(0.002, bodies, scheme=SIER4G, **options)
+    context = context_at(system, result, point, "CPU", steps=1)
     expected, volumes, conserved = shape_of(context, atoms), set(), []
     for _ in range(25):
-        made.step(4)
+        result.step(4)
         volumes.add(context.getState().getPeriodicBoxVolume()._value)
-        conserved.append(total_energy(context) - made.getHeat().value_in_unit(unit.kilojoule_per_mole))
+        conserved.append(total_energy(context) - result.getHeat().value_in_unit(unit.kilojoule_per_mole))
     # Of fifty moves, half of which are accepted.
     assert len(volumes) > 1
     assert np.abs(shape_of(context, atoms) - expected).max() < 1e-12
@@ -74,14 +74,14 @@ def test_velocities_that_openmm_draws_are_those_of_the_body():
     The body alone has 6 degrees of freedom, of 180 that its atoms would have.
     """
     system, positions, bodies = cage_in_water(nonbondedCutoff=0.8 * unit.nanometer, removeCMMotion=False)
-    made = langevin(0.002, bodies)
-    context = context_at(system, made, (positions, 0 * positions))
+    result = langevin(0.002, bodies)
+    context = context_at(system, result, (positions, 0 * positions))
     for change in (
         lambda: context.setVelocitiesToTemperature(300, 1),
         lambda: (context.setVelocities(positions), context.applyVelocityConstraints(1e-6)),
     ):
         change()
         shown = context.getState(energy=True).getKineticEnergy()._value
-        temperature = made.computeSystemTemperature()._value
+        temperature = result.computeSystemTemperature()._value
         # Sums over atoms and over bodies agree to rounding, and OpenMM's constraints of water to 1e-5.
-        assert shown == pytest.approx(made.bodies.dof * GAS_CONSTANT * temperature / 2, rel=1e-4)
+        assert shown == pytest.approx(result.bodies.dof * GAS_CONSTANT * temperature / 2, rel=1e-4)

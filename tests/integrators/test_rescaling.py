@@ -37,22 +37,22 @@ def test_kinetic_energy_is_canonical(engine, frozen):
     """
     system, positions = rotors(frozen)
     freedoms = 13 if frozen else 10
-    made = integrator(rate=1e6, every=1, engine=engine)
-    context = context_at(system, made, (positions, np.zeros_like(positions)))
+    result = integrator(rate=1e6, every=1, engine=engine)
+    context = context_at(system, result, (positions, np.zeros_like(positions)))
     context.setVelocitiesToTemperature(TEMPERATURE, 3)
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
-    centre, found = None, []
+    centre, outcome = None, []
     for _ in range(600):
-        made.step(1)
+        result.step(1)
         v = phase_point(context)[1]
         moving = masses @ v / masses.sum()
         if not frozen:
             centre = moving if centre is None else centre
             assert np.abs(moving - centre).max() < 1e-9
             v = v - moving * (masses > 0)[:, None]
-        found.append((masses @ (v**2).sum(axis=1)) / (GAS_CONSTANT * TEMPERATURE))
-    assert stats.kstest(found, stats.chi2(freedoms).cdf).pvalue > 1e-3
-    assert np.mean(found) == pytest.approx(freedoms, rel=4 * np.sqrt(2 / freedoms / 600))
+        outcome.append((masses @ (v**2).sum(axis=1)) / (GAS_CONSTANT * TEMPERATURE))
+    assert stats.kstest(outcome, stats.chi2(freedoms).cdf).pvalue > 1e-3
+    assert np.mean(outcome) == pytest.approx(freedoms, rel=4 * np.sqrt(2 / freedoms / 600))
 
 
 def test_the_kinetic_energy_forgets_at_the_rate():
@@ -61,11 +61,11 @@ def test_the_kinetic_energy_forgets_at_the_rate():
     20,000 draws of which each keeps half have the information of some 7000; the errors are four standard ones.
     """
     bath, freedoms, kept = VelocityRescaling(TEMPERATURE, 1.0), 5.0, 0.5
-    noise, energy, found = np.random.default_rng(1), 5.0, []
+    noise, energy, result = np.random.default_rng(1), 5.0, []
     for _ in range(20000):
         energy *= bath._factor(energy, freedoms, kept, noise) ** 2
-        found.append(2 * energy / (GAS_CONSTANT * TEMPERATURE))
-    values = np.array(found)
+        result.append(2 * energy / (GAS_CONSTANT * TEMPERATURE))
+    values = np.array(result)
     assert values.mean() == pytest.approx(freedoms, rel=4 * np.sqrt(2 / freedoms / 7000))
     # The fourth central moment of this distribution makes the relative error of its variance sqrt((2 + 12/5)/n).
     assert values.var() == pytest.approx(2 * freedoms, rel=4 * np.sqrt(4.4 / 7000))
@@ -93,15 +93,15 @@ def test_energy_less_heat_and_the_total_momentum_are_conserved(cluster, engine):
     What counts begins after a step, which has moved the atoms onto their constraints.
     """
     _, system, point = cluster
-    made = integrator(h=0.001, rate=50.0, every=3, scheme=SIER4G, engine=engine)
+    result = integrator(h=0.001, rate=50.0, every=3, scheme=SIER4G, engine=engine)
     point = point[0], 0.5 * point[1] + np.array([0.3, 0.0, -0.1])
-    context = context_at(system, made, point)
+    context = context_at(system, result, point)
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     momentum = masses @ point[1]
-    made.step(1)
+    result.step(1)
     start = sum(energies(context))
-    made.step(60)
-    heat = made.getHeat().value_in_unit(unit.kilojoule_per_mole)
+    result.step(60)
+    heat = result.getHeat().value_in_unit(unit.kilojoule_per_mole)
     assert abs(heat) > 10
     # The native engine conserves momentum as far as it solves the constraints.
     assert np.abs(masses @ phase_point(context)[1] - momentum).max() < 1e-5
@@ -114,10 +114,10 @@ def test_energy_less_heat_and_the_total_momentum_are_conserved(cluster, engine):
 def test_a_step_that_fails_takes_its_scaling_back(cluster):
     """A scaling and the step after it are made both or neither, so that the noise is not used twice."""
     _, system, point = cluster
-    made = integrator(every=1)
-    context = context_at(system, made, point, steps=1)
+    result = integrator(every=1)
+    context = context_at(system, result, point, steps=1)
     before = everything(context)
-    engine = made.binding.engine
+    engine = result.binding.engine
     propagate = engine.propagate
 
     def failing(steps):
@@ -125,10 +125,10 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
 
     engine.propagate = failing
     with pytest.raises(KeyboardInterrupt):
-        made.step(1)
+        result.step(1)
     assert_same(everything(context), before)
     engine.propagate = propagate
-    made.step(1)
+    result.step(1)
     other = integrator(every=1)
     again = context_at(system, other, point, steps=2)
     assert_same(everything(context), everything(again))
@@ -138,10 +138,10 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
 
 
 def test_settings_can_be_read_and_changed():
-    made = integrator(pressure=2 * unit.bar, interval=6)
-    made.setTemperature(310 * unit.kelvin)
-    copy = openmm.XmlSerializer.clone(made)
-    for each in (made, copy):
+    result = integrator(pressure=2 * unit.bar, interval=6)
+    result.setTemperature(310 * unit.kelvin)
+    copy = openmm.XmlSerializer.clone(result)
+    for each in (result, copy):
         assert isinstance(each, SIERThermostatIntegrator)
         assert each.getTemperature() == 310 * unit.kelvin
         assert each.getPressure() == 2 * unit.bar
@@ -152,8 +152,8 @@ def test_settings_can_be_read_and_changed():
 @both_engines
 def test_velocities_that_are_all_zero_are_refused(engine):
     system, positions = rotors()
-    made = integrator(every=1, engine=engine)
-    context = context_at(system, made, (positions, np.zeros_like(positions)))
+    result = integrator(every=1, engine=engine)
+    context = context_at(system, result, (positions, np.zeros_like(positions)))
     with pytest.raises(openmm.OpenMMException, match="setVelocitiesToTemperature"):
-        made.step(1)
+        result.step(1)
     assert context.getStepCount() == 0

@@ -30,9 +30,9 @@ def simulation(request):
     for _ in range(N):
         topology.addAtom("X", None, residue)
     integrator = seeded(MAKERS[kind](engine), 5)
-    made = simulation_of(topology, system, integrator, point=np.zeros((2, N, 3)))
-    made.context.setVelocitiesToTemperature(300, 1)
-    return made
+    result = simulation_of(topology, system, integrator, point=np.zeros((2, N, 3)))
+    result.context.setVelocitiesToTemperature(300, 1)
+    return result
 
 
 def kinds(*values):
@@ -64,12 +64,12 @@ def test_expanded_ensemble(simulation):
     # Free energies of harmonic wells: weights that make both temperatures equally likely.
     weights = [0.0, -1.5 * N * float(np.log(TEMPERATURES[1] / TEMPERATURES[0]))]
     sampler = app.ExpandedEnsembleSampler(states, simulation, 5, weights=weights)
-    found = {T: [] for T in TEMPERATURES}
+    results = {T: [] for T in TEMPERATURES}
     for _ in range(1200):
         sampler.step(5)
         T = TEMPERATURES[sampler.currentStateIndex]
         assert simulation.integrator.getTemperature()._value == T
         # The state was changed after the step, by a rule for which this energy is a sample of the new state too.
-        found[T].append(energy_of(simulation.context.getState(positions=True)))
-    assert min(map(len, found.values())) > 200
-    means_are_right(found)
+        results[T].append(energy_of(simulation.context.getState(positions=True)))
+    assert min(map(len, results.values())) > 200
+    means_are_right(results)

@@ -95,8 +95,8 @@ DISTINCT = {
 
 
 def test_what_differs_serializes_differently():
-    found = {name: serialize(make()) for name, make in DISTINCT.items()}
-    alike = [pair for pair in itertools.combinations(found, 2) if found[pair[0]] == found[pair[1]]]
+    results = {name: serialize(make()) for name, make in DISTINCT.items()}
+    alike = [pair for pair in itertools.combinations(results, 2) if results[pair[0]] == results[pair[1]]]
     assert not alike
 
 
@@ -111,8 +111,8 @@ def test_xml_gives_back_the_integrator(make):
         back = way(original)
         assert type(back) is type(original)
         # Bodies that are given as such are compared below.
-        given = (it.binding.settings for it in (back, original))
-        assert len({replace(each, bodies=None) for each in given}) == 1
+        settings = (it.binding.settings for it in (back, original))
+        assert len({replace(each, bodies=None) for each in settings}) == 1
         for name in ("IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"):
             assert getattr(back, f"get{name}")() == getattr(original, f"get{name}")()
         assert serialize(back) == serialize(original)
@@ -200,9 +200,9 @@ def test_copy_of_a_bound_integrator_in_another_system(cluster, n):
     other, positions = copy.deepcopy(integrator), np.arange(3.0 * n).reshape(n, 3)
     context = context_at(assembled(n * [1.0]), other, (positions, np.ones((n, 3))), steps=2)
     assert len(other.getPerDofVariableByName("sier_state0")) == n
-    found = array(context.getState(positions=True).getPositions(asNumpy=True))
+    results = array(context.getState(positions=True).getPositions(asNumpy=True))
     # Two steps at constant velocity, to rounding.
-    assert found == pytest.approx(positions + 0.002, abs=1e-14)
+    assert results == pytest.approx(positions + 0.002, abs=1e-14)
 
 
 def test_copies_of_a_bound_integrator_have_their_own_noise(cluster):

@@ -43,19 +43,19 @@ def test_the_acceptance_that_was_asked_for(monkeypatch, h, scheme):
     integrator = context.getIntegrator()
     integrator.step(2)
     before = integrator.forceEvaluations
-    found = tune(context, 0.8, samples=20, schemes=[scheme])
+    tuned = tune(context, 0.8, samples=20, schemes=[scheme])
     assert (integrator.getSchemeStepSize()._value, integrator.getStepsPerTrial()) == (
-        found.schemeStepSize,
-        found.stepsPerTrial,
+        tuned.schemeStepSize,
+        tuned.stepsPerTrial,
     )
-    assert integrator.forceEvaluations == before + found.forceEvaluations
+    assert integrator.forceEvaluations == before + tuned.forceEvaluations
     # None of the tuning is counted.
     assert integrator.trials == 0
     integrator.step(400)
     # 400 trials of wells, which forget their energy in some ten, know it to 0.06. The spread of 40 errors knows the
     # step to 6 %, which is 0.03 again for second order; and it depends on the length of trajectories by some tenths.
     assert integrator.acceptanceRate == pytest.approx(0.8, abs=0.15)
-    assert f"{found.stepsPerTrial} in a trial" in str(found)
+    assert f"{tuned.stepsPerTrial} in a trial" in str(tuned)
 
 
 def forces_made(context):
@@ -84,19 +84,19 @@ def test_the_cheapest_length_is_taken(monkeypatch):
         return LengthFound(steps, 0.9, 100.0 / steps, costs[steps], seconds=0.01)
 
     monkeypatch.setattr(tuning, "_try_length", known)
-    found = tune(wells(), trials=10, lengths=[5, 3, 3, 2], schemes=["SIER2"])
-    assert [each.steps for each in found.lengths] == [2, 3, 5]
+    tuned = tune(wells(), trials=10, lengths=[5, 3, 3, 2], schemes=["SIER2"])
+    assert [each.steps for each in tuned.lengths] == [2, 3, 5]
     # With its error the first is dearer, and the last is not known.
-    assert found.stepsPerTrial == 3
+    assert tuned.stepsPerTrial == 3
 
 
 def test_a_length_that_does_not_reverse_is_left_out(monkeypatch):
     monkeypatch.setattr(metropolis, "reversal_error", lambda engine, steps: 1.0 if steps > 4 else 0.0)
     context = wells(n=4, extraChances=0)
-    found = tune(context, trials=10, samples=10, lengths=[2, 8], schemes=["SIER2"])
-    assert "missed its start" in found.lengths[1].refused
-    assert "missed its start" in str(found)
-    assert found.stepsPerTrial == 2
+    tuning = tune(context, trials=10, samples=10, lengths=[2, 8], schemes=["SIER2"])
+    assert "missed its start" in tuning.lengths[1].refused
+    assert "missed its start" in str(tuning)
+    assert tuning.stepsPerTrial == 2
     with pytest.raises(openmm.OpenMMException, match="missed its start"):
         tune(context, trials=10, samples=10, lengths=[8], schemes=["SIER2"])
 
@@ -115,13 +115,13 @@ def test_steps_stay_below_what_a_bond_bears():
     """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
     context = bonded(1.0, 2e4, scheme=SIER2)
     with pytest.warns(UserWarning, match="A step of 4 fs is long"):
-        found = tune(context, 0.05, trials=10, samples=10, schemes=[SIER2])
-    refused = [each.step for each in found.schemes[0].tried if math.isinf(each.spread)]
+        tuning = tune(context, 0.05, trials=10, samples=10, schemes=[SIER2])
+    refused = [each.step for each in tuning.schemes[0].tried if math.isinf(each.spread)]
     assert refused
     # What was refused is not tried again.
     assert all(one > other for one, other in itertools.pairwise(refused))
     # Stable up to 2/sqrt(2e4/0.5) = 0.01 ps.
-    assert found.schemeStepSize < 0.01
+    assert tuning.schemeStepSize < 0.01
     context.getIntegrator().step(1)
 
 
@@ -130,8 +130,8 @@ def test_steps_stay_where_kicks_do_not_resonate_with_fast_forces():
     period = 0.024
     context = bonded(12.0, (2 * math.pi / period) ** 2 * 6, fastForceGroups={1})
     with silence():
-        found = tune(context, 0.05, trials=10, samples=10, schemes=[context.getIntegrator().scheme])
-    assert found.schemeStepSize == pytest.approx(0.45 * period)
+        tuning = tune(context, 0.05, trials=10, samples=10, schemes=[context.getIntegrator().scheme])
+    assert tuning.schemeStepSize == pytest.approx(0.45 * period)
 
 
 # --- schemes ---
@@ -144,20 +144,20 @@ def test_the_cheapest_scheme_is_chosen(monkeypatch, own, is_set):
     context = wells(n=4, scheme=own)
     integrator = context.getIntegrator()
     before = integrator.forceEvaluations
-    found = tune(context, trials=20, samples=20, schemes=["SIER2", "sier2v2", SIER2])
-    assert [each.scheme for each in found.schemes] == [SIER2, SIER2V2]
-    assert found.schemes[0].seconds > found.schemes[1].seconds
-    assert (found.scheme, found.isSet) == (SIER2V2, is_set)
+    tuned = tune(context, trials=20, samples=20, schemes=["SIER2", "sier2v2", SIER2])
+    assert [each.scheme for each in tuned.schemes] == [SIER2, SIER2V2]
+    assert tuned.schemes[0].seconds > tuned.schemes[1].seconds
+    assert (tuned.scheme, tuned.isSet) == (SIER2V2, is_set)
     assert (integrator.scheme, integrator.trials) == (own, 0)
-    mine = found.schemes[1 if is_set else 0]
+    mine = tuned.schemes[1 if is_set else 0]
     assert integrator.getSchemeStepSize()._value == mine.step
     # The same length in time, in whole steps.
     assert integrator.getStepSize()._value == pytest.approx(
-        found.schemeStepSize * found.stepsPerTrial, abs=mine.step / 2
+        tuned.schemeStepSize * tuned.stepsPerTrial, abs=mine.step / 2
     )
     # Forces of other Contexts are counted too.
-    assert found.forceEvaluations > integrator.forceEvaluations - before
-    assert ("make a new one" in str(found)) != is_set
+    assert tuned.forceEvaluations > integrator.forceEvaluations - before
+    assert ("make a new one" in str(tuned)) != is_set
 
 
 def test_the_line_for_a_script_makes_what_was_found(monkeypatch):
@@ -165,16 +165,16 @@ def test_the_line_for_a_script_makes_what_was_found(monkeypatch):
     integrator = seeded(SIERHMCIntegrator(TEMPERATURE, 0.004, SIER2, 3, frictionCoeff=2), 3)
     well = openmm.CustomExternalForce("1000*(x^2+y^2+z^2)")
     well.addParticle(0, [])
-    found = tune(context_at(assembled([1.0], well), integrator, np.zeros((2, 1, 3))), trials=10, samples=10)
-    assert found.script in str(found)
+    tuned = tune(context_at(assembled([1.0], well), integrator, np.zeros((2, 1, 3))), trials=10, samples=10)
+    assert tuned.script in str(tuned)
     units = {"kelvin": unit.kelvin, "femtoseconds": unit.femtoseconds, "picosecond": unit.picosecond}
-    made = eval(found.script.removeprefix("integrator = "), {"SIERHMCIntegrator": SIERHMCIntegrator} | units)
-    assert made.scheme == found.scheme
-    assert made.getStepsPerTrial() == found.stepsPerTrial
+    result = eval(tuned.script.removeprefix("integrator = "), {"SIERHMCIntegrator": SIERHMCIntegrator} | units)
+    assert result.scheme == tuned.scheme
+    assert result.getStepsPerTrial() == tuned.stepsPerTrial
     # It has four digits.
-    assert made.getSchemeStepSize()._value == pytest.approx(found.schemeStepSize, rel=5e-4)
-    assert made.getTemperature()._value == TEMPERATURE
-    assert made.getFriction()._value == 2
+    assert result.getSchemeStepSize()._value == pytest.approx(tuned.schemeStepSize, rel=5e-4)
+    assert result.getTemperature()._value == TEMPERATURE
+    assert result.getFriction()._value == 2
 
 
 def test_a_scheme_that_cannot_be_tried_is_left_out(monkeypatch):
@@ -185,9 +185,9 @@ def test_a_scheme_that_cannot_be_tried_is_left_out(monkeypatch):
 
     find_step = tuning._find_step
     monkeypatch.setattr(tuning, "_find_step", refused)
-    found = tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G, SIER2])
-    assert (found.scheme, found.schemes[0].refused) == (SIER2, "no step")
-    assert "SIER4G  no step" in str(found)
+    tuned = tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G, SIER2])
+    assert (tuned.scheme, tuned.schemes[0].refused) == (SIER2, "no step")
+    assert "SIER4G  no step" in str(tuned)
     with pytest.raises(openmm.OpenMMException, match="no step"):
         tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G])
 

@@ -173,9 +173,9 @@ def changed_notes(content: bytes) -> st.SearchStrategy[bytes]:
     change = st.tuples(st.sampled_from(list(places_in(notes))), st.sampled_from(VALUES), st.integers(0, 9))
 
     def build(changes: list[tuple[tuple[Any, ...], Any, int]]) -> bytes:
-        made = copy.deepcopy(notes)
+        copied = copy.deepcopy(notes)
         for path, value, kind in changes:
-            holder = made
+            holder = copied
             for key in path[:-1]:
                 holder = holder.get(key, {}) if isinstance(holder, dict) else {}
             if not isinstance(holder, dict):
@@ -184,7 +184,7 @@ def changed_notes(content: bytes) -> st.SearchStrategy[bytes]:
                 holder[path[-1]] = value
             else:
                 holder.pop(path[-1], None)
-        return json.dumps(made).encode()
+        return json.dumps(copied).encode()
 
     return st.lists(change, min_size=1, max_size=3).map(build)
 
@@ -199,8 +199,8 @@ def changed_xml(content: bytes, evil: bytes) -> st.SearchStrategy[bytes]:
     values = st.sampled_from(["System", "State", "PythonForce", "CustomIntegrator", "nan", "-1", "0", "1e308", "x", ""])
 
     def build(number: int, kind: str, name: str, tag: str, value: str) -> bytes:
-        made = copy.deepcopy(tree)
-        element = list(made.iter())[number]
+        copied = copy.deepcopy(tree)
+        element = list(copied.iter())[number]
         if kind == "attribute":
             element.set(name, value)
         elif kind == "name":
@@ -208,10 +208,10 @@ def changed_xml(content: bytes, evil: bytes) -> st.SearchStrategy[bytes]:
         elif kind == "code":
             element.append(copy.deepcopy(code))
         elif kind == "type":
-            made.set("type", value)
+            copied.set("type", value)
         else:
             element.clear()
-        return ElementTree.tostring(made)
+        return ElementTree.tostring(copied)
 
     kinds = st.sampled_from(["attribute", "name", "code", "type", "clear"])
     # The first elements are those of which each has its own meaning; most others are particles.
@@ -233,11 +233,11 @@ def changed_checkpoint(content: bytes, evil: bytes) -> st.SearchStrategy[bytes]:
         members = {name: archive.read(name) for name in archive.namelist()}
 
     def with_member(changed: str, content: bytes) -> bytes:
-        made = io.BytesIO()
-        with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        result = io.BytesIO()
+        with zipfile.ZipFile(result, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, member in members.items():
                 archive.writestr(name, content if name == changed else member)
-        return made.getvalue()
+        return result.getvalue()
 
     notes, state = members["notes.json"], members["state.xml"]
     return st.one_of(

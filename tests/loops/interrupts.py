@@ -132,16 +132,16 @@ def look(context: openmm.Context) -> dict[str, float]:
     """The number of steps, time, energies and momentum."""
     state, integrator = context.getState(energy=True), context.getIntegrator()
     motion, bodies = integrator.getBodyState(), integrator.bodies
-    found = {"steps": state.getStepCount(), "time": md(state.getTime()), "potential": md(state.getPotentialEnergy())}
-    found |= {"kinetic": sum(bodies.kinetic_energies(motion)), "heat": integrator.countedHeat}
-    return found | dict(zip("xyz", bodies.total_momenta(motion)[0], strict=True))
+    results = {"steps": state.getStepCount(), "time": md(state.getTime()), "potential": md(state.getPotentialEnergy())}
+    results |= {"kinetic": sum(bodies.kinetic_energies(motion)), "heat": integrator.countedHeat}
+    return results | dict(zip("xyz", bodies.total_momenta(motion)[0], strict=True))
 
 
 def place(context: openmm.Context) -> np.ndarray:
     """Positions, velocities and box."""
     state = context.getState(positions=True, velocities=True)
-    parts = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True), state.getPeriodicBoxVectors(True)
-    return np.concatenate([md(part) for part in parts])
+    arrays = state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True), state.getPeriodicBoxVectors(True)
+    return np.concatenate([md(array) for array in arrays])
 
 
 @contextmanager
@@ -191,12 +191,12 @@ def disturb(context: openmm.Context, settings: InterruptSettings) -> tuple[list[
                 errors += interrupt(context, send, rng.uniform(0, latest), lengths)
             finally:
                 looks.append(look(context))
-            done = looks[-1]["steps"]
-            after += done > looks[-2]["steps"]
+            steps_done = looks[-1]["steps"]
+            after += steps_done > looks[-2]["steps"]
             context.getIntegrator().step(1)
             looks.append(look(context))
-            if looks[-1]["steps"] != done + 1:
-                raise Broken(f"a step after an interrupt led from step {done} to {looks[-1]['steps']}")
+            if looks[-1]["steps"] != steps_done + 1:
+                raise Broken(f"a step after an interrupt led from step {steps_done} to {looks[-1]['steps']}")
     return looks, after, errors
 
 
@@ -229,8 +229,8 @@ def row(run: str, engine: str, start: openmm.State, settings: InterruptSettings)
         compare(tested, looks, begun(run, engine, start, settings))
     except Broken as error:
         raise Broken(f"{run}, {engine} engine: {error}") from error
-    made = {"run": run, "engine": engine, "interrupts": settings.interrupts}
-    return made | {"after": after, "errors": errors, "steps": tested.getStepCount()}
+    record = {"run": run, "engine": engine, "interrupts": settings.interrupts}
+    return record | {"after": after, "errors": errors, "steps": tested.getStepCount()}
 
 
 def study(settings: InterruptSettings, report: Report = SILENT) -> list[dict[str, Any]]:

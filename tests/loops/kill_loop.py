@@ -79,11 +79,13 @@ def killed_at(directory: Path, out: str, rng: np.random.Generator, early: bool, 
     number = getattr(signal, f"SIG{name}")
     checkpoint = (directory / out).with_suffix(".chk")
     before = _changed(checkpoint)
-    with open(directory / "said.txt", "w") as said:
-        process = subprocess.Popen(line_of(directory, out, ENDLESS, resume), cwd=directory, stdout=said, stderr=said)
+    with open(directory / "said.txt", "w") as caught:
+        process = subprocess.Popen(
+            line_of(directory, out, ENDLESS, resume), cwd=directory, stdout=caught, stderr=caught
+        )
     while not early and _changed(checkpoint) == before:
         if process.poll() is not None:
-            raise Lost(f"the run ended by itself: {(directory / 'said.txt').read_text()}")
+            raise Lost(f"the run ended by itself: {(directory / 'caught.txt').read_text()}")
         time.sleep(0.002)
     time.sleep(rng.uniform(0, EARLY if early else LATE))
     process.send_signal(number)
@@ -115,9 +117,9 @@ def last_step(directory: Path, out: str) -> int:
 def finish(directory: Path, out: str, steps: int, resume: bool) -> None:
     """Run to a step undisturbed."""
     line = line_of(directory, out, steps, resume)
-    done = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise Lost(f"the run to step {steps} failed: {done.stdout}{done.stderr}")
+    process = subprocess.run(line, cwd=directory, capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise Lost(f"the run to step {steps} failed: {process.stdout}{process.stderr}")
 
 
 def compare(directory: Path, one: str, two: str, steps: int) -> None:

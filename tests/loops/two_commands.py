@@ -67,18 +67,18 @@ def started(kind: str, place: Path, steps: int = STEPS) -> subprocess.Popen[str]
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
     """The exit code of a command, and what it said on standard error."""
     try:
-        said = process.communicate(timeout=PATIENCE)[1]
+        output = process.communicate(timeout=PATIENCE)[1]
     except subprocess.TimeoutExpired:
         process.kill()
         raise Disturbed(f"a command did not end in {PATIENCE:g} s") from None
-    return process.returncode, said
+    return process.returncode, output
 
 
 def alone(kind: str, place: Path, steps: int = STEPS) -> None:
     """Carry out a command that nothing disturbs."""
-    code, said = ended(started(kind, place, steps))
+    code, output = ended(started(kind, place, steps))
     if code:
-        raise Disturbed(f"{kind} alone failed: {said}")
+        raise Disturbed(f"{kind} alone failed: {output}")
 
 
 def prepare(directory: Path, restart: bool) -> None:
@@ -117,8 +117,8 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
         time.sleep(chance.uniform(0, latest))
         two = started(second, here)
         met[meeting(ended(two), ended(one))] += 1
-        found = results(here)
-        if different := {name for name in {*found, *expected} if found.get(name) != expected.get(name)}:
+        result = results(here)
+        if different := {name for name in {*result, *expected} if result.get(name) != expected.get(name)}:
             raise Disturbed(f"{', '.join(sorted(different))} in {here} are not those of an undisturbed run")
         shutil.rmtree(here)
     return met
@@ -129,7 +129,7 @@ def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
     if one[0] and two[0]:
         raise Disturbed(f"both commands failed: {one[1]}{two[1]}")
     # A restart of a run that is complete has a code of its own.
-    refused = [said for code, said in (two, one) if code == 1]
+    refused = [output for code, output in (two, one) if code == 1]
     if not refused:
         return "second came after the first"
     lines = [line for line in refused[0].splitlines() if line.startswith("openmm-sier: ")]

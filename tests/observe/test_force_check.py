@@ -49,11 +49,11 @@ def test_water_is_sound(model, tolerance, name):
     """With PME as OpenMM splits it, and a jump of Lennard-Jones energies."""
     _, positions, system = periodic_system(model, 64)
     force_of(system).setEwaldErrorTolerance(tolerance)
-    done = check_forces(plain_context(system, positions, name))
-    assert done.faults == ()
-    assert "All Forces are the gradients of their energies within 1 %" in str(done)
-    assert "NonbondedForce" in done.checked
-    assert "CMMotionRemover" not in done.checked
+    report = check_forces(plain_context(system, positions, name))
+    assert report.faults == ()
+    assert "All Forces are the gradients of their energies within 1 %" in str(report)
+    assert "NonbondedForce" in report.checked
+    assert "CMMotionRemover" not in report.checked
 
 
 def test_a_peptide_is_sound():
@@ -150,9 +150,9 @@ def test_more_forces_than_groups():
     springs = [field(f"{1 + i}*x^2", [i % 12]) for i in range(BATCH + 4)]
     system = with_forces(system, *springs)
     system.addForce(openmm.PythonForce(pushing))
-    done = check_forces(plain_context(system, positions))
-    assert [fault.force for fault in done.faults] == ["PythonForce"]
-    assert len(done.checked) == system.getNumForces()
+    report = check_forces(plain_context(system, positions))
+    assert [fault.force for fault in report.faults] == ["PythonForce"]
+    assert len(report.checked) == system.getNumForces()
 
 
 # --- what it leaves as it is, and refuses ---

@@ -37,10 +37,10 @@ def test_kinetic_energies_are_openmms_own(box, name, around):
     """
     context = simulated(box, name, around)
     context.getIntegrator().step(5)
-    found = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))
-    share = found["Kinetic Energy (kJ/mole)"] / openmm_kinetic(context)
+    results = dict(zip(conservation.COLUMNS, conservation.row(context), strict=True))
+    share = results["Kinetic Energy (kJ/mole)"] / openmm_kinetic(context)
     assert -1e-5 < 1 - share < (1e-5 if name == "verlet" else 3e-3)
-    assert np.isnan(found["Conserved Energy (kJ/mole)"]) == bool(around)
+    assert np.isnan(results["Conserved Energy (kJ/mole)"]) == bool(around)
     assert context.getIntegrator().forceEvaluations == 5
 
 
@@ -49,10 +49,10 @@ def test_a_shift_of_velocities_starts_verlet_at_the_phase_point(box):
     context.applyVelocityConstraints(1e-8)
     velocities = context.getState(velocities=True).getVelocities(asNumpy=True)
     masses = np.array([box[0].getParticleMass(i)._value for i in range(box[0].getNumParticles())])
-    wanted = 0.5 * masses @ (velocities._value**2).sum(axis=1)
-    assert openmm_kinetic(context) != pytest.approx(wanted, rel=1e-4)
+    expected = 0.5 * masses @ (velocities._value**2).sum(axis=1)
+    assert openmm_kinetic(context) != pytest.approx(expected, rel=1e-4)
     openmm_integrators.shift_velocities(context, -0.001)
-    assert openmm_kinetic(context) == pytest.approx(wanted, rel=1e-6)
+    assert openmm_kinetic(context) == pytest.approx(expected, rel=1e-6)
     openmm_integrators.shift_velocities(context, 0.001)
     back = context.getState(velocities=True).getVelocities(asNumpy=True)
     assert np.abs((back - velocities)._value).max() < 1e-5

@@ -26,9 +26,9 @@ TURN = np.array([[1.6, 1.8, 0], [-1.8, 1.6, 0], [0, 0, math.hypot(1.6, 1.8)]]) /
 
 def tensor_of(context):
     """The tensor in kJ/mol/nm^3, (3, 3)."""
-    found = MolecularPressure(context).components(context.getState(positions=True, velocities=True)) * BAR
+    result = MolecularPressure(context).components(context.getState(positions=True, velocities=True)) * BAR
     tensor = np.zeros((3, 3))
-    for (i, j), value in zip(COMPONENTS, found, strict=True):
+    for (i, j), value in zip(COMPONENTS, result, strict=True):
         tensor[i, j] = tensor[j, i] = value
     return tensor
 
@@ -129,12 +129,12 @@ def still(system, point, name="Reference"):
 
 def test_diagonal_against_the_barostat_of_openmm():
     system, point = salt()
-    found = tensor_of(still(system, point))
+    tensor = tensor_of(still(system, point))
     barostat = openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1, 1, 1), 300, True, True, True, 0)
     system.addForce(barostat)
     theirs = barostat.computeCurrentPressure(still(system, point))
     # Theirs takes the same differences. Ions are molecules of one atom, whose centre is no matter of definition.
-    np.testing.assert_allclose(np.diag(found), np.array(theirs.value_in_unit(unit.bar)) * BAR, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(tensor), np.array(theirs.value_in_unit(unit.bar)) * BAR, rtol=1e-6)
 
 
 def test_shear_is_the_diagonal_of_a_turned_box():
@@ -160,8 +160,8 @@ def gas(joined, n=20):
         force.addParticle(0, 1, 0)
     bodies = np.arange(3 * n).reshape(n, 3).tolist()
     sides = [(i, j, np.linalg.norm(shape[i] - shape[j])) for i, j in pairwise((0, 1, 2, 0))]
-    held = [(atoms[i], atoms[j], length) for atoms in bodies for i, j, length in sides]
-    system = assembled(n * (16.0, 2.0, 1.0), force, constraints=held if joined else ())
+    constraints = [(atoms[i], atoms[j], length) for atoms in bodies for i, j, length in sides]
+    system = assembled(n * (16.0, 2.0, 1.0), force, constraints=constraints if joined else ())
     system.setDefaultPeriodicBoxVectors(*(2 * np.eye(3)))
     return system, bodies, (shape + rng.uniform(-3, 3, (n, 1, 3))).reshape(-1, 3)
 

@@ -55,9 +55,9 @@ def test_columns_that_openmm_reports_too_have_its_names(tmp_path, box):
     simulation.step(1)
     names, values = (tmp_path / "theirs.csv").read_text().splitlines()
     ours = [line.split(",") for line in (tmp_path / "ours.csv").read_text().splitlines()]
-    found = dict(zip(ours[0], map(float, ours[1]), strict=True))
+    results = dict(zip(ours[0], map(float, ours[1]), strict=True))
     for name, value in zip(names.lstrip("#").replace('"', "").split(","), map(float, values.split(",")), strict=True):
-        assert found[name] == pytest.approx(value, rel=1e-6)
+        assert results[name] == pytest.approx(value, rel=1e-6)
 
 
 def flexible_barostat():
@@ -94,8 +94,8 @@ def conserved(tmp_path, box, integrator, *forces, drift=0.0, steps=4):
 def test_the_conserved_energy_is_unknown_where_openmm_gives_heat(tmp_path, box, kind, engine):
     if (kind, engine) == ("thermostat", "native"):
         pytest.skip("refused")
-    found = conserved(tmp_path, box, SIERIntegrator(0.001, "SIER2", engine=engine), OF_OPENMM[kind]())
-    assert np.isnan(found).all()
+    result = conserved(tmp_path, box, SIERIntegrator(0.001, "SIER2", engine=engine), OF_OPENMM[kind]())
+    assert np.isnan(result).all()
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
@@ -115,9 +115,9 @@ def test_the_conserved_energy_is_conserved_where_all_heat_is_counted(tmp_path, b
     With rigid waters a bath of 5/ps gives some 10 kJ/mol a step.
     """
     integrator = SIERLangevinIntegrator(297, 5, 0.001, pressure=pressure, barostatInterval=1, engine=engine)
-    found = conserved(tmp_path, box, seeded(integrator, 1), *forces(), drift=0.6 if forces() else 0.0, steps=8)
-    assert np.isfinite(found).all()
-    assert np.ptp(found) < 2.0
+    result = conserved(tmp_path, box, seeded(integrator, 1), *forces(), drift=0.6 if forces() else 0.0, steps=8)
+    assert np.isfinite(result).all()
+    assert np.ptp(result) < 2.0
 
 
 def test_without_periodic_boundaries_there_is_no_density(tmp_path):
@@ -218,10 +218,10 @@ def test_body_states_have_the_names_of_domains(tmp_path):
         simulation.step(1)
         owners = simulation.integrator.bodies.owners
         with h5py.File(path, "r") as file:
-            found = file["name"].asstr()[:].tolist()
-        assert found[owners[25]] == "tail"
-        assert found[owners[5]] == ("head" if number == 0 else "")
-        assert sum(map(bool, found)) == 2 - number
+            result = file["name"].asstr()[:].tolist()
+        assert result[owners[25]] == "tail"
+        assert result[owners[5]] == ("head" if number == 0 else "")
+        assert sum(map(bool, result)) == 2 - number
 
 
 def test_body_states_tell_where_the_atoms_are(tmp_path):
@@ -244,11 +244,11 @@ def test_body_states_tell_where_the_atoms_are(tmp_path):
         species = file["species"][:]
         for number in range(species.max() + 1):
             group = file[f"species_{number}"]
-            mine = species == number
-            q, quaternion = file["q"][-1][mine], file["quaternion"][-1][mine]
-            turned = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix() @ group["sites"][:].T
-            rebuilt[group["atoms"][:]] = q[:, None] + turned.transpose(0, 2, 1)
-            np.testing.assert_array_equal(file["masses"][:][mine], group["masses"][:].sum())
+            is_of_species = species == number
+            q, quaternion = file["q"][-1][is_of_species], file["quaternion"][-1][is_of_species]
+            rotated = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix() @ group["sites"][:].T
+            rebuilt[group["atoms"][:]] = q[:, None] + rotated.transpose(0, 2, 1)
+            np.testing.assert_array_equal(file["masses"][:][is_of_species], group["masses"][:].sum())
             masses = [system.getParticleMass(int(i))._value for i in group["atoms"][0]]
             np.testing.assert_array_equal(group["masses"], masses)
         boxes = file["box"][:]
@@ -262,15 +262,15 @@ def test_centres_are_wrapped_on_demand(tmp_path, box):
     topology, system, (positions, velocities) = box
     edge = system.getDefaultPeriodicBoxVectors()[0][0]._value
     far = positions + edge * np.array([2, -3, 0.0])
-    found = {}
+    results = {}
     for unwrapped in (True, False):
         simulation = simulation_of(topology, system, SIERIntegrator(0.001, "SIER2"), "CPU", (far, velocities))
         path = tmp_path / f"{unwrapped}.h5"
         simulation.reporters.append(BodyStateReporter(path, 1, unwrapped=unwrapped))
         simulation.step(1)
         with h5py.File(path, "r") as file:
-            found[file.attrs["wrapped"]] = file["q"][0]
-    continuous, wrapped = found["no"], found["into the box"]
+            results[file.attrs["wrapped"]] = file["q"][0]
+    continuous, wrapped = results["no"], results["into the box"]
     assert continuous[:, 0].min() > edge
     assert wrapped.min() >= 0
     assert wrapped.max() <= edge

@@ -109,9 +109,9 @@ def pair_of_bodies(build):
 def checked(system, framed, x, bodies, name="Reference", rel=1e-9):
     """Compare energies, forces on points, and net forces and torques of bodies."""
     energy, places, forces = energy_and_forces(system, x, name)
-    found, others, theirs = energy_and_forces(framed.system, framed.addFramePositions(x), name)
+    values, others, theirs = energy_and_forces(framed.system, framed.addFramePositions(x), name)
     assert abs(energy) > 1e-3
-    assert found == pytest.approx(energy, rel=rel)
+    assert values == pytest.approx(energy, rel=rel)
     size = np.abs(forces).max()
     assert size > 1e-3
     points = [i for i in range(len(x)) if not framed.system.isVirtualSite(i)]
@@ -159,25 +159,25 @@ def test_long_range_corrections_differ_by_the_number_of_particles_alone():
     force = periodic(polar(system, bodies, charge=0.0), openmm.NonbondedForce.CutoffPeriodic)
     system.addForce(force)
     framed = with_frames(system, positions, bodies)
-    found = []
+    results = []
     for each, x in ((system, positions), (framed.system, framed.positions)):
         with_correction = energy_and_forces(each, x)[0]
         without = copy.deepcopy(each)
         without.getForce(0).setUseDispersionCorrection(False)
         n = each.getNumParticles()
-        found.append((with_correction - energy_and_forces(without, x)[0]) * (n + 1) / n)
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+        results.append((with_correction - energy_and_forces(without, x)[0]) * (n + 1) / n)
+    assert results[1] == pytest.approx(results[0], rel=1e-9)
 
 
 def test_derivatives_by_parameters_are_carried():
     system, positions, bodies = pair_of_bodies(by_expression)
     framed = with_frames(system, positions, bodies)
-    found = []
+    results = []
     for each, x in ((system, positions), (framed.system, framed.positions)):
         context = openmm.Context(each, openmm.VerletIntegrator(0.001), platform())
         context.setPositions(x)
-        found.append(context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()["depth"])
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+        results.append(context.getState(parameterDerivatives=True).getEnergyParameterDerivatives()["depth"])
+    assert results[1] == pytest.approx(results[0], rel=1e-9)
 
 
 def test_a_force_field_with_bodies_in_water():

@@ -35,9 +35,9 @@ def test_lennard_jones_by_its_size_at_the_cutoff(cutoff, told):
         force.addParticle(0, 0.315, 0.64)
     force.setNonbondedMethod(force.CutoffPeriodic)
     force.setCutoffDistance(cutoff)
-    said = limits(force)
-    assert len(said) == told
-    for sentence in said:
+    sentences = limits(force)
+    assert len(sentences) == told
+    for sentence in sentences:
         assert "switchDistance=0.75*nanometer, or call setUseSwitchingFunction(True)" in sentence
     switched = copy.deepcopy(force)
     switched.setUseSwitchingFunction(True)

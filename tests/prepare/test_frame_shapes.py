@@ -19,10 +19,10 @@ def test_mass_centre_and_moments_are_those_of_the_body(name):
     """To the rounding of sums of up to 200 terms."""
     species, frame = made(name)
     sums = np.einsum("k,ak,bk->ab", species.masses, species.sites, species.sites)
-    found = np.einsum("k,ak,bk->ab", frame.masses, frame.corners, frame.corners)
+    result = np.einsum("k,ak,bk->ab", frame.masses, frame.corners, frame.corners)
     assert frame.masses.sum() == pytest.approx(species.mass, rel=1e-14)
     assert np.abs(frame.corners @ frame.masses).max() < 1e-13 * species.mass
-    assert found == pytest.approx(sums, abs=1e-13 * sums.max())
+    assert result == pytest.approx(sums, abs=1e-13 * sums.max())
     again = Species.from_sites([range(len(frame.masses))], frame.masses, frame.corners)
     assert again.moments == pytest.approx(species.moments, rel=1e-12)
     assert (frame.masses > 0).all()

@@ -28,10 +28,10 @@ def test_a_particle_with_patches_gets_the_moments_of_a_ball():
     system, positions, bodies = patchy(2)
     ball = 0.4 * 100 * 0.5**2
     set_inertia(system, positions, bodies, 100 * unit.dalton, 3 * [ball] * unit.dalton * unit.nanometer**2)
-    found = RigidBodies.from_system(system, rigid=bodies, positions=positions)
-    np.testing.assert_allclose(found.masses, 100.0, rtol=1e-12)
-    np.testing.assert_allclose(found.moments, ball, rtol=1e-12)
-    assert len(found.species) == 1
+    result = RigidBodies.from_system(system, rigid=bodies, positions=positions)
+    np.testing.assert_allclose(result.masses, 100.0, rtol=1e-12)
+    np.testing.assert_allclose(result.moments, ball, rtol=1e-12)
+    assert len(result.species) == 1
 
 
 def test_domains_keep_their_centre_and_axes():

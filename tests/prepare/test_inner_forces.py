@@ -178,7 +178,7 @@ def test_each_variable_has_a_derivative_of_its_own():
         force.addCollectiveVariable(name, openmm.NonbondedForce())
     system = assembled([1.0], force)
     _, *inner = all_forces(system)
-    assert [part.weight for part in inner] == [2, None, -3]
+    assert [entry.weight for entry in inner] == [2, None, -3]
 
 
 # --- bonds ---
@@ -197,8 +197,8 @@ def test_bonds_are_seen_wherever_they_are(name, kind):
     bare = pair(copy.deepcopy(bond))
     system = assembled([1.0, 1.0])
     system.addForce(CONTAINERS[name](system, bond))
-    done = str(prepare_system(system))
-    assert f"stay slow forces, since another Force contains them: {kind.__name__} in {name}." in done
+    message = str(prepare_system(system))
+    assert f"stay slow forces, since another Force contains them: {kind.__name__} in {name}." in message
     positions = np.array([[0, 0, 0], [0.1, 0, 0]])
     # The period is 2 pi sqrt(0.5/4e5) ps = 7.02 fs, and SIER4G is unstable from a tenth above half of it on.
     for one in (bare, system):
@@ -232,8 +232,8 @@ def test_close_pairs_are_found_wherever_they_are(name):
 
 def test_a_jump_is_told_wherever_it_is():
     _, _, system = periodic_system("tip3p", 64)
-    said = str(prepare_system(contained(system, "ATMForce")))
-    assert "NonbondedForce in ATMForce ends with a jump of the energy at 0.55 nm" in said
+    message = str(prepare_system(contained(system, "ATMForce")))
+    assert "NonbondedForce in ATMForce ends with a jump of the energy at 0.55 nm" in message
 
 
 def test_drude_particles_are_refused_wherever_they_are():
@@ -248,16 +248,18 @@ def test_drude_particles_are_refused_wherever_they_are():
 def test_inner_forces_are_of_their_own_class_and_can_be_changed():
     system = assembled([1.0])
     system.addForce(at_rest(system, openmm.NonbondedForce(), scaled(openmm.NonbondedForce())))
-    for part in all_forces(system):
-        if isinstance(part.force, openmm.NonbondedForce):
-            part.force.setPMEParameters(4, 24, 24, 24)
+    for entry in all_forces(system):
+        if isinstance(entry.force, openmm.NonbondedForce):
+            entry.force.setPMEParameters(4, 24, 24, 24)
     again = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(system))
-    names = [part.name for part in all_forces(again)]
+    names = [entry.name for entry in all_forces(again)]
     assert names == [
         "ATMForce",
         "NonbondedForce in ATMForce",
         "CustomCVForce in ATMForce",
         "NonbondedForce in CustomCVForce in ATMForce",
     ]
-    found = [pme_parameters(part.force) for part in all_forces(again) if isinstance(part.force, openmm.NonbondedForce)]
-    assert found == 2 * [(4.0, 24, 24, 24)]
+    results = [
+        pme_parameters(entry.force) for entry in all_forces(again) if isinstance(entry.force, openmm.NonbondedForce)
+    ]
+    assert results == 2 * [(4.0, 24, 24, 24)]

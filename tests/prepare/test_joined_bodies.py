@@ -34,8 +34,8 @@ def test_a_chain_is_one_molecule(as_lists):
     system, bodies, _ = unbonded()
     lists = select_bodies(topology_of(2), descriptions("AB"))
     assert len(molecules(system)) > 40
-    told = str(prepare_system(system, lists if as_lists else bodies))
-    assert "The atoms of 4 rigid bodies are joined" in told
+    message = str(prepare_system(system, lists if as_lists else bodies))
+    assert "The atoms of 4 rigid bodies are joined" in message
     assert molecules(system) == [40, 40]
     before = openmm.XmlSerializer.serialize(system)
     prepare_system(system, bodies)

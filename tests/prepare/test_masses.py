@@ -42,16 +42,16 @@ def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
     topology, forcefield = alanine
     usual = forcefield.createSystem(topology, constraints=constraints)
     system = forcefield.createSystem(topology, constraints=constraints, hydrogenMass=before)
-    said = str(prepare_system(system, hydrogenMass=4 * unit.dalton))
+    message = str(prepare_system(system, hydrogenMass=4 * unit.dalton))
     old, new = masses(usual), masses(system)
-    for centre, found in centres_of(topology).items():
+    for centre, results in centres_of(topology).items():
         # Sums of a few doubles of 15 dalton.
-        assert new[[centre, *found]].sum() == pytest.approx(old[[centre, *found]].sum(), rel=1e-14)
-        share = 4.0 if len(found) == 2 and old[centre] > 15 else HEAVIEST_IN_CHAINS
-        assert new[found] == pytest.approx(share, rel=1e-14)
+        assert new[[centre, *results]].sum() == pytest.approx(old[[centre, *results]].sum(), rel=1e-14)
+        share = 4.0 if len(results) == 2 and old[centre] > 15 else HEAVIEST_IN_CHAINS
+        assert new[results] == pytest.approx(share, rel=1e-14)
     others = sorted(set(range(len(new))) - set(hydrogens_of(topology)) - set(centres_of(topology)))
     np.testing.assert_array_equal(new[others], old[others])
-    assert "12 hydrogens have 3 dalton and 4 hydrogens have 4 dalton" in said
+    assert "12 hydrogens have 3 dalton and 4 hydrogens have 4 dalton" in message
 
 
 @pytest.mark.parametrize("constraints", [None, app.HBonds])
@@ -77,9 +77,12 @@ def test_restraints_of_hydrogens_are_no_bonds(alanine, kind, constraints):
     """To an atom of another molecule, as of a hydrogen bond, and to each other, as nuclear Overhauser effects ask."""
     topology, forcefield = alanine
     plain, restrained = (forcefield.createSystem(topology, constraints=constraints) for _ in range(2))
-    found = hydrogens_of(topology)
+    hydrogens = hydrogens_of(topology)
     force = openmm.HarmonicBondForce() if kind == "harmonic" else openmm.CustomBondForce("1000*(r-0.2)^2")
-    for first, second, length in ((found[0], plain.getNumParticles() - 3, 0.19), (found[1], found[-1], 0.3)):
+    for first, second, length in (
+        (hydrogens[0], plain.getNumParticles() - 3, 0.19),
+        (hydrogens[1], hydrogens[-1], 0.3),
+    ):
         force.addBond(first, second, *((length, 1e3) if kind == "harmonic" else ()))
     restrained.addForce(force)
     for system in (plain, restrained):
@@ -136,9 +139,9 @@ def test_a_prepared_system_may_get_its_heavy_hydrogens_later(alanine):
 def test_water_with_and_without_virtual_sites(model):
     _, _, system = cluster_system(3, model)
     prepare_system(system, hydrogenMass=4)
-    found = masses(system)
-    assert sorted(found[found > 0].round(9)) == sorted([4.0] * 6 + [found[0].round(9)] * 3)
-    assert found[found > 0].sum() == pytest.approx(3 * 18.01528, rel=1e-5)  # waters of 15.99943 + 2 * 1.007947
+    result = masses(system)
+    assert sorted(result[result > 0].round(9)) == sorted([4.0] * 6 + [result[0].round(9)] * 3)
+    assert result[result > 0].sum() == pytest.approx(3 * 18.01528, rel=1e-5)  # waters of 15.99943 + 2 * 1.007947
     back = copy.deepcopy(system)
     prepare_system(back, hydrogenMass=1.007947)
     assert masses(back).max() == pytest.approx(15.99943, rel=1e-5)

@@ -76,10 +76,10 @@ def assert_the_same(one, other):
 
 def test_fast_forces_and_close_pairs(peptide):
     system = copy.deepcopy(peptide[0])
-    done = prepare_system(system)
-    assert done.fastForceGroups == {FAST}
-    assert "HarmonicBondForce, PeriodicTorsionForce, HarmonicAngleForce" in str(done)
-    assert "81 close pairs (up to 4 bonds apart)" in str(done)
+    preparation = prepare_system(system)
+    assert preparation.fastForceGroups == {FAST}
+    assert "HarmonicBondForce, PeriodicTorsionForce, HarmonicAngleForce" in str(preparation)
+    assert "81 close pairs (up to 4 bonds apart)" in str(preparation)
     fast, opposite = named(system, NAME), named(system, OPPOSITE)
     # By the topology ACE-ALA-NME has 41 pairs three bonds apart and 40 four bonds.
     assert fast.getNumBonds() == opposite.getNumBonds() == 41 + 40
@@ -126,9 +126,9 @@ def test_prepared_again_a_system_stays_as_it_is(prepared):
 def test_a_system_without_nonbonded_forces():
     system, _ = system_of(chains(), waters=1)
     force_of(system, openmm.HarmonicBondForce).setForceGroup(0)
-    done = prepare_system(system)
-    assert done.fastForceGroups == {FAST}
-    assert "Force group 1 has the fast forces now: HarmonicBondForce." in str(done)
+    preparation = prepare_system(system)
+    assert preparation.fastForceGroups == {FAST}
+    assert "Force group 1 has the fast forces now: HarmonicBondForce." in str(preparation)
     assert [force.getForceGroup() for force in system.getForces()] == [FAST, 0, 0, FAST]
 
 
@@ -138,9 +138,9 @@ def test_what_acts_on_rigid_bodies_is_fast():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
-    done = prepare_system(system, groups)
-    assert done.fastForceGroups == {1}
-    assert "stay slow forces" not in str(done)
+    preparation = prepare_system(system, groups)
+    assert preparation.fastForceGroups == {1}
+    assert "stay slow forces" not in str(preparation)
 
 
 def test_water_is_prepared_and_told_of_what_limits_it():
@@ -148,11 +148,11 @@ def test_water_is_prepared_and_told_of_what_limits_it():
     force_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
     balanced = copy.deepcopy(system)
     balance_pme(balanced)
-    said = str(prepare_system(system))
-    assert "PME are balanced" in said
+    message = str(prepare_system(system))
+    assert "PME are balanced" in message
     assert openmm.XmlSerializer.serialize(system) == openmm.XmlSerializer.serialize(balanced)
-    assert "NonbondedForce ends with a jump of the energy at 0.55 nm" in said
-    assert "switchDistance=0.46*nanometer" in said
+    assert "NonbondedForce ends with a jump of the energy at 0.55 nm" in message
+    assert "switchDistance=0.46*nanometer" in message
     force = force_of(system, openmm.NonbondedForce)
     force.setUseSwitchingFunction(True)
     assert prepare_system(system).limits == ()
@@ -185,16 +185,16 @@ def scaled(system, factor):
 
 @pytest.mark.parametrize("in_context", [False, True], ids=["System", "Context"])
 def test_solute_scaling_gives_what_it_gives_in_the_plain_system(peptide, prepared, in_context):
-    found = []
+    results = []
     for original in (peptide[0], prepared):
         system = copy.deepcopy(original)
         context = context_of(system, peptide[1]) if in_context else None
         force = scaled(system, 0.5)
         if context is not None:
             force.updateParametersInContext(context)
-        found.append(context or context_of(system, peptide[1]))
-    assert_the_same(*found)
-    assert abs(energy_and_forces(found[0])[0] - energy_and_forces(context_of(*peptide))[0]) > 10
+        results.append(context or context_of(system, peptide[1]))
+    assert_the_same(*results)
+    assert abs(energy_and_forces(results[0])[0] - energy_and_forces(context_of(*peptide))[0]) > 10
 
 
 def test_parameter_offsets(peptide):
@@ -230,16 +230,16 @@ def test_parameter_offsets(peptide):
 def test_alchemical_factory(peptide, prepared):
     alchemy = pytest.importorskip("openmmtools.alchemy", reason="pip install openmm-sier[validation]")
     region = alchemy.AlchemicalRegion(alchemical_atoms=range(SOLUTE), annihilate_electrostatics=True)
-    found = []
+    results = []
     for system in (peptide[0], prepared):
-        made = alchemy.AbsoluteAlchemicalFactory(consistent_exceptions=False).create_alchemical_system(system, region)
-        state = alchemy.AlchemicalState.from_system(made)
+        result = alchemy.AbsoluteAlchemicalFactory(consistent_exceptions=False).create_alchemical_system(system, region)
+        state = alchemy.AlchemicalState.from_system(result)
         state.lambda_electrostatics, state.lambda_sterics = 0.0, 0.5
-        context = context_of(made, peptide[1])
+        context = context_of(result, peptide[1])
         state.apply_to_context(context)
-        found.append(context)
-    assert_the_same(*found)
-    assert fast_force_groups(found[1].getSystem()) == 1 << FAST
+        results.append(context)
+    assert_the_same(*results)
+    assert fast_force_groups(results[1].getSystem()) == 1 << FAST
 
 
 def test_several_nonbonded_forces_and_others_that_exclude_pairs(peptide):
@@ -295,8 +295,8 @@ def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
 
 
 def test_an_argument_wins(peptide, prepared):
-    made = SIERIntegrator(0.002, fastForceGroups=set())
-    for integrator in (openmm.XmlSerializer.clone(made), made):
+    result = SIERIntegrator(0.002, fastForceGroups=set())
+    for integrator in (openmm.XmlSerializer.clone(result), result):
         context_of(copy.deepcopy(prepared), peptide[1], integrator)
         assert integrator.fastForceGroups == set()
 
@@ -360,10 +360,10 @@ def test_a_system_whose_context_was_refused_can_be_prepared():
 def test_integrators_of_fourth_order_warn_about_pme(kind):
     _, positions, system = periodic_system("tip3p", 64)
     options = {"scheme": "SIER4G"} if kind == "hybrid Monte Carlo" else {}
-    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*SIER4G.* 1.2 to 1\.6 %") as told:
+    with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*SIER4G.* 1.2 to 1\.6 %") as caught:
         context_of(system, positions, INTEGRATORS[kind](**options))
-    assert len(told) == 1
-    assert told[0].filename == __file__
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
 
 
 @pytest.mark.parametrize(
@@ -390,8 +390,8 @@ def test_a_free_group_is_taken_where_the_first_has_other_forces():
     with pytest.raises(ValueError, match="at most 31, got 32"):
         prepare_system(system, fastForceGroup=32)
     assert force_of(system, openmm.HarmonicBondForce).getForceGroup() == 0
-    done = prepare_system(system)
-    assert done.fastForceGroups == {3}
+    preparation = prepare_system(system)
+    assert preparation.fastForceGroups == {3}
     integrator = SIERIntegrator(0.003)
     context = started(system, integrator, positions, steps=1)
     assert context.getStepCount() == 1

@@ -43,9 +43,9 @@ def test_the_system_stays_what_it_is(frozen):
 
 def test_terms_between_linkers_and_bodies_are_fast():
     system, bodies, positions = stiff_chain()
-    told = str(prepare_system(system, bodies))
-    assert f"Force group 1 has the fast forces now: {', '.join(KINDS)}." in told
-    assert "stay slow forces" not in told
+    message = str(prepare_system(system, bodies))
+    assert f"Force group 1 has the fast forces now: {', '.join(KINDS)}." in message
+    assert "stay slow forces" not in message
     # They move bodies, and turn them.
     _, moved = energy_and_forces(system, positions, {1})
     _, torques = bodies.forces_and_torques(moved, bodies.fit(positions)[1])
@@ -69,10 +69,10 @@ def test_close_pairs_of_linkers_and_bodies_are_fast_and_those_within_bodies_are_
 
 def test_terms_on_frozen_atoms_stay_in_the_kicks():
     system, bodies, positions = stiff_chain([HELD])
-    told = str(prepare_system(system, bodies))
+    message = str(prepare_system(system, bodies))
     fast = [force for force in system.getForces() if force.getForceGroup() == 1]
     assert [force.getName() for force in fast[:-1]] == [kind + OF_BODIES for kind in KINDS]
-    assert f"since they act on virtual sites or frozen atoms: {', '.join(KINDS)}." in told
+    assert f"since they act on virtual sites or frozen atoms: {', '.join(KINDS)}." in message
     bonds = next(force for force in system.getForces() if force.getName() == "HarmonicBondForce")
     strengths = {tuple(bonds.getBondParameters(i)[:2]): bonds.getBondParameters(i)[3]._value for i in range(15)}
     # The first bead is a linker, the second one of a domain.
@@ -145,8 +145,8 @@ def test_beads_need_no_fast_forces_and_the_usual_step_is_told(has_bodies):
 
 def test_lists_of_particles_leave_the_step_at_that_of_beads_alone():
     system, _, _ = coarse(False)
-    told = str(prepare_system(system, select_bodies(topology_of(), domains.descriptions())))
-    assert f"a period of {2000 * np.pi / np.sqrt(2 * STRENGTH / 110):.3g} fs" in told
+    message = str(prepare_system(system, select_bodies(topology_of(), domains.descriptions())))
+    assert f"a period of {2000 * np.pi / np.sqrt(2 * STRENGTH / 110):.3g} fs" in message
 
 
 def test_bonded_terms_within_bodies_cost_time():

@@ -54,9 +54,9 @@ def test_steps_in_use_are_taken(model, engine):
 def test_a_step_at_which_the_energy_walks(engine):
     """It is told once, with what to expect and what to take; nothing is said where the energy need not hold."""
     _, positions, system = cluster_system(3)
-    told = r"With steps of 6 fs the total energy wanders: .* is about 0\.[67] %, and 0\.0\d+ % with SIER4G at 4 fs"
+    message = r"With steps of 6 fs the total energy wanders: .* is about 0\.[67] %, and 0\.0\d+ % with SIER4G at 4 fs"
     integrator = SIERIntegrator(0.006, engine=engine)
-    with pytest.warns(UserWarning, match=told):
+    with pytest.warns(UserWarning, match=message):
         context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     with silence():
         integrator.setStepSize(0.007)
@@ -122,8 +122,8 @@ def behind_hydrogens(count):
         force.addParticle(0.0, 0.2, 0.01)
     for charge, sigma, epsilon in 2 * [(-0.834, 0.315, 0.636), (0.417, 0.1, 0.0), (0.417, 0.1, 0.0)]:
         force.addParticle(charge, sigma, epsilon)
-    held = ((0, 1, 0.09572), (0, 2, 0.09572), (1, 2, 0.15139))
-    constraints = [(start + i, start + j, length) for start in (count, count + 3) for i, j, length in held]
+    lengths = ((0, 1, 0.09572), (0, 2, 0.09572), (1, 2, 0.15139))
+    constraints = [(start + i, start + j, length) for start in (count, count + 3) for i, j, length in lengths]
     return assembled([1.008] * count + 2 * [15.9994, 1.008, 1.008], force, constraints=constraints)
 
 

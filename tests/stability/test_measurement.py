@@ -62,11 +62,11 @@ def squares(motions):
 )
 def test_a_bond_has_the_period_of_its_curvature_where_it_is(energy, curvature, stretch):
     system = assembled([1.0, 16.0], bond(energy, **({"depth": 125.0} if "depth" in energy else {})))
-    (found,) = measured(system, [[0, 0, 0], [0, 0.06, 0.08 + stretch * 1.25]])
+    (motions,) = measured(system, [[0, 0, 0], [0, 0.06, 0.08 + stretch * 1.25]])
     x = math.hypot(0.06, 0.08 + stretch * 1.25) - 0.1
     # Displacements of 1e-5 nm leave 1e-6 by the fourth derivative.
-    assert squares([found])[0] == pytest.approx(curvature(x) * (1 + 1 / 16), rel=1e-5)
-    assert found.atoms == (0, 1)
+    assert squares([motions])[0] == pytest.approx(curvature(x) * (1 + 1 / 16), rel=1e-5)
+    assert motions.atoms == (0, 1)
 
 
 def test_every_term_counts_with_its_own_parameters_and_masses():
@@ -76,9 +76,9 @@ def test_every_term_counts_with_its_own_parameters_and_masses():
         force.addBond(*atoms, [k])
     system = assembled([1.0, 16.0, 12.0, 12.0, 0.0, 4.0], force)
     x = [[0, 0, 0], [0.1, 0, 0], [1, 0, 0], [1, 0.1, 0], [2, 0, 0], [2, 0, 0.1]]
-    (found,) = measured(system, x)
-    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 16), rel=1e-5)
-    assert found.atoms == (1, 0)
+    (motions,) = measured(system, x)
+    assert squares([motions])[0] == pytest.approx(K * (1 + 1 / 16), rel=1e-5)
+    assert motions.atoms == (1, 0)
 
 
 def test_parameters_are_those_of_the_context():
@@ -109,9 +109,9 @@ def test_a_term_of_three_atoms_has_the_fastest_of_its_modes():
     chain = "50000*((distance(p1,p2)-0.1)^2+(distance(p2,p3)-0.1)^2)"
     system = assembled([16.0, 12.0, 16.0], compound(chain, [0, 1, 2]))
     x = [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
-    (found,) = measured(system, x)
-    assert squares([found])[0] == pytest.approx(K * (1 / 16 + 2 / 12), rel=1e-5)
-    assert found.atoms == (0, 1, 2)
+    (motions,) = measured(system, x)
+    assert squares([motions])[0] == pytest.approx(K * (1 / 16 + 2 / 12), rel=1e-5)
+    assert motions.atoms == (0, 1, 2)
     system.addConstraint(0, 1, 0.1)
     assert squares(measured(system, x)) == pytest.approx([K * (1 / 16 + 1 / 28)], rel=1e-5)
 
@@ -139,8 +139,10 @@ def test_a_step_that_is_too_long_is_refused_when_there_are_positions(engine):
     period = 2 * math.pi / math.sqrt(462750 * (1 + 1 / 16))
     with pytest.raises(openmm.OpenMMException) as refusal:
         integrator.step(1)
-    said = "A step of 6 fs is too long: the bond between atoms 0 and 1 by CustomBondForce is not constrained and has a"
-    assert f"{said} period of {1000 * period:.3g} fs" in str(refusal.value)
+    message = (
+        "A step of 6 fs is too long: the bond between atoms 0 and 1 by CustomBondForce is not constrained and has a"
+    )
+    assert f"{message} period of {1000 * period:.3g} fs" in str(refusal.value)
     assert context.getStepCount() == 0
     assert np.array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, x)
     integrator.setStepSize(0.003)
@@ -303,9 +305,9 @@ SPRINGS = {
 def test_a_collective_variable_has_the_period_of_its_curvature(kind):
     force, expected = SPRINGS[kind]
     x = [[0.1, 0, 0], [0, 0, 0], [0, 0.12, 0]]
-    (found,) = measured(assembled([1.0, 16.0, 12.0], force), x)
+    (motions,) = measured(assembled([1.0, 16.0, 12.0], force), x)
     # Displacements of 1e-5 nm, as above; transverse motions have no stiffness where springs have their lengths.
-    assert squares([found])[0] == pytest.approx(expected, rel=1e-5)
+    assert squares([motions])[0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_an_rmsd_has_the_period_of_its_curvature():
@@ -315,9 +317,9 @@ def test_an_rmsd_has_the_period_of_its_curvature():
     force = variable("3*100000*d^2", d=openmm.RMSDForce(x))
     # At the reference the root has no derivative.
     displaced = x + 1e-3 * rng.normal(size=x.shape)
-    (found,) = measured(assembled(6 * [16.0], force), displaced)
+    (motions,) = measured(assembled(6 * [16.0], force), displaced)
     # The best turn changes with the displacement, of which a thousandth remains.
-    assert squares([found])[0] == pytest.approx(K / 16, rel=5e-3)
+    assert squares([motions])[0] == pytest.approx(K / 16, rel=5e-3)
 
 
 def test_collective_variables_move_bodies_and_leave_constraints():
@@ -330,8 +332,8 @@ def test_collective_variables_move_bodies_and_leave_constraints():
     # Along x the end of the body is turned about its centre: 1/M + r^2/I.
     centre = 0.1 / 17
     inertia = 16 * centre**2 + (0.1 - centre) ** 2
-    (found,) = measured(system, x, partly)
-    assert squares([found])[0] == pytest.approx(K * (1 + 1 / 17 + centre**2 / inertia), rel=1e-5)
+    (motions,) = measured(system, x, partly)
+    assert squares([motions])[0] == pytest.approx(K * (1 + 1 / 17 + centre**2 / inertia), rel=1e-5)
     system.addConstraint(0, 1, 0.1)
     assert measured(system, x) == []
 
@@ -387,8 +389,8 @@ def test_a_force_of_which_nothing_is_known_is_named_once():
         # No bond of a molecule is too fast for this step.
         context = context_at(system, integrator, (x, 0 * x), steps=1)
     integrator.setStepSize(6 * unit.femtoseconds)
-    said = r"A step of 6 fs cannot be judged, since the stiffness of bias \(CustomCVForce\)"
-    with pytest.warns(UserWarning, match=said) as told:
+    message = r"A step of 6 fs cannot be judged, since the stiffness of bias \(CustomCVForce\)"
+    with pytest.warns(UserWarning, match=message) as caught:
         integrator.step(2)
-    assert len(told) == 1
+    assert len(caught) == 1
     assert context.getStepCount() == 3

@@ -49,8 +49,8 @@ def test_a_step_is_long_where_fast_bodies_turn_too_far(make, engine):
     scheme = make(0.001).scheme
     limit = scheme.accuracy_limit / (FAST_SPIN * np.sqrt(GAS_CONSTANT * 300 / moment(177)))
     made(system, make(0.99 * limit, engine=engine))
-    told = r"fs is long: the body of atoms 0, 1, 2 and similar bodies have a moment of inertia of only 8e-05"
-    with pytest.warns(UserWarning, match=told):
+    message = r"fs is long: the body of atoms 0, 1, 2 and similar bodies have a moment of inertia of only 8e-05"
+    with pytest.warns(UserWarning, match=message):
         context = made(system, make(1.01 * limit, engine=engine), silently=False)
     with silence():
         context.getIntegrator().setStepSize(1.02 * limit)
@@ -120,8 +120,8 @@ def test_an_equilibration_takes_steps_that_they_bear():
     system, positions = trimers(177)
     context = made(system, SIERLangevinIntegrator(300, 1, 0.002))
     context.setPositions(positions)
-    told = Told()
+    report = Told()
     with silence():
-        equilibrate(context, 300, time=0.02, report=told)
+        equilibrate(context, 300, time=0.02, report=report)
     # Three quarters of 6.5 fs of SIER4G.
-    assert "equilibrates in steps of 4.9 fs, since bonds or rotations are too fast" in told.notes[0]
+    assert "equilibrates in steps of 4.9 fs, since bonds or rotations are too fast" in report.notes[0]

@@ -72,9 +72,9 @@ def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
         integrator = SIERIntegrator(0.99 * accurate, SIER4G)
         context = context_at(system, integrator, (positions, 0 * positions), steps=1)
     integrator.setStepSize(1.01 * accurate)
-    with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as said:
+    with pytest.warns(UserWarning, match=r"A step of 3\.\d* fs is long: the bond between") as caught:
         integrator.step(1)
-    assert said[0].filename == __file__
+    assert caught[0].filename == __file__
     with silence():
         integrator.step(1)
     integrator.setStepSize(1.01 * stable)
@@ -410,12 +410,12 @@ def test_steps_in_the_window_are_refused():
 def test_every_kind_of_warning_is_given_once(flexible):
     _, _, system = flexible
     check = StepCheck(system, RigidBodies.from_system(system))
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check(Flow(SIER4G, 0.0035), 1)
         check(Flow(SIER4G, 0.0036), 1)
         check(Flow(SIER4G, 0.58 * PERIOD, substeps=100, fast_groups=1), 1)
-    assert ["more than twice" in str(each.message) for each in told] == [False, True]
+    assert ["more than twice" in str(each.message) for each in caught] == [False, True]
 
 
 def test_a_drude_force_is_refused_with_what_to_take():

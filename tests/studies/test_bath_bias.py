@@ -21,15 +21,15 @@ def test_a_harmonic_mode_has_no_bias_in_a_bath():
     """What is there at once and what the bath makes of it cancel."""
     rng = np.random.default_rng(1)
     n, kT, h, frequency, friction = 400, 2.5, 0.002, 30.0, 20.0
-    kept = math.exp(-friction * h)
-    gained = math.sqrt((1 - kept**2) * kT)
+    damping = math.exp(-friction * h)
+    gained = math.sqrt((1 - damping**2) * kT)
     q, v = rng.normal(size=(2, n)) * math.sqrt(kT)
     q /= frequency
     made = []
     for _ in range(2000):
         v = v - h * frequency**2 * q
         q = q + 0.5 * h * v
-        v = kept * v + gained * rng.normal(size=n)
+        v = damping * v + gained * rng.normal(size=n)
         q = q + 0.5 * h * v
         made.append([q, v])
     # One after the other they are one long run.

@@ -19,10 +19,10 @@ from tests.support.waters import plain_context
 @pytest.fixture(scope="module")
 def liquid():
     """512 molecules of TIP3P with velocities: the System, a State, and what peers are told."""
-    found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
-    context = started(found.system, SIERIntegrator(0.001, "SIER2"), found.positions, 297, seed=1)
+    result = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
+    context = started(result.system, SIERIntegrator(0.001, "SIER2"), result.positions, 297, seed=1)
     state = context.getState(positions=True, velocities=True)
-    return found.system, state, peers.liquid_of(found.system, state)
+    return result.system, state, peers.liquid_of(result.system, state)
 
 
 @pytest.mark.thorough

@@ -19,10 +19,10 @@ def test_boxes_are_as_cubic_as_they_can_be(times, copies):
 
 @pytest.mark.parametrize("name", representatives(["tip3p-512.pdb", "tip4p2005-512.pdb"], "tip3p-512.pdb"))
 def test_repeated_box_has_the_energy_of_its_copies(name):
-    found = forcefields.read_box(SYSTEMS / name)
+    result = forcefields.read_box(SYSTEMS / name)
     energies = []
     for copies in ((1, 1, 1), (1, 2, 1)):
-        replica = boxes.repeated(found, SYSTEMS, copies)
+        replica = boxes.repeated(result, SYSTEMS, copies)
         assert replica.molecules == 512 * math.prod(copies)
         context = plain_context(replica.system, replica.positions, "CPU")
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
@@ -32,13 +32,13 @@ def test_repeated_box_has_the_energy_of_its_copies(name):
 
 @pytest.mark.thorough
 def test_part_of_a_box():
-    found = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
-    part = boxes.of_size(found, SYSTEMS, 64)
+    result = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
+    part = boxes.of_size(result, SYSTEMS, 64)
     assert part.molecules == 64
     assert part.positions.shape == (192, 3)
     edges = [
         np.array([vector[i]._value for i, vector in enumerate(system.getDefaultPeriodicBoxVectors())])
-        for system in (part.system, found.system)
+        for system in (part.system, result.system)
     ]
     # An eighth of the molecules in an eighth of the volume.
     assert edges[0] == pytest.approx(edges[1] / 2)
@@ -48,6 +48,6 @@ def test_part_of_a_box():
     # No two molecules of the liquid come closer than they were, but for faces and the change of size.
     apart = np.linalg.norm(waters[:, None, 0] - waters[None, :, 0], axis=2)[np.triu_indices(64, 1)]
     assert apart.min() > 0.22
-    assert boxes.of_size(found, SYSTEMS, 1024).molecules == 1024
+    assert boxes.of_size(result, SYSTEMS, 1024).molecules == 1024
     with pytest.raises(ValueError, match="a part of a box of 512 molecules has 1 to 511, got 0"):
-        boxes.of_size(found, SYSTEMS, 0)
+        boxes.of_size(result, SYSTEMS, 0)

@@ -116,12 +116,12 @@ def test_silicon_has_four_oxygens():
 
 def test_gas_moves_in_a_framework_that_does_not():
     model = zeolite.model(1, per_cage=1)
-    made = methods.METHODS["sier2"].make(model, 0.005, 1.0, 1)
-    context = make_context(made.system, made.integrator, "Reference")
-    context.setPositions(made.positions)
+    result = methods.METHODS["sier2"].make(model, 0.005, 1.0, 1)
+    context = make_context(result.system, result.integrator, "Reference")
+    context.setPositions(result.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10, 50)
     context.setVelocitiesToTemperature(300, 1)
-    made.integrator.step(5)
+    result.integrator.step(5)
     moved = md(context.getState(positions=True).getPositions(asNumpy=True)) - model.positions
     assert not moved[: zeolite.orbit(zeolite.SILICON).size // 3 * 3].any()
     assert np.linalg.norm(moved[-3:], axis=1).min() > 0
@@ -130,10 +130,10 @@ def test_gas_moves_in_a_framework_that_does_not():
 def test_methods_make_what_they_say():
     model = patchy.model(2)
     for name, method in methods.METHODS.items():
-        made = method.make(model, 0.01, 1.0, 1)
-        own = isinstance(made.integrator, SIERIntegrator)
+        result = method.make(model, 0.01, 1.0, 1)
+        own = isinstance(result.integrator, SIERIntegrator)
         assert own == (name not in ("langevinmiddle", "frames"))
-        assert (made.system.getNumForces() > model.rigid.getNumForces()) == method.springs
+        assert (result.system.getNumForces() > model.rigid.getNumForces()) == method.springs
 
 
 def table(**columns):
@@ -158,9 +158,9 @@ def test_a_step_of_the_same_error_is_between_those_that_were_run():
 def test_lammps_has_the_same_energies(tmp_path):
     model = chain.model(1)
     ours = energy(model.rigid, model.positions)
-    made = lammps.run(model, model.positions, 1.0, 1, 1, 1.0, 1, tmp_path)
+    result = lammps.run(model, model.positions, 1.0, 1, 1, 1.0, 1, tmp_path)
     # Its charges are not shifted at the cut-off: some hundred pairs of 0.003 kJ/mol, and LAMMPS prints six digits.
-    assert lammps.KCAL * made.samples["PotEng"][0] == pytest.approx(ours, abs=0.5 + 1e-5 * abs(ours))
+    assert lammps.KCAL * result.samples["PotEng"][0] == pytest.approx(ours, abs=0.5 + 1e-5 * abs(ours))
 
 
 @pytest.mark.thorough

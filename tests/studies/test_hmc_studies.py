@@ -51,18 +51,18 @@ def test_curvatures_of_known_potentials():
     positions = np.vstack([arms + np.array([0.5, 0.2, 0.1]), [[0.3, -0.2, 0.1]]])
     curvature = Curvature(system, RigidBodies.from_system(system), 1, "Reference")
     state = plain_context(system, positions).getState(positions=True)
-    found = pd.DataFrame([curvature(state) for _ in range(400)]).mean()
+    result = pd.DataFrame([curvature(state) for _ in range(400)]).mean()
     centre = masses[:3] @ positions[:3] / 18
     # The point is alone: its estimate has no scatter.
-    assert found["flexible_square"] == pytest.approx(200**2 * (positions[3] ** 2).sum() / 12, rel=1e-6)
-    assert found["flexible_divergence"] == pytest.approx(3 * 200 / 12, rel=1e-6)
-    assert found["translation_divergence"] == pytest.approx(3 * springs[:3].sum() / 18, rel=0.1)
+    assert result["flexible_square"] == pytest.approx(200**2 * (positions[3] ** 2).sum() / 12, rel=1e-6)
+    assert result["flexible_divergence"] == pytest.approx(3 * 200 / 12, rel=1e-6)
+    assert result["translation_divergence"] == pytest.approx(3 * springs[:3].sum() / 18, rel=0.1)
     from_centre = positions[:3] - centre
     field = centre @ (springs[:3] @ from_centre)
     torque = np.cross(springs[:3] @ from_centre, -centre)
-    assert found["rotation_square"] == pytest.approx((torque**2).sum(), rel=1e-4)
+    assert result["rotation_square"] == pytest.approx((torque**2).sum(), rel=1e-4)
     # 400 estimates whose scatter is about the mean itself.
-    assert found["rotation_divergence"] == pytest.approx(-2 * field, rel=0.25)
+    assert result["rotation_divergence"] == pytest.approx(-2 * field, rel=0.25)
 
 
 def test_costs_beside_those_of_langevin_middle():

@@ -25,7 +25,7 @@ HELD = {
 
 
 def test_commands_are_counted_by_what_they_do():
-    found = counting.numbers(
+    result = counting.numbers(
         [
             Commands("kernel", "computePerDof", False, 5, 0),
             Commands("kernel", "computeNonbonded", False, 2, 0),
@@ -43,7 +43,7 @@ def test_commands_are_counted_by_what_they_do():
     reads = {"reads": 3, "reads_bytes": 1008, "blocking_reads": 1}
     writes = {"writes": 4, "writes_bytes": 64, "blocking_writes": 4}
     # OpenMM waits for a blocking transfer as it does for an event.
-    assert found == kernels | copies | reads | writes | {"waits": 7}
+    assert result == kernels | copies | reads | writes | {"waits": 7}
 
 
 def test_a_step_is_told_from_its_call():
@@ -83,9 +83,9 @@ def rows_of_step(tmp_path_factory):
     out = tmp_path_factory.mktemp("launches")
 
     def count(box: str, method: str) -> tuple[pd.Series, dict[str, float]]:
-        found = study(LaunchesSettings(boxes=(box,), methods=(method,), precisions=("mixed",), out=out)).tables
-        (step,) = found["rows"].query("per == 'step'").to_dict("records")
-        kernels = found["kernels"].set_index("kind")["launches"].to_dict()
+        result = study(LaunchesSettings(boxes=(box,), methods=(method,), precisions=("mixed",), out=out)).tables
+        (step,) = result["rows"].query("per == 'step'").to_dict("records")
+        kernels = result["kernels"].set_index("kind")["launches"].to_dict()
         return step, kernels
 
     return count

@@ -24,13 +24,13 @@ def test_energies_are_those_of_table_1(step):
     Signs of axes, which rounding decides, turn the dipoles. Between seeds these factors scatter by 3 to 12 %:
     a factor 3 is eight standard deviations or more from each of them.
     """
-    found = {name: miniature(1500)["energy"][name, step] for name in NAMES}
+    results = {name: miniature(1500)["energy"][name, step] for name in NAMES}
     for name in NAMES:
-        assert 1 / 3 < found[name] / published.ENERGY[name, step][0] < 3
-    ranks = sorted(("SIER2", "SIER4", "MRDL"), key=lambda name: found[name])
+        assert 1 / 3 < results[name] / published.ENERGY[name, step][0] < 3
+    ranks = sorted(("SIER2", "SIER4", "MRDL"), key=lambda name: results[name])
     assert ranks == sorted(ranks, key=lambda name: published.ENERGY[name, step][0])
     # In the paper they agree to two digits.
-    assert found["SEJ4"] == pytest.approx(found["SIER2"], rel=0.01)
+    assert results["SEJ4"] == pytest.approx(results["SIER2"], rel=0.01)
 
 
 @pytest.mark.parametrize("step", [4.2, 11.0, 21.0])
@@ -52,5 +52,5 @@ def test_the_field_is_2_7_megavolts_per_metre():
     free rotation stays.
     """
     strong = dipole.find(DipoleSettings(field=270.0, bodies=500, span=1.0, force_steps_fs=(11.0,)))
-    found = strong.tables["rows"].set_index("method")["energy"]
-    assert found["MRDL"] < published.ENERGY["MRDL", 11.0][0] / 4
+    result = strong.tables["rows"].set_index("method")["energy"]
+    assert result["MRDL"] < published.ENERGY["MRDL", 11.0][0] / 4

@@ -29,18 +29,18 @@ def test_reference_solves_the_equations_of_motion(rng):
     sides = (L**2 / WATER[:, None]).sum(axis=0) * WATER[1] > (L**2).sum(axis=0)
     assert 0 < sides.sum() < 8
     for i in range(8):
-        found = matrix(reference.attitude(L[:, i], WATER, 0.5))
-        assert np.abs(found - rotation_by_dop853(np.eye(3), L[:, i], WATER, 0.5)).max() < 1e-11
+        result = matrix(reference.attitude(L[:, i], WATER, 0.5))
+        assert np.abs(result - rotation_by_dop853(np.eye(3), L[:, i], WATER, 0.5)).max() < 1e-11
 
 
 def test_reference_has_the_digits_it_claims(rng):
     """Over 100 ps the phase is some 5e3, so that 34 digits leave 30; double precision would leave 12."""
     for L in states(rng, 3).T:
         with mpmath.workdps(reference.DIGITS):
-            found = reference.attitude(L, WATER, 100)
+            result = reference.attitude(L, WATER, 100)
         with mpmath.workdps(60):
             finer = reference.attitude(L, WATER, 100)
-            assert mpmath.mnorm(found - finer) < mpmath.mpf(10) ** -28
+            assert mpmath.mnorm(result - finer) < mpmath.mpf(10) ** -28
             assert mpmath.mnorm(finer.T * finer - mpmath.eye(3)) < mpmath.mpf(10) ** -50
 
 
@@ -73,9 +73,9 @@ def test_tau_is_that_of_the_paper(method):
 
     With another order of MRDL's factors or the other sign of SEJ4's commutator tau is off by more than 2.
     """
-    found = taus().loc[method, 8.0]
-    assert 1 / 1.5 < found.tau / published.TAU[method, 8.0] < 1.5
-    assert found.tau_error < 0.3 * found.tau
+    result = taus().loc[method, 8.0]
+    assert 1 / 1.5 < result.tau / published.TAU[method, 8.0] < 1.5
+    assert result.tau_error < 0.3 * result.tau
 
 
 @pytest.mark.thorough
@@ -92,13 +92,13 @@ def test_tau_scales_with_the_order(method, order):
 @pytest.mark.parametrize("method", ["SIER2", "SIER4"])
 def test_sier_has_the_error_of_rounding(method):
     """The paper's tau is reached by linear extrapolation, and the first marks are at rounding of a few steps."""
-    found = taus().loc[method, 8.0]
-    assert found.tau > published.TAU["SIER2", 8.0]
+    result = taus().loc[method, 8.0]
+    assert result.tau > published.TAU["SIER2", 8.0]
     curves = miniature().tables["curves"]
     first = curves[(curves["method"] == method) & (curves["step_fs"] == 8.0)]["delta"].iloc[0]
     # Ten steps of at most four turns, 1e-16 each.
     assert 1e-17 < first < 4e-15
-    assert found.energy < 1e-10
+    assert result.energy < 1e-10
 
 
 def test_result_of_a_known_law():
@@ -110,14 +110,14 @@ def test_result_of_a_known_law():
 
     squares = (times[:, None] / (10 * 20.0) * np.ones(50)) ** 2
     squares[-1] = 0.5
-    found = summarize(squares)
-    assert [found[name] for name in ("tau", "tau_power", "tau_median")] == pytest.approx([20] * 3)
-    assert found["exponent"] == pytest.approx(1)
-    assert found["tau_error"] == pytest.approx(0, abs=1e-9)
-    found = summarize((1e-6 * times[:, None] ** 1.5 * np.ones(50)) ** 2)
-    assert found["exponent"] == pytest.approx(1.5)
-    assert found["tau_power"] == pytest.approx(1e5 ** (2 / 3))
-    assert found["tau"] == pytest.approx(30 / (10 * 1e-6 * 30**1.5))
+    result = summarize(squares)
+    assert [result[name] for name in ("tau", "tau_power", "tau_median")] == pytest.approx([20] * 3)
+    assert result["exponent"] == pytest.approx(1)
+    assert result["tau_error"] == pytest.approx(0, abs=1e-9)
+    result = summarize((1e-6 * times[:, None] ** 1.5 * np.ones(50)) ** 2)
+    assert result["exponent"] == pytest.approx(1.5)
+    assert result["tau_power"] == pytest.approx(1e5 ** (2 / 3))
+    assert result["tau"] == pytest.approx(30 / (10 * 1e-6 * 30**1.5))
 
 
 def test_initial_states_are_canonical():

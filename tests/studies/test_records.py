@@ -23,10 +23,10 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     content = json.loads((tmp_path / "a.json").read_text())
     assert content["versions"]["openmm-sier"]
     assert content["tables"]["rows"][1]["T"] is None
-    found = records.read(tmp_path / "a.json")
-    pd.testing.assert_frame_equal(found.tables["rows"], ROWS)
-    assert found.settings == {"box": "box.pdb", "dt": [1.0, 2.0]}
-    assert found.notes == {"edge": 1.5}
+    result = records.read(tmp_path / "a.json")
+    pd.testing.assert_frame_equal(result.tables["rows"], ROWS)
+    assert result.settings == {"box": "box.pdb", "dt": [1.0, 2.0]}
+    assert result.notes == {"edge": 1.5}
     (tmp_path / "b.json").write_text("{}")
     with pytest.raises(ValueError, match="is no record of a study"):
         records.read(tmp_path / "b.json")
@@ -76,26 +76,26 @@ class Numbers(Settings):
 
 
 def test_fields_are_options(tmp_path):
-    found = []
+    results = []
     arguments = ["--dt", "2", "3", "--pressure", "-5", "--out", str(tmp_path / "new" / "out")]
-    assert command.command(Numbers, lambda settings, report: found.append(settings), "what", "")(arguments) == 0
-    assert found == [Numbers(out=tmp_path / "new" / "out", seed=1, dt=(2.0, 3.0), pressure=-5.0)]
+    assert command.command(Numbers, lambda settings, report: results.append(settings), "what", "")(arguments) == 0
+    assert results == [Numbers(out=tmp_path / "new" / "out", seed=1, dt=(2.0, 3.0), pressure=-5.0)]
     assert (tmp_path / "new" / "out").is_dir()
 
 
 def test_a_box_may_stand_first(tmp_path):
-    found = []
-    main = command.command(BoxSettings, lambda settings, report: found.append(settings.box), "what", "")
+    results = []
+    main = command.command(BoxSettings, lambda settings, report: results.append(settings.box), "what", "")
     assert main(["a.pdb", "--out", str(tmp_path)]) == main(["--out", str(tmp_path), "--box", "b.pdb"]) == 0
-    assert found == [Path("a.pdb"), Path("b.pdb")]
+    assert results == [Path("a.pdb"), Path("b.pdb")]
 
 
 def test_help_explains_the_options_of_all_studies(capsys):
     assert command.command(Numbers, lambda settings, report: None, "What it does.", "")(["--help"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "What it does." in said
-    assert "bar." in said
-    assert "directory for numbers and figures" in said
+    output = " ".join(capsys.readouterr().out.split())
+    assert "What it does." in output
+    assert "bar." in output
+    assert "directory for numbers and figures" in output
 
 
 def test_errors_are_one_line(tmp_path, capsys):

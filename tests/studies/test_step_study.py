@@ -51,9 +51,9 @@ def settings(box, tmp_path, *methods, **more):
 def test_runs_become_a_table_and_a_figure(box, tmp_path):
     """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
     step_study.study(settings(box, tmp_path, "sier2", starts=2))
-    told = Told()
-    rows = step_study.study(settings(box, tmp_path, "sier2", "langevinmiddle"), told).tables["rows"]
-    assert len(told.notes) == 1
+    report = Told()
+    rows = step_study.study(settings(box, tmp_path, "sier2", "langevinmiddle"), report).tables["rows"]
+    assert len(report.notes) == 1
     assert list(rows["method"]) == ["OpenMM LangevinMiddle", "SIER2"]
     assert list(rows["runs"]) == [1, 2]
     # 20 steps of 6 fs; too short for diffusion.
@@ -78,11 +78,11 @@ def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
 @pytest.mark.usefixtures("in_this_process")
 def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
     wanted = settings(box, tmp_path, "hmc", per_force=(2.0,), times=(0.24,))
-    found = step_study.run(next(step_study.tasks(wanted)))
-    assert found["method"] == "SIER4G HMC"
+    result = step_study.run(next(step_study.tasks(wanted)))
+    assert result["method"] == "SIER4G HMC"
     # Trials of ten steps of 6 fs.
-    assert found["time"] == pytest.approx(0.24)
-    assert "diffusion" not in found
+    assert result["time"] == pytest.approx(0.24)
+    assert "diffusion" not in result
 
 
 @pytest.mark.thorough
@@ -107,6 +107,6 @@ def test_diffusion_of_molecules_that_walk(tmp_path):
     walk = rng.normal(scale=0.01, size=(400, topology.n_residues, 3)).cumsum(axis=0)
     frames = mdtraj.Trajectory(np.mod(np.repeat(walk, 3, axis=1), 1.0), topology)
     frames.unitcell_lengths, frames.unitcell_angles = np.ones((400, 3)), np.full((400, 3), 90.0)
-    found = step_study.diffusion(frames, 0.012, 5.0)
+    value = step_study.diffusion(frames, 0.012, 5.0)
     # In 10⁻⁹ m²/s; the mean motion of 27 molecules, which is left out, has a part of 1/27.
-    assert found.value == pytest.approx(1e3 * 0.01**2 / (2 * interval) * 26 / 27, abs=4 * found.error)
+    assert value.value == pytest.approx(1e3 * 0.01**2 / (2 * interval) * 26 / 27, abs=4 * value.error)

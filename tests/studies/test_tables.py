@@ -41,18 +41,18 @@ def run_of(mean, error, time, predicted=math.nan, broken=""):
 
 
 def pooled(*rows):
-    (found,) = equipartition.pooled(pd.DataFrame(rows)).to_dict("records")
-    return found
+    (result,) = equipartition.pooled(pd.DataFrame(rows)).to_dict("records")
+    return result
 
 
 def test_replicas_are_pooled_by_their_lengths():
     """Three times the length weighs as much, and has a standard error less by the square root of it."""
-    found = pooled(run_of(1.0, 0.3, 30.0), run_of(2.0, 0.3 * 3**0.5, 10.0))
-    assert found["time"] == 40.0
+    row = pooled(run_of(1.0, 0.3, 30.0), run_of(2.0, 0.3 * 3**0.5, 10.0))
+    assert row["time"] == 40.0
     # The best estimate of all, whose error is that of one run of 40 ps.
-    assert (found["difference"], found["difference_error"]) == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
-    assert found["drift"] == pytest.approx(1.25)
-    assert math.isnan(found["predicted"])
+    assert (row["difference"], row["difference_error"]) == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
+    assert row["drift"] == pytest.approx(1.25)
+    assert math.isnan(row["predicted"])
     parts = run_of(1.0, 0.3, 30.0, -2.0), run_of(1.0, 0.3, 10.0, -1.0), run_of(1.0, 0.3, 10.0)
     assert pooled(*parts)["predicted"] == -1.5
     assert pooled(run_of(1.0, 0.3, 30.0), run_of(0.0, 1.0, 10.0, broken="too hot"))["broken"] == "too hot"
@@ -97,13 +97,13 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
         point("SIER2", 1.0, time=10.0, density=(0.99, 0.001), energy=(-47.0, math.nan)),
         point("SIER4G", 1.0, 3, density=(0.99, 0.007)),
     ]
-    found = step_study.with_shared_errors(pd.DataFrame(rows))
+    result = step_study.with_shared_errors(pd.DataFrame(rows))
     # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
     factor = math.sqrt(0.000325)
-    assert list(found["density"]) == [1.0, 0.99, 0.99]
-    assert list(found["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
+    assert list(result["density"]) == [1.0, 0.99, 0.99]
+    assert list(result["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
     # An error that no row has stays unknown.
-    assert found["energy_error"].isna().all()
+    assert result["energy_error"].isna().all()
 
 
 def power_law(factor, power):
@@ -122,10 +122,10 @@ def test_step_and_cost_at_a_level_of_a_power_law(power):
 
 def test_median_comes_with_its_standard_error(rng):
     """Of 4000 medians of 50 normal numbers the scatter is known to 1 %; the stated errors' mean is 4 % below it."""
-    found = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
+    results = np.array([timing.median_and_error(values) for values in rng.normal(3.0, 0.1, (4000, 50))])
     assert math.isnan(timing.median_and_error(np.array([1.0]))[1])
-    assert found[:, 0].mean() == pytest.approx(3.0, abs=0.001)
-    assert found[:, 1].mean() == pytest.approx(found[:, 0].std(), rel=0.1)
+    assert results[:, 0].mean() == pytest.approx(3.0, abs=0.001)
+    assert results[:, 1].mean() == pytest.approx(results[:, 0].std(), rel=0.1)
 
 
 def test_a_speed_is_simulated_time_over_what_it_took():
@@ -172,7 +172,7 @@ def test_the_law_of_the_walk_is_found_again():
         for h in (4.5, 5.0, 6.0, 7.0)
     ]
     rows += [rows[0] | {"walk": 0.001, "step": 3.0}, rows[0] | {"method": "SIER2", "walk": 3.0}]
-    found = whole_run.law(pd.DataFrame(rows))
+    result = whole_run.law(pd.DataFrame(rows))
     # Exact data: only the rounding of a least-squares solution is left.
-    assert found["decay"] == pytest.approx(2, rel=1e-9)
-    assert found["at_infinity"] == pytest.approx(scales, rel=1e-8)
+    assert result["decay"] == pytest.approx(2, rel=1e-9)
+    assert result["at_infinity"] == pytest.approx(scales, rel=1e-8)

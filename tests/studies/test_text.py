@@ -20,9 +20,9 @@ ROWS = pd.DataFrame(
 def test_a_column_for_each_heading():
     """Columns in which nothing is known are left out."""
     columns = {"scheme": "{method}", "fs": "{h:g}", "%": "{percent_text}", "what": "{unknown}"}
-    made = text.table(ROWS, columns)
-    assert list(made.columns) == ["scheme", "fs", "%"]
-    assert made.to_numpy().tolist() == [
+    result = text.table(ROWS, columns)
+    assert list(result.columns) == ["scheme", "fs", "%"]
+    assert result.to_numpy().tolist() == [
         ["SIER2", "2", "0.830 ± 0.020"],
         ["SIER4G", "2", "0.08 ± ?"],
         ["SIER2", "1", "0.190 ± 0.010"],
@@ -30,9 +30,9 @@ def test_a_column_for_each_heading():
 
 
 def test_a_column_for_each_value_in_a_heading():
-    made = text.table(ROWS[::-1], {"fs": "{h:g}", "{method}, %": "{percent:.2f}"})
-    assert list(made.columns) == ["fs", "SIER2, %", "SIER4G, %"]
-    assert made.to_numpy().tolist() == [["1", "0.19", "-"], ["2", "0.83", "0.08"]]
+    result = text.table(ROWS[::-1], {"fs": "{h:g}", "{method}, %": "{percent:.2f}"})
+    assert list(result.columns) == ["fs", "SIER2, %", "SIER4G, %"]
+    assert result.to_numpy().tolist() == [["1", "0.19", "-"], ["2", "0.83", "0.08"]]
 
 
 def test_names_that_are_not_there_are_told():
@@ -53,5 +53,5 @@ def test_cells_say_what_is_known():
 
 
 def test_markdown():
-    made = text.table(ROWS[:1], {"scheme": "{method}", "%": "{percent:.2f}"})
-    assert text.markdown(made).splitlines() == ["| scheme | % |", "| --- | --- |", "| SIER2 | 0.83 |"]
+    result = text.table(ROWS[:1], {"scheme": "{method}", "%": "{percent:.2f}"})
+    assert text.markdown(result).splitlines() == ["| scheme | % |", "| --- | --- |", "| SIER2 | 0.83 |"]

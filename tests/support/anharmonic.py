@@ -38,12 +38,12 @@ def system(*others, well_group=0):
         pull.addParticle(first + 2, [-1.0])
     for atom in range(ATOMS):
         wells.addParticle(3 * DIPOLES + atom)
-    held = [
+    restraints = [
         (first + i, first + j, np.linalg.norm(SITES[i] - SITES[j]))
         for first in range(0, 3 * DIPOLES, 3)
         for i, j in ((0, 1), (0, 2), (1, 2))
     ]
-    return assembled(DIPOLES * MASSES + ATOMS * (1.0,), pull, wells, *others, constraints=held)
+    return assembled(DIPOLES * MASSES + ATOMS * (1.0,), pull, wells, *others, constraints=restraints)
 
 
 def positions():

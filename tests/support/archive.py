@@ -16,8 +16,8 @@ def villin() -> list[str]:
 
 def atoms(lines):
     """Return (number of the residue, its name, name of the atom) of each heavy atom of a PDB file."""
-    found = [line for line in lines if line.startswith("ATOM")]
-    named = [(int(line[22:26]), line[17:20], line[12:16].strip()) for line in found]
+    results = [line for line in lines if line.startswith("ATOM")]
+    named = [(int(line[22:26]), line[17:20], line[12:16].strip()) for line in results]
     return [each for each in named if not each[2].lstrip("123").startswith("H")]
 
 

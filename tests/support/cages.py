@@ -50,9 +50,9 @@ def cage_in_water(nonbonded=app.PME, molecules=None, **options):
         force.addParticle(charge, 0.34, 0.36)
     for i, j in itertools.combinations(atoms, 2):
         force.addException(i, j, 0, 1, 0)
-    found = displaced(np.concatenate([array(modeller.positions), shape + edge / 2]), system, [atoms])
-    bodies = RigidBodies.from_system(system, rigid=[atoms], positions=found)
-    return system, found, bodies
+    result = displaced(np.concatenate([array(modeller.positions), shape + edge / 2]), system, [atoms])
+    bodies = RigidBodies.from_system(system, rigid=[atoms], positions=result)
+    return system, result, bodies
 
 
 def bead_in_cage(diameter, mass):

@@ -51,8 +51,8 @@ def complaint(capsys, *arguments, code=1):
     """The one line on standard error with which a command line fails."""
     assert main.main([str(argument) for argument in arguments]) == code
     # Lines about progress come from slow machines.
-    said = capsys.readouterr().err.splitlines(keepends=True)
-    err = "".join(line for line in said if not line.endswith(" left\n"))
+    errors = capsys.readouterr().err.splitlines(keepends=True)
+    err = "".join(line for line in errors if not line.endswith(" left\n"))
     assert err.count("\n") == 1
     assert err.endswith("\n")
     assert err.startswith("openmm-sier")

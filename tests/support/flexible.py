@@ -200,5 +200,5 @@ def mixture():
 
 def residual(constraints, q):
     """Largest relative deviation of a constrained length at positions (3, n)."""
-    found = np.linalg.norm(q[:, constraints.pairs[:, 0]] - q[:, constraints.pairs[:, 1]], axis=0)
-    return np.abs(found / constraints.lengths - 1).max(initial=0.0)
+    norms = np.linalg.norm(q[:, constraints.pairs[:, 0]] - q[:, constraints.pairs[:, 1]], axis=0)
+    return np.abs(norms / constraints.lengths - 1).max(initial=0.0)

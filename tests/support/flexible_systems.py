@@ -20,8 +20,8 @@ def system_of(points: Points, waters=0, ions=0, box=None):
 
     Springs are in the force group `FAST`. With a box, its edge in nm, interactions are periodic.
     """
-    held = zip(*points.pairs.T.tolist(), points.lengths.tolist(), strict=True)
-    system = assembled(points.masses, constraints=held)
+    constraints = zip(*points.pairs.T.tolist(), points.lengths.tolist(), strict=True)
+    system = assembled(points.masses, constraints=constraints)
     n = len(points.masses)
     positions = [*points.x.T]
     for number in range(waters):

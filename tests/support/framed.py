@@ -77,11 +77,11 @@ def soft(system, bodies, stiffness=120.0):
     for number, atoms in enumerate(bodies):
         for _ in atoms:
             force.addParticle([number])
-    held = openmm.CustomExternalForce("k*(x^2 + 1.3*y^2 + 0.8*z^2)")
-    held.addPerParticleParameter("k")
+    springs = openmm.CustomExternalForce("k*(x^2 + 1.3*y^2 + 0.8*z^2)")
+    springs.addPerParticleParameter("k")
     for number in range(system.getNumParticles()):
-        held.addParticle(number, [0.5 + number % 3])
-    return force, held
+        springs.addParticle(number, [0.5 + number % 3])
+    return force, springs
 
 
 def topology_of(bodies, box=None):
@@ -100,12 +100,12 @@ def topology_of(bodies, box=None):
 def moved(positions, bodies, seed=2, far=0.1):
     """Positions at which each body has been turned and shifted as a whole, and points shifted."""
     rng = np.random.default_rng(seed)
-    found = positions + far * rng.normal(size=positions.shape)
+    result = positions + far * rng.normal(size=positions.shape)
     for atoms in bodies:
         centre = positions[atoms].mean(axis=0)
         arms = (positions[atoms] - centre) @ turn(rng.normal(size=3), rng.uniform(0.1, 0.6))
-        found[atoms] = centre + arms + far * rng.normal(size=3)
-    return found
+        result[atoms] = centre + arms + far * rng.normal(size=3)
+    return result
 
 
 def energy_and_forces(system, positions, name="Reference"):

@@ -42,12 +42,12 @@ def species(kind, atoms) -> Species:
 def scattered(kinds, each=4, n_free=3) -> RigidBodies:
     """`each` bodies of every kind, their atoms out of order among free particles."""
     shuffled = np.random.default_rng(11).permutation(sum(each * len(GEOMETRIES[k][0]) for k in kinds) + n_free)
-    found, start = [], 0
+    results, start = [], 0
     for kind in kinds:
         k = len(GEOMETRIES[kind][0])
-        found.append(species(kind, shuffled[start : start + each * k].reshape(each, k)))
+        results.append(species(kind, shuffled[start : start + each * k].reshape(each, k)))
         start += each * k
-    return RigidBodies(found, shuffled.size)
+    return RigidBodies(results, shuffled.size)
 
 
 def thermal_state(rng, bodies, q, temperature=300.0) -> BodyState:
@@ -79,13 +79,13 @@ class SoftCluster:
 
     def __init__(self, kinds):
         """One body for each kind named."""
-        found, charges, owner = [], [], []
+        results, charges, owner = [], [], []
         for number, kind in enumerate(kinds):
             k = len(CHARGES[kind])
-            found.append(species(kind, [range(len(owner), len(owner) + k)]))
+            results.append(species(kind, [range(len(owner), len(owner) + k)]))
             charges += CHARGES[kind]
             owner += k * [number]
-        self.bodies = RigidBodies(found, len(owner))
+        self.bodies = RigidBodies(results, len(owner))
         self.products = self.COULOMB * np.outer(charges, charges) * np.not_equal.outer(owner, owner)
         self.walls = self.WALL * np.not_equal.outer(owner, owner)
 

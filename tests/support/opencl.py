@@ -24,8 +24,8 @@ for i in range(openmm.Platform.getNumPlatforms()):
 @functools.cache
 def gpu_platforms() -> tuple[str, ...]:
     """Names of the platforms CUDA, HIP and OpenCL that work in this environment."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=600, env=environment(), check=False
     )
     # Drivers may print words of their own.
-    return tuple(name for name in ("CUDA", "HIP", "OpenCL") if name in done.stdout.split())
+    return tuple(name for name in ("CUDA", "HIP", "OpenCL") if name in process.stdout.split())

@@ -42,9 +42,9 @@ def _with_nearest(modeller, waters):
     chain = [atom.index for atom in modeller.topology.atoms() if atom.residue.name != "HOH"]
     solvent = [residue for residue in modeller.topology.residues() if residue.name == "HOH"]
     away = {r: np.linalg.norm(x[next(r.atoms()).index] - x[chain], axis=1).min() for r in solvent}
-    kept = app.Modeller(modeller.topology, modeller.positions)
-    kept.delete(sorted(solvent, key=away.get)[waters:])
-    return kept
+    nearest = app.Modeller(modeller.topology, modeller.positions)
+    nearest.delete(sorted(solvent, key=away.get)[waters:])
+    return nearest
 
 
 def _system(topology):

@@ -22,12 +22,12 @@ def counted(context):
 
 def states_asked(monkeypatch):
     """Return a list that grows with each State of a Context, by the kinds of data that it was asked for, a bit mask."""
-    asked, get = [], openmm.openmm._openmm.Context_getState
+    requests, get = [], openmm.openmm._openmm.Context_getState
 
     def counting(context, kinds, *args):
-        asked.append(kinds)
+        requests.append(kinds)
         return get(context, kinds, *args)
 
     # Below all methods of Python, whoever has replaced them.
     monkeypatch.setattr(openmm.openmm._openmm, "Context_getState", counting)
-    return asked
+    return requests

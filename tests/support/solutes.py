@@ -141,15 +141,15 @@ def system_of(molecules, dumbbells=0, box=None):
 
 def _bond(molecule, first, bonds, angles, torsions):
     """Springs at their minimum; none for what constraints hold."""
-    x, held = molecule.x, {frozenset(pair) for pair in molecule.held}
+    x, constrained = molecule.x, {frozenset(pair) for pair in molecule.held}
     for i, j in molecule.bonds:
-        if frozenset((i, j)) not in held:
+        if frozenset((i, j)) not in constrained:
             strength = WITH_HYDROGEN if "H" in (molecule.elements[i], molecule.elements[j]) else HEAVY
             bonds.addBond(first + i, first + j, np.linalg.norm(x[i] - x[j]), strength)
     for one, other in combinations(molecule.bonds, 2):
         for middle in set(one) & set(other):
             i, k = (set(one) | set(other)) - {middle}
-            if frozenset((i, k)) not in held:
+            if frozenset((i, k)) not in constrained:
                 a, b = x[i] - x[middle], x[k] - x[middle]
                 angle = np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
                 angles.addAngle(first + i, first + middle, first + k, angle, BENDING)

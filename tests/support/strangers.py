@@ -58,8 +58,8 @@ def samples_as_stranger(directory, system, integrator, state, steps):
     in ps after these steps and 20 before."""
     path = directory / "samples.npz"
     run_python(SAMPLES, *_written(directory, system, integrator, state), steps, path)
-    found = np.load(path)
-    return found["rows"], found["counts"], float(found["time"])
+    result = np.load(path)
+    return result["rows"], result["counts"], float(result["time"])
 
 
 def _written(directory, system, integrator, state):

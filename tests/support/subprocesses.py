@@ -13,7 +13,7 @@ def run_python(program: str, *arguments, environment=None) -> str:
     Raises:
         AssertionError: it failed, with its errors.
     """
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
         capture_output=True,
         text=True,
@@ -21,5 +21,5 @@ def run_python(program: str, *arguments, environment=None) -> str:
         env=environment,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stderr
+    return process.stdout

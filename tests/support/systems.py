@@ -42,8 +42,8 @@ def field(energy, atoms, **parameters):
 
 def rotors(frozen=False):
     """A water molecule without forces, a chain of three atoms with two constraints, and perhaps a frozen atom."""
-    held = ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15))
-    system = assembled((16.0, 1.0, 1.0, 12.0, 14.0, 12.0), constraints=held)
+    constraints = ((0, 1, 0.1), (0, 2, 0.1), (1, 2, 0.16), (3, 4, 0.15), (4, 5, 0.15))
+    system = assembled((16.0, 1.0, 1.0, 12.0, 14.0, 12.0), constraints=constraints)
     water = np.array([[0.0, 0.0, 0.0], [0.08, 0.06, 0.0], [-0.08, 0.06, 0.0]])
     chain = np.array([[0.15, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
     positions = np.concatenate([water, chain + 2])

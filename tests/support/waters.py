@@ -55,12 +55,12 @@ def cluster_system(molecules=8, model="tip3p", **options):
     """Topology, positions and System of isolated molecules, without a cut-off."""
     topology, positions, field = water_box(model)
     size = len(positions) // topology.getNumResidues() * molecules
-    kept = app.Modeller(topology, positions * unit.nanometer)
+    modeller = app.Modeller(topology, positions * unit.nanometer)
     centre = positions.mean(axis=0)
     residues = list(topology.residues())
     distances = [np.linalg.norm(positions[next(r.atoms()).index] - centre) for r in residues]
-    kept.delete([residues[i] for i in np.argsort(distances, kind="stable")[molecules:]])
-    topology, positions = kept.topology, np.array(kept.positions.value_in_unit(unit.nanometer))
+    modeller.delete([residues[i] for i in np.argsort(distances, kind="stable")[molecules:]])
+    topology, positions = modeller.topology, np.array(modeller.positions.value_in_unit(unit.nanometer))
     topology.setPeriodicBoxVectors(None)
     if len(positions) != size:
         raise ValueError(f"expected {size} atoms, got {len(positions)}")

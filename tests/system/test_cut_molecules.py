@@ -63,13 +63,13 @@ def cut(system, x):
 def bonded_peptide():
     """A peptide that the boundary cuts at a bond of heavy atoms, which no constraint holds."""
     system, x = peptide()
-    held = [system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())]
+    constrained = [system.getConstraintParameters(i)[:2] for i in range(system.getNumConstraints())]
     bonds = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce))
     ends = (bonds.getBondParameters(i)[:2] for i in range(bonds.getNumBonds()))
     for a, b in ends:
         shifted = x - (x[a] + x[b]) / 2 + np.array([0, 1, 1])
         crosses = cut(system, shifted) - shifted
-        if crosses[a, 0] != crosses[b, 0] and all(crosses[i, 0] == crosses[j, 0] for i, j in held):
+        if crosses[a, 0] != crosses[b, 0] and all(crosses[i, 0] == crosses[j, 0] for i, j in constrained):
             return system, shifted
     raise AssertionError("every plane through a bond cuts a constraint")
 
@@ -79,8 +79,8 @@ MOLECULES = {"chain": chain, "peptide": peptide, "bonded": bonded_peptide, "wate
 
 def acts(integrator, context):
     """Everything that satisfies constraints, or needs them satisfied."""
-    found = {"step": partial(integrator.step, 1), "minimize": partial(openmm.LocalEnergyMinimizer.minimize, context)}
-    return found | ({"state": integrator.getBodyState} if integrator.engine == "exact" else {})
+    results = {"step": partial(integrator.step, 1), "minimize": partial(openmm.LocalEnergyMinimizer.minimize, context)}
+    return results | ({"state": integrator.getBodyState} if integrator.engine == "exact" else {})
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -192,11 +192,11 @@ def test_a_cut_body_is_refused_however_it_gets_its_shape(way, bonds):
     # By box vectors, so to the rounding of 3 nm.
     np.testing.assert_allclose(whole - whole[0], TRIANGLE - TRIANGLE[0], atol=1e-14)
     assert np.array_equal(make_whole(system, whole, bodies=bodies), whole)
-    found = RigidBodies.from_system(system, None, bodies, whole)
-    np.testing.assert_allclose(found.moments[:, 0], [0.09, 0.27, 0.36], atol=1e-9)
+    result = RigidBodies.from_system(system, None, bodies, whole)
+    np.testing.assert_allclose(result.moments[:, 0], [0.09, 0.27, 0.36], atol=1e-9)
     SHAPED[way](system, bodies, whole)
     # Bodies that are known are looked at as well.
-    assert np.array_equal(make_whole(system, broken, bodies=found), whole)
+    assert np.array_equal(make_whole(system, broken, bodies=result), whole)
 
 
 def test_bonds_without_strength_keep_molecules_whole():
@@ -215,13 +215,13 @@ def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(stre
     system, bodies = body_system(ROW, strength), [range(len(ROW))]
     assert np.ptp(ROW, axis=0)[0] > 0.7 * BOX
     assert np.array_equal(make_whole(system, ROW, bodies=bodies), ROW)
-    found = RigidBodies.from_system(system, None, bodies, ROW)
+    result = RigidBodies.from_system(system, None, bodies, ROW)
     broken = cut(system, ROW)
     with pytest.raises(RigidityError, match="the periodic boundary cuts the body"):
         RigidBodies.from_system(system, None, bodies, broken)
     whole = make_whole(system, broken, bodies=bodies)
     np.testing.assert_allclose(whole - whole[0], ROW - ROW[0], atol=1e-13)
-    np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, found.moments, rtol=1e-9)
+    np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, result.moments, rtol=1e-9)
 
 
 def test_a_wide_gap_in_a_body_is_told_by_a_bond_without_strength():

@@ -61,10 +61,10 @@ def test_water_takes_its_geometry_from_the_constraints():
     bodies = RigidBodies.from_system(system_of(WATER, WATER))
     assert lists(bodies) == [[0, 1, 2], [3, 4, 5]]
     (species,) = bodies.species
-    found = lengths_in(species)
-    assert found[0, 1] == pytest.approx(OH, abs=1e-15)
-    assert found[0, 2] == pytest.approx(OH, abs=1e-15)
-    assert found[1, 2] == pytest.approx(HH, abs=1e-15)
+    lengths = lengths_in(species)
+    assert lengths[0, 1] == pytest.approx(OH, abs=1e-15)
+    assert lengths[0, 2] == pytest.approx(OH, abs=1e-15)
+    assert lengths[1, 2] == pytest.approx(HH, abs=1e-15)
     assert np.allclose(bodies.masses, 18.015)
     # About the symmetry axis only the hydrogens turn, at half their distance.
     assert np.isclose(species.moments, 2 * 1.008 * (HH / 2) ** 2, rtol=1e-14).any()
@@ -212,10 +212,10 @@ def test_molecules_of_a_pdb_file_are_of_one_species(constrained, digit):
     pairs = list(combinations(range(6), 2)) if constrained else []
     system = methanols.system_of(125, pairs, positions)
     rigid = None if constrained else {"MOH": "rigid"}
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         bodies = RigidBodies.from_system(system, topology, rigid, positions)
-    assert len(said) == (digit > methanols.DIGIT)
-    for warning in said:
+    assert len(caught) == (digit > methanols.DIGIT)
+    for warning in caught:
         assert warning.filename == __file__
         message = str(warning.message)
         assert message.startswith("125 bodies like residue MOH 1 (atoms 0, 1, 2, 3, 4, 5) get one shape, their average")
@@ -244,9 +244,9 @@ def test_equal_molecules_share_a_geometry_in_silence():
 def test_constraint_lengths_of_two_types_are_two_species():
     """Force fields tell bonds apart by 1e-3 nm, which no rounding in a PDB file does."""
     pairs = [((12.0, 1.0), {(0, 1): length}) for length in (0.109, 0.108, 0.1093, 0.109)]
-    with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 get") as said:
+    with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 get") as caught:
         bodies = RigidBodies.from_system(system_of(*pairs))
-    assert "0.0002 nm (most: the body of atoms 4, 5)" in str(said[0].message)
+    assert "0.0002 nm (most: the body of atoms 4, 5)" in str(caught[0].message)
     assert sorted(len(species.atoms) for species in bodies.species) == [1, 3]
     (three,) = [species for species in bodies.species if len(species.atoms) == 3]
     assert lengths_in(three)[0, 1] == pytest.approx((2 * 0.109 + 0.1093) / 3, abs=1e-15)
@@ -264,8 +264,8 @@ def test_conformations_are_species_of_their_own(rng):
         bodies = RigidBodies.from_system(
             methanols.system_of(30), rigid=np.arange(180).reshape(30, 6), positions=positions
         )
-    found = {tuple(sorted(species.atoms[:, 0] // 6)) for species in bodies.species}
-    assert found == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
+    results = {tuple(sorted(species.atoms[:, 0] // 6)) for species in bodies.species}
+    assert results == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
 
 
 # --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------
@@ -280,8 +280,8 @@ def test_each_heavy_atom_with_its_hydrogens_is_a_body(pairs):
     system = methanols.system_of(20, pairs, positions)
     with silence():
         bodies = RigidBodies.from_system(system, topology, GROUPS, positions * unit.nanometer)
-    found = sorted(lists(bodies))
-    assert found == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
+    results = sorted(lists(bodies))
+    assert results == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
     assert len(bodies.species) == 2
     assert bodies.dof == 20 * (6 + 5)
     _, _, misfit = bodies.fit_with_misfit(positions)

@@ -27,12 +27,12 @@ def largest_deviation(system, positions, h, steps, groups, bodies=None):
     """Of the total energy from its start, kJ/mol, over steps of h."""
     integrator = SIERIntegrator(h, bodies=bodies, fastForceGroups=groups)
     context = started(system, integrator, positions, steps=0)
-    start, found = total_energy(context), []
+    start, result = total_energy(context), []
     for _ in range(steps):
         integrator.step(1)
-        found.append(abs(total_energy(context) - start))
+        result.append(abs(total_energy(context) - start))
     assert residual(integrator.bodies.constraints, integrator.getBodyState().q) < 1e-13
-    return max(found)
+    return max(result)
 
 
 def check(system, positions, h, bodies=None):

@@ -29,12 +29,12 @@ def mean_potential(wh, integrator, andersen):
     context.setPositions(np.zeros((OSCILLATORS, 3)))
     context.setVelocitiesToTemperature(TEMPERATURE, 1)
     integrator.step(200)
-    found = []
+    results = []
     for _ in range(300):
         integrator.step(7)
         energy = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-        found.append(energy / (1.5 * OSCILLATORS * GAS_CONSTANT * TEMPERATURE))
-    return np.mean(found)
+        results.append(energy / (1.5 * OSCILLATORS * GAS_CONSTANT * TEMPERATURE))
+    return np.mean(results)
 
 
 @pytest.mark.thorough

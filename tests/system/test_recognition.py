@@ -61,13 +61,13 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
     topology, _, system = cluster_system(6, "tip3p")
     integrator = SIERIntegrator(0.001, "SIER2", bodies=RigidBodies.from_system(system, topology))
     context = context_at(system, integrator, (positions, 0 * positions))
-    with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape of their constraints") as said:
+    with pytest.warns(UserWarning, match="6 of 6 bodies do not quite have the shape of their constraints") as caught:
         integrator.step(1)
-    assert len(said) == 1
-    assert said[0].filename == __file__
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
     # Half the difference of H-H is 0.006 nm.
-    assert "by up to 0.006" in str(said[0].message)
-    assert "residue HOH" in str(said[0].message)
+    assert "by up to 0.006" in str(caught[0].message)
+    assert "residue HOH" in str(caught[0].message)
     moved = phase_point(context)[0].reshape(6, 3, 3)
     for i, j, length in ((0, 1, 0.09572), (0, 2, 0.09572), (1, 2, 0.15139)):
         assert np.abs(np.linalg.norm(moved[:, i] - moved[:, j], axis=1) - length).max() < 1e-5

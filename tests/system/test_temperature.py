@@ -208,21 +208,21 @@ def test_canonical_temperatures_of_domains_that_linkers_join(conserved):
     integrator = SIERLangevinIntegrator(300, 50, 0.005, scheme=SIER2, bodies=bodies)
     integrator.setRandomNumberSeed(3)
     context = context_at(system, integrator, (positions, 0 * positions), steps=400)
-    found = []
+    results = []
     for _ in range(600):
         integrator.step(12)
-        found.append(integrator.computeTemperatures().in_kelvin())
+        results.append(integrator.computeTemperatures().in_kelvin())
     assert integrator.conservesMomentum == conserved
     dof = degrees_of_freedom(integrator.bodies, conserved)
     if not conserved:
         assert dof == (12 * 3, 12 * 3, 4 * 3)
     assert sum(dof) == pytest.approx(12 * 6 + 4 * 3 - 3 * conserved, rel=1e-12)
-    found = np.array(found)
-    for temperatures_of, freedoms in zip(found.T, (sum(dof), *dof), strict=True):
+    results = np.array(results)
+    for temperatures_of, freedoms in zip(results.T, (sum(dof), *dof), strict=True):
         # Standard errors of the mean, and of the variance of a chi-squared variable, whose kurtosis is 12/d. Rounding
         # decides signs of the bodies' axes, and so what noise turns them. Seven of the one and eight of the other have
         # probabilities below 1e-10 also with the skewness of 12 degrees of freedom.
-        error = 1 / math.sqrt(len(found))
+        error = 1 / math.sqrt(len(results))
         assert temperatures_of.mean() == pytest.approx(300, rel=7 * error * math.sqrt(2 / freedoms))
         variance = 2 * 300**2 / freedoms
         assert temperatures_of.var() == pytest.approx(variance, rel=8 * error * math.sqrt(2 + 12 / freedoms))
@@ -234,7 +234,7 @@ def test_temperatures_are_quantities():
     system, positions, bodies = domains(chains=1)
     integrator = SIERIntegrator(0.001, "SIER2", bodies=bodies)
     _context = started(system, integrator, positions)
-    found = integrator.computeTemperatures()
-    assert found.total == integrator.computeSystemTemperature()
-    assert all(each.unit == unit.kelvin for each in found)
-    assert found.in_kelvin().as_quantities() == found
+    temperatures = integrator.computeTemperatures()
+    assert temperatures.total == integrator.computeSystemTemperature()
+    assert all(each.unit == unit.kelvin for each in temperatures)
+    assert temperatures.in_kelvin().as_quantities() == temperatures

@@ -58,11 +58,11 @@ def test_energies_of_a_flexible_molecule_by_force_group(chain, engine):
         simulation = simulation_with(topology, system, langevin(engine), positions)
     stock = plain_context(system, positions)
     for number in range(system.getNumForces()):
-        found, expected = (
+        results, expected = (
             context.getState(energy=True, groups={number}).getPotentialEnergy()
             for context in (simulation.context, stock)
         )
-        assert found == expected
+        assert results == expected
     with silence():
         simulation.minimizeEnergy(maxIterations=5)
         simulation.context.setVelocitiesToTemperature(300, 1)
@@ -100,15 +100,15 @@ def test_interaction_energies_by_scaled_parameters(engine):
         context = openmm.Context(system, SIERIntegrator(1 * FEMTOSECOND, engine=engine), platform())
     contexts = context, plain_context(system, positions)
     context.setPositions(positions)
-    found = []
+    results = []
     for each in contexts:
         energies = []
         for solute, solvent in ((1, 1), (1, 0), (0, 1)):
             each.setParameter("solute", solute)
             each.setParameter("solvent", solvent)
             energies.append(each.getState(energy=True, groups={1}).getPotentialEnergy()._value)
-        found.append(energies[0] - energies[1] - energies[2])
-    assert found[0] == found[1] != 0
+        results.append(energies[0] - energies[1] - energies[2])
+    assert results[0] == results[1] != 0
 
 
 # --- forces that are added, and changed in a run ---

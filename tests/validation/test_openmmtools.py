@@ -73,9 +73,9 @@ def test_the_cache_gives_what_it_is_asked_for(box):
     state = state_at(box)
     for before, asked in itertools.permutations(INTEGRATORS, 2):
         contexts = cache.ContextCache(platform=platform())
-        found = [contexts.get_context(state, INTEGRATORS[name]()) for name in (before, asked)]
-        assert found[0][0] is not found[1][0], (before, asked)
-        for name, (context, integrator) in zip((before, asked), found, strict=True):
+        results = [contexts.get_context(state, INTEGRATORS[name]()) for name in (before, asked)]
+        assert results[0][0] is not results[1][0], (before, asked)
+        for name, (context, integrator) in zip((before, asked), results, strict=True):
             assert integrator.binding.settings == INTEGRATORS[name]().binding.settings, (before, asked)
             assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
 
@@ -116,7 +116,7 @@ class LangevinMove(mcmc.BaseIntegratorMove):
     """Rigid-body Langevin dynamics as a move; it keeps the temperatures that it finds by that of the state, in K."""
 
     #: Of the class, since samplers copy their moves.
-    found: ClassVar[dict[int, list[float]]] = {}
+    results: ClassVar[dict[int, list[float]]] = {}
 
     def _get_integrator(self, thermodynamic_state):
         return langevin(thermodynamic_state.temperature / KELVIN, scheme=SIER4G)
@@ -149,14 +149,14 @@ def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
     of 0.28 (1/17)^2 = 0.001, ten of them with one of 1e-11, and they do not come apart by 9 standard deviations.
     """
     contexts = cache.ContextCache(platform=platform())
-    found, energies = sampler_state(drop), []
+    results, energies = sampler_state(drop), []
     first = kind(SIERIntegrator(4 * FEMTOSECOND, SIER4G), n_steps=50)
-    start = array(found.positions)
+    start = array(results.positions)
     for move in (first, copy.deepcopy(first)) * 5:
-        move.apply(state_at(drop), found, context_cache=contexts)
-        energies.append((found.potential_energy + found.kinetic_energy) / KILOJOULE)
+        move.apply(state_at(drop), results, context_cache=contexts)
+        energies.append((results.potential_energy + results.kinetic_energy) / KILOJOULE)
     assert len(contexts) == 1
-    assert np.abs(array(found.positions) - start).max() > 0.01
+    assert np.abs(array(results.positions) - start).max() > 0.01
     assert least < np.ptp(energies) < most
 
 

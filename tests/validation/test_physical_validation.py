@@ -86,12 +86,12 @@ def distances(found):
 @pytest.mark.thorough
 @pytest.mark.parametrize(("scheme", "step"), STEPS.items(), ids=[scheme.name for scheme in STEPS])
 def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step):
-    found = sampled(drop, scheme, step)
-    assert distances(found).max() < LIMIT
+    result = sampled(drop, scheme, step)
+    assert distances(result).max() < LIMIT
     # One true sample in 10^11 fails the Kolmogorov-Smirnov test.
     options = {"strict": True, "data_is_uncorrelated": True, "verbosity": 0}
-    assert physical_validation.kinetic_energy.distribution(found, **options) > 1e-11
-    parts = physical_validation.kinetic_energy.equipartition(found, **options)
+    assert physical_validation.kinetic_energy.distribution(result, **options) > 1e-11
+    parts = physical_validation.kinetic_energy.equipartition(result, **options)
     assert min(parts) > 1e-11
 
 
@@ -100,5 +100,5 @@ def test_too_long_a_step_of_second_order_is_found_out(drop):
     """With a kick after the bath the rotation is colder by 2.8 K * 4.5^2 = 57 K, 20 standard errors."""
     half = Stage(DRIFT, 0.5)
     ends_with_a_kick = Scheme("SIER2 around a bath", (Stage(KICK, 0.5), half, Stage(BATH, 1), half, Stage(KICK, 0.5)))
-    found = distances(sampled(drop, ends_with_a_kick, 0.009))
-    assert found[4, 0] > LIMIT
+    result = distances(sampled(drop, ends_with_a_kick, 0.009))
+    assert result[4, 0] > LIMIT

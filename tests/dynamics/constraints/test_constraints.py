@@ -39,29 +39,29 @@ def test_projection_is_the_one_of_linear_algebra(mixed, rng):
     """Against a dense pseudo-inverse: idempotent, tangent, orthogonal in the metric of the inverse masses."""
     system, constraints, q = mixed
     p = rng.normal(size=q.shape)
-    found = constraints.project(q, p)
+    projected = constraints.project(q, p)
     G = gradients(system, q).reshape(len(system.pairs), -1)
     inverse = np.tile(1 / system.masses, 3)
     flat = p.ravel()
     expected = flat - G.T @ (np.linalg.pinv((G * inverse) @ G.T, rcond=1e-10) @ (G @ (inverse * flat)))
     # The cage's condition number, some hundred, times rounding.
-    assert np.abs(found.ravel() - expected).max() < 1e-12
-    assert np.abs(found - p).max() > 0.1
-    assert np.abs(constraints.project(q, found) - found).max() < 1e-13
+    assert np.abs(projected.ravel() - expected).max() < 1e-12
+    assert np.abs(projected - p).max() > 0.1
+    assert np.abs(constraints.project(q, projected) - projected).max() < 1e-13
 
 
 def test_displacement_is_along_the_gradients_and_ends_on_the_constraints(mixed, rng):
     system, constraints, q = mixed
     force, shift = rng.normal(size=q.shape), 0.02
-    found = constraints.displaced(q, force, shift)
+    result = constraints.displaced(q, force, shift)
     # The iteration ends with the update that follows residuals of 1e-11 (`CLOSE`).
-    assert np.abs(squares(system, found) / system.lengths**2 - 1).max() < 1e-11
+    assert np.abs(squares(system, result) / system.lengths**2 - 1).max() < 1e-11
     # M (q' - q) - shift F is a sum of rows of G at q.
-    rest = (system.masses * (found - q) - shift * force).ravel()
+    rest = (system.masses * (result - q) - shift * force).ravel()
     G = gradients(system, q).reshape(len(system.pairs), -1)
-    left = rest - G.T @ np.linalg.lstsq(G.T, rest, rcond=None)[0]
+    across = rest - G.T @ np.linalg.lstsq(G.T, rest, rcond=None)[0]
     assert np.abs(rest).max() > 1e-3
-    assert np.abs(left).max() < 1e-13
+    assert np.abs(across).max() < 1e-13
 
 
 def test_positions_are_put_onto_the_constraints(rng):
@@ -124,8 +124,8 @@ def test_geodesics_conserve_and_reverse(rng):
     size = np.abs(p0).max()
     # A random walk of 100 roundings.
     assert np.abs((p - p0).sum(axis=1)).max() < 1e-13 * size
-    turned = (np.cross(q, p, axis=0) - np.cross(q0, p0, axis=0)).sum(axis=1)
-    assert np.abs(turned).max() < 1e-12 * size
+    torque = (np.cross(q, p, axis=0) - np.cross(q0, p0, axis=0)).sum(axis=1)
+    assert np.abs(torque).max() < 1e-12 * size
     assert residual(constraints, q) < 1e-13
     # Not exactly conserved: fourth order of 0.1 rad a drift, as in the table of `geodesic`.
     kinetic = [(v**2 / system.masses).sum() for v in (p0, p)]
@@ -166,8 +166,8 @@ def test_geodesics_are_symplectic(rng):
 def test_what_momenta_have_along_the_bonds_does_not_matter(mixed, rng):
     system, constraints, q = mixed
     free = rng.normal(size=q.shape) * np.sqrt(system.masses)
-    found = [constraints.drift(q, p, 0.003, SUZUKI) for p in (free, constraints.project(q, free))]
-    (one, p1), (other, p2) = [(x, constraints.project(x, p)) for x, p in found]
+    results = [constraints.drift(q, p, 0.003, SUZUKI) for p in (free, constraints.project(q, free))]
+    (one, p1), (other, p2) = [(x, constraints.project(x, p)) for x, p in results]
     # All equations are solved to rounding, of 0.6 nm and of momenta of 10 dalton nm/ps.
     assert np.abs(one - other).max() < 1e-14
     assert np.abs(p1 - p2).max() < 1e-11
@@ -177,9 +177,9 @@ def test_inputs_are_left_as_they_were(mixed, rng):
     _, constraints, q = mixed
     p = thermal(rng, constraints, q)
     before = q.copy(), p.copy()
-    found = [*constraints.drift(q, p, 0.002), constraints.displaced(q, p, 0.002), constraints.project(q, p)]
+    results = [*constraints.drift(q, p, 0.002), constraints.displaced(q, p, 0.002), constraints.project(q, p)]
     assert np.array_equal(before, (q, p))
-    assert not any(np.shares_memory(new, old) for new in found for old in (q, p))
+    assert not any(np.shares_memory(new, old) for new in results for old in (q, p))
 
 
 def test_far_from_the_origin(mixed, rng):
@@ -282,13 +282,13 @@ def test_a_subset_has_numbers_of_its_own(rng):
     system = mixture()
     constraints = Constraints(system.pairs, system.lengths, system.masses, describe)
     members = constraints.members
-    part = constraints.restricted(members)
+    subset = constraints.restricted(members)
     q = constraints.satisfied(system.x)
     p = thermal(rng, constraints, q)
     whole = constraints.drift(q, p, 0.002)
-    found = part.drift(q[:, members], p[:, members], 0.002)
-    assert np.array_equal(found[0], whole[0][:, members])
-    assert np.array_equal(found[1], whole[1][:, members])
+    result = subset.drift(q[:, members], p[:, members], 0.002)
+    assert np.array_equal(result[0], whole[0][:, members])
+    assert np.array_equal(result[1], whole[1][:, members])
     with pytest.raises(ConstraintError, match=f"atom {100 + members[0]}.* joins the subset to another body"):
         constraints.restricted(members[1:])
 

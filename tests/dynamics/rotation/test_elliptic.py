@@ -18,9 +18,9 @@ def test_coefficients_are_the_taylor_series():
             for n in range(12):
                 cube = sum(series[i] * series[j] * series[n - i - j] for i in range(n + 1) for j in range(n - i + 1))
                 series.append((-(p + q) * series[n] + 2 * p * q * cube) / ((n + 1) * (n + 2)))
-        found = elliptic.sn_coefficients(float(p), float(q))
-        assert len(found) == 6
-        for coefficient, expected in zip(found, series[3::2], strict=True):
+        coefficients = elliptic.sn_coefficients(float(p), float(q))
+        assert len(coefficients) == 6
+        for coefficient, expected in zip(coefficients, series[3::2], strict=True):
             assert coefficient == pytest.approx(float(expected), rel=1e-14)
 
 
@@ -33,8 +33,8 @@ def test_increments_match_scipy(rng):
     sn, cn, dn, _ = ellipj(np.sqrt(p) * t, q / p)
     for larger, smaller, expected in ((p, q, (cn, dn)), (q, p, (dn, cn))):
         rows = zip(larger, smaller, t, strict=True)
-        found = [elliptic.sn_increment(elliptic.sn_coefficients(a, b), a, b, time) for a, b, time in rows]
-        S, S2, C, D = np.transpose(found)
+        increments = [elliptic.sn_increment(elliptic.sn_coefficients(a, b), a, b, time) for a, b, time in rows]
+        S, S2, C, D = np.transpose(increments)
         # One rounding of each of the factors and of SciPy's result.
         assert np.abs(S * np.sqrt(p) - sn).max() < 4e-16
         assert np.array_equal(S2, S * S)
@@ -52,6 +52,6 @@ def test_mean_turn_in_a_period(kc, nu):
         m = 1 - mpmath.mpf(kc) ** 2
         expected = mpmath.ellippi(1 - mpmath.mpf(nu), m) / mpmath.ellipk(m)
         assert abs(mpmath.mpf(K) / mpmath.ellipk(m) - 1) < 1e-15
-    found = 1 - (nu - 1) / (2 * nu) * Q
+    result = 1 - (nu - 1) / (2 * nu) * Q
     # 1/nu bounds the integrand, so that its rounding is the scale of the cancellation.
-    assert abs(found - float(expected)) < 1e-15 * max(1, 1 / nu)
+    assert abs(result - float(expected)) < 1e-15 * max(1, 1 / nu)

@@ -42,9 +42,9 @@ def positions_by_constraint_forces(masses, x, v, h):
         y = moved(multipliers)
         return ((y[pairs[:, 0]] - y[pairs[:, 1]]) ** 2).sum(axis=1) / lengths - 1
 
-    found = root(errors, np.zeros(len(pairs)), method="lm", options={"xtol": 1e-15, "ftol": 1e-15})
-    assert np.abs(found.fun).max() < 1e-13
-    return moved(found.x)
+    solution = root(errors, np.zeros(len(pairs)), method="lm", options={"xtol": 1e-15, "ftol": 1e-15})
+    assert np.abs(solution.fun).max() < 1e-13
+    return moved(solution.x)
 
 
 @pytest.mark.parametrize("kind", [WATER, METHANE, "handed"])
@@ -53,11 +53,11 @@ def test_it_is_rattle_of_the_atoms(rng, kind):
     bodies, state, masses, x, v = one(kind, rng)
     A, _ = rattle(state.A, state.L, bodies.moments, H)
     expected = positions_by_constraint_forces(masses, x, v, H)
-    found = bodies.place(state.q, A, np.zeros_like(x))
+    positions = bodies.place(state.q, A, np.zeros_like(x))
     # Of 0.1 nm, to what the solver of the oracle leaves of distances. The exact rotation is 4e-9 nm or more away.
-    assert np.abs(found - expected).max() < 1e-13
-    turned, _ = exact(state.A, state.L, bodies.moments, H)
-    assert np.abs(bodies.place(state.q, turned, np.zeros_like(x)) - expected).max() > 1e-9
+    assert np.abs(positions - expected).max() < 1e-13
+    A_exact, _ = exact(state.A, state.L, bodies.moments, H)
+    assert np.abs(bodies.place(state.q, A_exact, np.zeros_like(x)) - expected).max() > 1e-9
 
 
 def test_a_linear_body_moves_along_the_tangent_and_back_to_its_length(rng):
