@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER4G, Scheme, SIERIntegrator
+from openmm_sier import SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.engines.native import program as native_program
@@ -25,6 +25,15 @@ def test_substeps_make_up_the_drift(substeps):
         assert line.lengths == line.lengths[::-1]
         cubes = sum(d**3 for d in line.lengths)
         assert abs(cubes) < 1e-15 if substeps in native_program.COMPOSITIONS else cubes > 1e-3
+
+
+@pytest.mark.parametrize("groups", [set(), {1}], ids=["free drifts", "fast forces"])
+def test_drifts_of_trials_are_single_steps_of_rattle(groups):
+    program = SIERHMCIntegrator(300, 0.006, SIER4G, fastForceGroups=groups).program
+    lines = [line for part in program.parts for line in part]
+    drifts = [line for line in [*lines, *(inner for line in lines for inner in line.inner)] if line.title == "drift"]
+    # Two in the step or, with fast forces, in the inner step of each of its two drifts.
+    assert [len(line.lengths) for line in drifts] == [1] * (4 if groups else 2)
 
 
 def test_program_prints_as_the_algorithm():

@@ -36,7 +36,7 @@ MOST_PARTS = 12
 #: RATTLE steps, as fractions of a drift, that make the drift fourth order. Five are 80 times as accurate as three.
 COMPOSITIONS = {3: TRIPLE_JUMP, 5: SUZUKI}
 
-#: Steps of RATTLE in each drift of an inner step.
+#: Usual steps of RATTLE in each drift of an inner step.
 INNER_SUBSTEPS = 3
 
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
@@ -84,12 +84,13 @@ def write(
     slow_group: int | None = None,
     divides_step: bool = True,
     counts_heat: bool = True,
+    inner_substeps: int = INNER_SUBSTEPS,
 ) -> Program:
     """Write the program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
     move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
-    each of its drifts is three RATTLE steps composed to fourth order. One step of SIER4G in a drift of 3 fs follows
+    each of its drifts is `inner_substeps` RATTLE steps, three of which are composed to fourth order. One step of SIER4G in a drift of 3 fs follows
     springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the drift is
     an odd number of RATTLE steps with the bath in the middle of one, with or without fast forces.
 
@@ -114,6 +115,7 @@ def write(
             have virtual sites. Otherwise one native step is enough.
         counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
             the bath; the trajectory is the same without them, to rounding.
+        inner_substeps: RATTLE steps in each drift of an inner step.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
@@ -127,7 +129,7 @@ def write(
     def drift(stage: Stage) -> Line:
         if scheme.bath_divides_drift:
             return _drift_beside_bath(stage, scheme.inner_fraction(number), number - 1, fast, counts_heat)
-        return _nested_drift(scheme, stage, number, fast) if fast else _drift(stage.fraction, number)
+        return _nested_drift(scheme, stage, number, fast, inner_substeps) if fast else _drift(stage.fraction, number)
 
     def bathe(time: str) -> Line:
         if bath is None:
@@ -183,9 +185,9 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str]) -> Line:
-    """Write a drift under the forces of fast groups."""
-    inner_drift = partial(_drift, substeps=INNER_SUBSTEPS, unit="d/e")
+def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str], substeps: int) -> Line:
+    """Write a drift under the forces of fast groups, with RATTLE steps in each drift of an inner step."""
+    inner_drift = partial(_drift, substeps=substeps, unit="d/e")
     stages = scheme.within_drifts.stages
     within = _lines(stages, "e", _sum_of(fast), lambda one: inner_drift(one.fraction))
     title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"

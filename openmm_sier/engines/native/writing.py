@@ -63,9 +63,11 @@ def _written(flow: Flow, trials: Trials | None = None, **choices: Any) -> Progra
     """Write a program by `program.write`, or one without parts that says why not."""
     fast = groups_of(flow.fast_groups)
     substeps = flow.substeps
-    if substeps is None and flow.trial_steps and not fast:
+    if flow.trial_steps:
         # A step of RATTLE is reversible and keeps the volume of phase space, whatever its error.
-        substeps = 1
+        choices["inner_substeps"] = 1
+        if substeps is None and not fast:
+            substeps = 1
     try:
         program = write(flow.scheme, substeps, fast, flow.updates_context, flow.bath, **choices)
         return program._replace(trials=trials)
