@@ -47,7 +47,8 @@ class TrialEngine(NativeEngine):
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
         self.ledger.heat += trial.kinetic - before - numbers.stopped
-        first_error = numbers.first_error if math.isfinite(numbers.first_error) else math.inf
+        # A comparison with NaN is false.
+        first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
     def follow(self, steps: int, wants_energy: bool = False) -> None:
@@ -57,7 +58,9 @@ class TrialEngine(NativeEngine):
         start = self.clock
         numbers = self._executed(trials.followed(self._integrator, steps))
         if not numbers.is_accepted:
-            raise TrajectoryError("The energy at the end of a trajectory is not finite")
+            raise TrajectoryError(
+                "The energy at the end of a trajectory is not finite, or constraints are broken there"
+            )
         self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)
         act_on_pending()
 
