@@ -97,10 +97,12 @@ class Trials(NamedTuple):
         stopped_mass: mass of the atoms whose centre is stopped after each trial, Da; 0 where it is not.
         steps_alone: number of steps of each trial, where the program draws all random numbers itself and needs nothing
             but OpenMM; 0 where the host decides.
+        checks_constraints: whether ends at which constraints are not satisfied are rejected.
     """
 
     stopped_mass: float = 0.0
     steps_alone: int = 0
+    checks_constraints: bool = True
 
 
 class Program(NamedTuple):

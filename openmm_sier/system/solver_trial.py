@@ -39,6 +39,26 @@ LINE_REMEDY = (
 )
 
 
+def may_not_converge(system: openmm.System) -> bool:
+    """Return whether OpenMM solves some constraints by iterations, which may end anywhere. SETTLE leaves NaN there.
+
+    Args:
+        system: openmm.System.
+
+    Raises:
+        RigidityError: see `tables.constraints`.
+    """
+    n, (pairs, lengths) = system.getNumParticles(), tables.constraints(system)
+    component = joined(n, pairs)
+    sizes, of_pairs = np.bincount(component, minlength=n), component[pairs[:, 0]]
+    is_triangle = (sizes == 3) & (np.bincount(of_pairs, minlength=n) == 3)
+    if not is_triangle[of_pairs].all():
+        return True
+    # As OpenMM compares them.
+    edges = lengths[np.argsort(of_pairs, kind="stable")].astype(np.float32).reshape(-1, 3)
+    return not (edges == np.roll(edges, 1, axis=1)).any(axis=1).all()
+
+
 class SolverTrial:
     """Trial of the constraints of a System that form rings; OpenMM can always solve trees, such as HBonds."""
 

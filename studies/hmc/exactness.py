@@ -141,7 +141,7 @@ def dipoles(settings: ExactnessSettings, field: float, h: float) -> list[dict[st
     system.setDefaultPeriodicBoxVectors(*np.eye(3) * n ** (1 / 3))
     # Drifts are so long that the exact map takes eight times as long; MRDL is also reversible and keeps the volume. A
     # step of RATTLE must be short enough for the constraints.
-    map_of_engine = {"rotation": mrdl} if settings.engine == "exact" else {"substeps": 8}
+    map_of_engine = {"rotation": mrdl} if settings.engine == "exact" else {"substeps": 12}
     integrator = SIERHMCIntegrator(
         TEMPERATURE,
         h,

@@ -12,6 +12,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import (
+    SIER2,
     SIER2V2,
     SIER4G,
     SIER4P,
@@ -26,7 +27,7 @@ from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.program import KEPT
 from openmm_sier.ensembles import metropolis
 from openmm_sier.inputs.equilibration import make_context
-from tests.support import anharmonic, opencl
+from tests.support import anharmonic, opencl, spinning
 from tests.support.commands import log, run, write_lattice
 from tests.support.ethane import ethane
 from tests.support.framed import moved, polar, system_of
@@ -189,6 +190,14 @@ def test_trials_sample_exactly(gpu):
     assert 0.4 < integrator.acceptanceRate < 0.6
     # Standard errors of 25 blocks, as in `test_whole_trials.py`.
     assert (np.abs(anharmonic.distances(rows)) < 4.5).all()
+
+
+def test_ends_with_broken_constraints_are_rejected(gpu, monkeypatch):
+    monkeypatch.setattr(metropolis, "largest_error", lambda *_: 1e15)
+    integrator = seeded(SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0), 5)
+    context = gpu_context(gpu, "mixed", spinning.system(), integrator, (spinning.POSITIONS, 0 * spinning.POSITIONS))
+    assert integrator.binding.engine.makes_trials
+    assert 3 < spinning.rejected(context, 60) < 50
 
 
 def test_virtual_sites_follow_their_atoms_in_trials(gpu, cluster, monkeypatch):

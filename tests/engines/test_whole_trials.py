@@ -6,10 +6,10 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2V2, SIERHMCIntegrator
+from openmm_sier import SIER2, SIER2V2, SIERHMCIntegrator
 from openmm_sier.engines.native import trials
 from openmm_sier.ensembles import metropolis
-from tests.support import anharmonic
+from tests.support import anharmonic, spinning
 from tests.support.samplers import counted, sampler
 from tests.support.seeded import seeded
 from tests.support.strangers import samples_as_stranger
@@ -43,7 +43,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
     context = anharmonic_context(0, 2, 3, "Reference", *removers)
     integrator = context.getIntegrator()
     ends_seen = set()
-    for _ in range(12):
+    for _ in range(20):
         start, saved = phase_point(context), context.createCheckpoint()
         accepted, forces, energy = integrator.accepted, integrator.forceEvaluations, conserved(context)
 
@@ -135,6 +135,16 @@ def test_ends_that_are_not_finite_are_rejected(name):
     assert (context.getStepCount(), integrator.trials) == (200, 200)
 
 
+@pytest.mark.parametrize(("name", "box"), [("Reference", None), ("Reference", 3.0), ("CPU", None)])
+def test_ends_with_broken_constraints_are_rejected(monkeypatch, name, box):
+    """Whatever their energy. In a box Reference makes steps, which Python decides on."""
+    monkeypatch.setattr(metropolis, "largest_error", lambda *_: 1e15)
+    integrator = seeded(SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, engine="native", extraChances=0), 5)
+    context = context_at(spinning.system(box), integrator, (spinning.POSITIONS, 0 * spinning.POSITIONS), name)
+    assert integrator.binding.engine.makes_trials is (box is None)
+    assert 3 < spinning.rejected(context, 60) < 50
+
+
 def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
     """At a call after the first few; the run then goes on."""
     fails_at = math.inf
@@ -198,3 +208,13 @@ def test_stored_xml_samples_exactly_without_this_package(tmp_path):
     # Sums of 4000 numbers.
     assert time == pytest.approx(4020 * 2 * 0.02, rel=1e-10)
     assert (np.abs(anharmonic.distances([anharmonic.observed(*row) for row in rows])) < 4.5).all()
+
+
+def test_stored_xml_rejects_ends_with_broken_constraints(tmp_path):
+    """Of which some have a lower energy than their start."""
+    integrator = SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0)
+    x, system = spinning.POSITIONS, spinning.system()
+    state = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x)).getState(positions=True)
+    rows, (made, accepted), _ = samples_as_stranger(tmp_path, system, integrator, state, 300)
+    assert 0.1 < accepted / made < 0.9
+    assert max(spinning.broken(positions) for positions, _ in rows) < 1e-6

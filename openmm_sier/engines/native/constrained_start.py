@@ -43,9 +43,21 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         openmm.Context.applyVelocityConstraints(context, tolerance)
 
 
+def are_satisfied(constraints: Constraints, positions: np.ndarray) -> bool:
+    """Return whether the solution of constraints has converged, at positions (N, 3), nm."""
+    # A comparison with NaN is false.
+    return bool((_distance_errors(constraints, positions) <= NOT_CONVERGED).all())
+
+
+def _distance_errors(constraints: Constraints, positions: np.ndarray) -> np.ndarray:
+    """Return errors of the distances, (c,), nm."""
+    first, second = constraints.pairs.T
+    return np.abs(np.linalg.norm(positions[second] - positions[first], axis=1) - constraints.lengths)
+
+
 def _errors(context: openmm.Context, constraints: Constraints) -> tuple[np.ndarray, np.ndarray]:
     """Return errors of the distances, nm, and velocities along the constraints, nm/ps, each (c,)."""
     now, (first, second) = Snapshot.of(context), constraints.pairs.T
     arms, velocities = (vectors[second] - vectors[first] for vectors in (now.positions, now.velocities))
-    errors = np.abs(np.linalg.norm(arms, axis=1) - constraints.lengths)
+    errors = _distance_errors(constraints, now.positions)
     return errors, np.abs((arms * velocities).sum(axis=1)) / constraints.lengths

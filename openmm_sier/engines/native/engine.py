@@ -16,7 +16,7 @@ from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
-from openmm_sier.engines.native.constrained_start import satisfy_constraints
+from openmm_sier.engines.native.constrained_start import are_satisfied, satisfy_constraints
 from openmm_sier.engines.native.installation import guard, set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
@@ -199,6 +199,9 @@ class NativeEngine(Engine):
         finally:
             if not self._program.ends_constrained:
                 openmm.Context.applyVelocityConstraints(self._context, self._integrator.getConstraintTolerance())
+        # An end whose energy is asked for may become a sample, and OpenMM's solvers do not say where they stop.
+        if wants_energy and not are_satisfied(self._constraints, self.positions()):
+            raise TrajectoryError("OpenMM could not satisfy the constraints at the end of a trajectory")
 
     def _whole_steps(self, steps: int) -> int:
         """Make some steps of one native step each, and return their number."""

@@ -61,7 +61,8 @@ class TrialEngine(NativeEngine):
         if not math.isfinite(numbers.start):
             self.clock = clock
             refuse_energy(numbers.start, clock)
-        first_error = numbers.first_error if math.isfinite(numbers.first_error) else math.inf
+        # A comparison with NaN is false.
+        first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
@@ -71,7 +72,9 @@ class TrialEngine(NativeEngine):
         start = self.clock
         numbers = self._executed(trials.followed(self._integrator, steps))
         if not numbers.is_accepted:
-            raise TrajectoryError("The energy at the end of a trajectory is not finite")
+            raise TrajectoryError(
+                "The energy at the end of a trajectory is not finite, or constraints are broken there"
+            )
         self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)
         act_on_pending()
 

@@ -12,6 +12,10 @@ OpenMM looks at every path through the blocks of a program, twice in a row, and 
 which some path needs it. So the ending of the last step is written apart from those of the steps before it, whose
 forces come without energies. It computes statements between two others in one kernel, but not across the beginning or
 the end of a block: these are where constraints move atoms, which takes kernels of its own.
+
+OpenMM's iterative solvers of constraints stop after so many iterations, wherever atoms are then, and say nothing. So
+the constraints of an end are solved twice, and an end at which that moves an atom is rejected. It is done before the
+last force, which positions that were moved would make invalid.
 """
 
 from __future__ import annotations
@@ -24,8 +28,19 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.flow import Flow
+from openmm_sier.engines.native.constrained_start import NOT_CONVERGED
 from openmm_sier.engines.native.program import THERMAL
-from openmm_sier.engines.program import CONSTRAIN_V, START_V, START_X, TRIAL_VECTORS, Program, Statement, Trials
+from openmm_sier.engines.program import (
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    KEPT,
+    START_V,
+    START_X,
+    TRIAL_VECTORS,
+    Program,
+    Statement,
+    Trials,
+)
 from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system import tables
@@ -64,10 +79,16 @@ GLOBALS = (
 )
 
 #: An error above this counts as infinite, kT.
-INFINITE = 1e300
+INFINITE = 1e20
 
 #: The kinetic energy of atoms.
 KINETIC_ENERGY = "0.5*m*v*v"
+
+#: Energy of an atom that is moved where constraints are solved again, kJ/mol. It has a place in single precision.
+BROKEN = 1e30
+
+#: The kinetic energy of an end whose constraints were solved twice.
+CHECKED_ENERGY = f"{KINETIC_ENERGY} + select(step(abs(x - {KEPT}) - {NOT_CONVERGED!r}), {BROKEN!r}, 0)"
 
 
 def energies(program: Program) -> tuple[str, ...]:
@@ -97,10 +118,22 @@ def halves_of(program: Program) -> tuple[list[Executed], list[Executed]]:
     return executed[:middle], executed[middle:]
 
 
-def ending_of(program: Program) -> list[Executed | str]:
-    """Return the second of the halves, with the name of each energy before the first force of the same group."""
+def ending_of(program: Program, checks_constraints: bool) -> list[Executed | str]:
+    """Return the second of the halves, with the name of each energy before the first force of the same group.
+
+    Where constraints are checked they are solved again first, and `KEPT` has the positions before that.
+    """
     _, after = halves_of(program)
-    ending: list[Executed | str] = [*after]
+    if checks_constraints:
+        # Velocities are corrected for what constraints moved, from positions that were kept.
+        corrected = 1 + max((i for i, (statement, _) in enumerate(after) if KEPT in statement.expression), default=-1)
+        again = [(Statement(KEPT, "x"), ""), (Statement(CONSTRAIN_X), "")]
+        return [*after[:corrected], *again, *_with_energies(program, after[corrected:])]
+    return _with_energies(program, after)
+
+
+def _with_energies(program: Program, statements: list[Executed]) -> list[Executed | str]:
+    ending: list[Executed | str] = [*statements]
     for energy in energies(program):
         force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
         places = (i for i, each in enumerate(ending) if not isinstance(each, str) and force.search(each[0].expression))
@@ -186,7 +219,7 @@ class Writer:
         to.addComputeGlobal(LEFT, f"{LEFT} - 1")
         to.endBlock()
         to.addComputeGlobal(END_ERROR, f"-{START} - {START_KINETIC}")
-        for each in ending_of(self._program):
+        for each in ending_of(self._program, self._trials.checks_constraints):
             if isinstance(each, str):
                 to.addComputeGlobal(END_ERROR, f"{END_ERROR} + {each}")
             else:
@@ -199,7 +232,7 @@ class Writer:
     def _decide(self) -> None:
         to = self._integrator
         to.addConstrainVelocities()
-        to.addComputeSum(KINETIC, KINETIC_ENERGY)
+        to.addComputeSum(KINETIC, CHECKED_ENERGY if self._trials.checks_constraints else KINETIC_ENERGY)
         to.addComputeGlobal(END_ERROR, f"({END_ERROR} + {KINETIC})/{THERMAL}")
         to.addComputeGlobal(FIRST_ERROR, f"select({ENDS}, {FIRST_ERROR}, {END_ERROR})")
         to.addComputeGlobal(ENDS, f"{ENDS} + 1")

@@ -10,6 +10,7 @@ from openmm_sier.engines.native.trials import stopped_mass, why_not
 from openmm_sier.engines.program import Program, Trials
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.forces import kind_of
+from openmm_sier.system.solver_trial import may_not_converge
 
 
 def general_program(flow: Flow) -> Program:
@@ -46,7 +47,7 @@ def program_for(flow: Flow, system: openmm.System, groups: int, on_gpu: bool, ch
         slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
         divides_step=not in_trials and (has_virtual_sites or checks_positions),
         counts_heat=not on_gpu if flow.counts_heat is None else flow.counts_heat,
-        trials=Trials(stopped_mass(system)) if in_trials else None,
+        trials=Trials(stopped_mass(system), checks_constraints=may_not_converge(system)) if in_trials else None,
     )
 
 
