@@ -165,7 +165,8 @@ class DisplacedForces:
         groups = constraints.groups if groups is None else np.asarray(groups)
         numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
         columns = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
-        self._constraints, self.grouped = constraints, groups >= 0
+        self._constraints = constraints
+        self.grouped = groups >= 0
         self._columns = columns[np.argsort(group[columns], kind="stable")]
         starts = np.flatnonzero(np.diff(group[self._columns], prepend=-1))
         self._edges = np.append(starts, len(self._columns))

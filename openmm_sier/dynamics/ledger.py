@@ -37,7 +37,8 @@ class Ledger:
 
     def clear(self) -> None:
         """Reset heat, draws and counts; keep the seed."""
-        self.heat, self.draws = 0.0, 0
+        self.heat = 0.0
+        self.draws = 0
         self.counts = dict.fromkeys(self.counts, 0.0)
 
     def noise(self, stream: int = 0) -> np.random.Generator:

@@ -70,9 +70,10 @@ class CachedForces:
     def __call__(self, state: BodyState) -> tuple[np.ndarray, ...]:
         if state.q is not self._q or state.A is not self._A:
             # Free the memory of old forces before computing new ones.
-            self._q, self._A, self._forces = None, None, ()
+            self.invalidate()
             self._forces = self.at(state.q, state.A)
-            self._q, self._A = state.q, state.A
+            self._q = state.q
+            self._A = state.A
         return self._forces
 
     def at(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, ...]:

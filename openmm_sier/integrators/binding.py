@@ -241,7 +241,8 @@ class Binding:
         system = context.getSystem()
         checks.warn_about_moving_frozen_atoms(system)
         warn_about_unconstrained_angles(system)
-        self._engine, self._context = None, weakref.ref(context)
+        self._engine = None
+        self._context = weakref.ref(context)
         self._compared_temperature = 0.0
         self._has_warned_of_temperatures = False
         self.watch = RunawayWatch(system)

@@ -146,7 +146,8 @@ class _Bill:
     """Counts force evaluations, of the integrator that is tuned and of those of other schemes."""
 
     def __init__(self, before: int):
-        self._before, self._of_others = before, 0
+        self._before = before
+        self._of_others = 0
 
     def add(self, integrator: SIERHMCIntegrator) -> None:
         """Count those of another integrator, which is not used any more."""

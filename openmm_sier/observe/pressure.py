@@ -51,7 +51,8 @@ class MolecularPressure:
         """
         system = context.getSystem()
         _check(system)
-        self._source, self._system = context, system
+        self._source = context
+        self._system = system
         self._masses = tables.masses(system)
         self._owners, self._molecule_masses = _molecules(context, self._masses)
         self._context = second_context(context, system)

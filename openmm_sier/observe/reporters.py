@@ -189,7 +189,9 @@ class BodyStateReporter(_Reporter):
             import h5py
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError("BodyStateReporter requires h5py: pip install 'openmm-sier[hdf5]'") from error
-        self._path, self._unwrapped, self._names = Path(file), unwrapped, names
+        self._path = Path(file)
+        self._unwrapped = unwrapped
+        self._names = names
         self._begun = False
         # The oldest file format does not mark files as open for writing; a mark would lock out readers after a kill.
         self._file = h5py.File(self._path, "a" if append else "w", libver="earliest")

@@ -65,7 +65,8 @@ class Motions:
             bodies: its bodies.
             seed: seed of the random directions.
         """
-        self._random, self._n = np.random.default_rng(seed), bodies.n
+        self._random = np.random.default_rng(seed)
+        self._n = bodies.n
         state = context.getState(positions=True)
         self._positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
         self._moved = np.flatnonzero(bodies.owners >= 0)

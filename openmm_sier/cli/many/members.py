@@ -223,8 +223,11 @@ class _Runs:
     def __init__(
         self, client: Client, members: Sequence[Member], retries: int, watch: Watch, stop: Callable[[], bool]
     ) -> None:
-        self._client, self._all, self._retries = client, members, retries
-        self._watch, self._stop = watch, stop
+        self._client = client
+        self._all = members
+        self._retries = retries
+        self._watch = watch
+        self._stop = stop
         self.members: dict[Future, Member] = {}
 
     def carry_out(self, lines: dict[int, list[str]], threads: int | None) -> None:

@@ -59,7 +59,8 @@ class Constraints:
         """
         self.masses = np.array(masses, dtype=float)
         self._describe = describe or (lambda body: f"body {body}")
-        self.pairs, self.lengths = np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(lengths, dtype=float)
+        self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        self.lengths = np.array(lengths, dtype=float)
         _, first = np.unique(np.sort(self.pairs, axis=1), axis=0, return_index=True)
         sensible = (self.pairs[:, 0] != self.pairs[:, 1]) & (self.lengths > 0) & (self.lengths < np.inf)
         sensible &= np.isin(np.arange(len(self.pairs)), first)

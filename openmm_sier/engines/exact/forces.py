@@ -44,7 +44,8 @@ class BodyForces:
 
     def select(self, groups: int, fast_groups: int) -> None:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
-        self._groups, self._groups_in_kicks = groups, groups & ~fast_groups
+        self._groups = groups
+        self._groups_in_kicks = groups & ~fast_groups
 
     # --- atoms ---
 

@@ -58,7 +58,9 @@ class Motion:
         Raises:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something that is in no body.
         """
-        self._bodies, self._ledger, self._rotation = bodies, ledger, rotation
+        self._bodies = bodies
+        self._ledger = ledger
+        self._rotation = rotation
         self._groups = _flexible_points(bodies)
         fast = _fast_forces(context.getSystem(), bodies, fast_groups)
         #: The bodies that fast forces move.

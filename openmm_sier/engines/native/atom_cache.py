@@ -66,7 +66,8 @@ class AtomCache:
     def forget(self) -> None:
         """Write what is unwritten, and read everything anew: somebody is about to move atoms, or has moved them."""
         self.publish()
-        self._cached, self._box = {}, None
+        self._cached = {}
+        self._box = None
         self.forget_velocities()
 
     def forget_velocities(self) -> None:
