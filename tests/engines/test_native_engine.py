@@ -11,9 +11,9 @@ from openmm_sier import SIER2, SIER2V2, SIER4, SIER4G, RigidBodies, SIERIntegrat
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.matrices import representatives
+from tests.support.openmm_alone import fails_in_openmm_alone, run_by_openmm_alone
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
-from tests.support.strangers import fails_as_stranger, run_as_stranger
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, settled
 
@@ -158,7 +158,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
         _bound = context_at(system, given, point, steps=2)
-    results, time, _ = run_as_stranger(tmp_path, system, given, state)
+    results, time, _ = run_by_openmm_alone(tmp_path, system, given, state)
     expected = []
     for _ in range(4):
         integrator.step(1)
@@ -187,7 +187,7 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
         openmm.Context(system, integrator)
     # Elsewhere it must not run as if it had been asked for less.
-    assert fails_as_stranger(tmp_path, openmm.XmlSerializer.deserialize(xml))
+    assert fails_in_openmm_alone(tmp_path, openmm.XmlSerializer.deserialize(xml))
 
 
 def test_named_bodies_that_constraints_hold_are_taken(cluster):

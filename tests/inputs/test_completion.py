@@ -12,7 +12,7 @@ from openmm import unit
 from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors
-from tests.support.archive import FIRST, LAST, kept, villin, write_incomplete
+from tests.support.incomplete_structures import FIRST, LAST, kept, villin, write_incomplete
 from tests.support.matrices import representatives
 
 pytest.importorskip("pdbfixer")

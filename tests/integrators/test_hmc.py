@@ -16,8 +16,8 @@ from openmm_sier.ensembles import metropolis
 from openmm_sier.integrators.storage import written
 from tests.support.matrices import representatives
 from tests.support.methanols import positions_of, system_of
+from tests.support.openmm_alone import fails_in_openmm_alone
 from tests.support.samplers import KT, counted, sampler, states_asked
-from tests.support.strangers import fails_as_stranger
 from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
@@ -471,7 +471,7 @@ def test_fails_without_this_package(tmp_path, kind, engine):
     point = positions, np.zeros_like(positions)
     _context = context_at(system, integrator, point, steps=1)
     assert written(integrator).getGlobalVariableByName(EXACT_ONLY) == 1
-    assert fails_as_stranger(tmp_path, integrator)
+    assert fails_in_openmm_alone(tmp_path, integrator)
 
 
 @pytest.mark.parametrize(

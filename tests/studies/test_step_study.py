@@ -12,7 +12,7 @@ from studies import command_runs, records, step_study
 from studies.command_runs import RunFailed
 from studies.step_study import StepSettings
 from tests.support.commands import log, write_lattice
-from tests.support.reports import Told
+from tests.support.reports import RecordingReport
 from tests.support.studies import make_here
 
 SHORT = {"platform": "Reference", "equilibrate": 0.01, "every": 0.012, "report_every": 0.006, "checkpoint_every": 1.0}
@@ -51,7 +51,7 @@ def settings(box, tmp_path, *methods, **more):
 def test_runs_become_a_table_and_a_figure(box, tmp_path):
     """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
     step_study.study(settings(box, tmp_path, "sier2", starts=2))
-    report = Told()
+    report = RecordingReport()
     rows = step_study.study(settings(box, tmp_path, "sier2", "langevinmiddle"), report).tables["rows"]
     assert len(report.notes) == 1
     assert list(rows["method"]) == ["OpenMM LangevinMiddle", "SIER2"]

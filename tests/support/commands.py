@@ -1,4 +1,4 @@
-"""The command line as the tests call it: small boxes, what a command wrote, and how it complained."""
+"""Calls of the command line in tests: small boxes, output files and error messages."""
 
 import importlib.util
 import json

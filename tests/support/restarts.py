@@ -1,4 +1,4 @@
-"""Ways to stop a run and to continue it, and what has to agree then."""
+"""Ways to stop and continue a run, and comparisons of the results."""
 
 import numpy as np
 import openmm

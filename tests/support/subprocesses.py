@@ -1,4 +1,4 @@
-"""Python programs in interpreters of their own."""
+"""Python programs in separate interpreters."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A structure as an archive has it, from one that PDBFixer brings: part of villin, of which something is missing."""
+"""Structures with missing residues and atoms, as in an archive: part of villin from PDBFixer's data."""
 
 from importlib.resources import files
 
