@@ -21,7 +21,7 @@ class SourceFile(os.PathLike[str]):
     """
 
     def __init__(self, path: FilePath):
-        """Take the path of a file, which is opened when its content is first asked for."""
+        """Take the path of a file, which is opened when its content is first needed."""
         self._path = os.fspath(path)
 
     @classmethod
