@@ -32,7 +32,7 @@ def whole_run(box):
 
 
 def frames_in_header(path):
-    """Number of frames that a DCD file says it has; MDTraj goes by the length of the file, other readers by this."""
+    """Number of frames in the header of a DCD file; MDTraj uses the length of the file, other readers the header."""
     return int.from_bytes(path.read_bytes()[8:12], "little")
 
 

@@ -29,7 +29,7 @@ PARTS = {
 
 @pytest.mark.parametrize("name", representatives(PARTS, "NPT", "HMC"))
 def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
-    """Every file of it; what a killed run wrote after its checkpoint is cut off."""
+    """All its files; records of a killed run after its checkpoint are cut off."""
     monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)
     for out, time in (("whole", "0.12"), ("parts", "0.06")):
         options = [option.format(out) for option in PARTS[name]]

@@ -1,4 +1,4 @@
-"""A restart cuts off what a killed run wrote after its checkpoint, and refuses to cut a run that went on."""
+"""A restart cuts off records of a killed run after its checkpoint, and refuses to cut a run that continued."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""`plot`: panels and means of logs whose statistics are known, picture files, and what is refused."""
+"""`plot`: panels and means of logs whose statistics are known, picture files, and refusals."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`run --resume`: one command line that begins, goes on and ends well, as an array of jobs needs it."""
+"""`run --resume`: one command line that begins, continues and completes a run, for arrays of jobs."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`run --seeds`: members beside each other, killed, stopped and refused; the same bytes as single runs."""
+"""`run --seeds`: parallel members, killed, stopped and refused; the same bytes as single runs."""
 
 import os
 import re
@@ -96,7 +96,7 @@ def rows(seed):
 
 
 def process_of(seed):
-    """The process that writes a run, as its lock tells; None where nobody does, or is about to."""
+    """The process that writes a run, from its lock; None without one."""
     lock = Path(f".a-seed{seed}.csv.lock")
     result = re.match(r"process (\d+) ", lock.read_text()) if lock.exists() else None
     return int(result[1]) if result else None
@@ -268,7 +268,7 @@ def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
 
 @pytest.fixture
 def scheduler():
-    """A scheduler of Dask with two workers: its address, its process and theirs."""
+    """A scheduler of Dask with two workers: its address and all processes."""
     programs = []
 
     def start(module, *options):

@@ -96,7 +96,7 @@ def test_every_ensemble_and_a_single_run(ensemble):
 
 
 def test_logs_of_one_run_count_once(capsys):
-    """Copies, also of a part of it, with other rows, and a log that goes on in another way."""
+    """Copies, also of a part of it, with other rows, and a log that continues differently."""
     whole = write_log("a.csv", "npt")
     write_log("other.csv", "npt", seed=2)
     Path("copy.csv").write_bytes(Path("a.csv").read_bytes())

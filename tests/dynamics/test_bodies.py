@@ -1,4 +1,4 @@
-"""Rigid bodies: the way between atoms and bodies, and what is derived from either."""
+"""Rigid bodies: conversion between atoms and bodies, and derived quantities."""
 
 from dataclasses import replace
 from functools import partial
@@ -138,7 +138,7 @@ def test_particles_of_no_body_are_left_alone(rng, bodies):
 
 
 def test_momenta_take_the_rigid_part_of_any_velocities(rng, bodies):
-    """Momentum and angular momentum are sums over the atoms, whatever these do; what is left is no rigid motion."""
+    """Momentum and angular momentum are sums over the atoms, for any velocities; the rest is no rigid motion."""
     state = random_state(rng, bodies)
     x, _ = atoms_of(bodies, state)
     v = rng.normal(size=x.shape)

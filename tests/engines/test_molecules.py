@@ -1,4 +1,4 @@
-"""Molecules that are not rigid, in the exact engine: conservation, restarts, and what is refused."""
+"""Molecules that are not rigid, in the exact engine: conservation, restarts and refusals."""
 
 import gc
 import math

@@ -84,7 +84,7 @@ def test_barostat_and_motion_remover_count_whole_steps():
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G])
 def test_counting_heat_changes_no_trajectory(cluster, scheme):
-    """Drifts take away what is not projected. At 0 K, since Reference draws noise for each statement of a program."""
+    """Drifts remove components along constraints. At 0 K, since Reference draws noise for each statement."""
     system, point = cluster
     ends = []
     for counts in (True, False):

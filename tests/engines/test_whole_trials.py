@@ -96,7 +96,7 @@ def test_a_checkpoint_is_continued_bit_for_bit(name):
 
 
 def test_trials_of_other_lengths_steps_and_temperatures():
-    """What a trial is made of may change between two, and the next one has it."""
+    """Settings of a trial may change between two trials, and apply to the next."""
     context = anharmonic_context()
     integrator = context.getIntegrator()
     energies_of_atoms = []
@@ -136,7 +136,7 @@ def test_ends_that_are_not_finite_are_rejected(name):
 
 
 def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
-    """At a call after the first few; the run then goes on."""
+    """At a call after the first few; the run then continues."""
     fails_at = math.inf
     calls = 0
 

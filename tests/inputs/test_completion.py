@@ -1,4 +1,4 @@
-"""Structures of archives made complete and put into water: what is added, what is said of it, and what is refused."""
+"""Completion and solvation of structures of archives: additions, their report, and refusals."""
 
 import random
 import sys

@@ -1,4 +1,4 @@
-"""PDB files that are refused, and how interactions are cut off in those that are not."""
+"""PDB files: refusals, and cut-offs of interactions."""
 
 import numpy as np
 import pytest

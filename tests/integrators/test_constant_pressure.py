@@ -1,4 +1,4 @@
-"""Constant pressure: the distribution of the volume, what is moved, restarts, and what is refused."""
+"""Constant pressure: the distribution of the volume, moves, restarts and refusals."""
 
 from functools import partial
 

@@ -258,7 +258,7 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
 
 
 def assert_means(rows, expected, errors):
-    """Means of rows within four standard errors of what they should be, which are those of 25 blocks."""
+    """Assert that means of rows are within four standard errors, from 25 blocks, of their expected values."""
     blocks = np.array(rows)[: len(rows) // 25 * 25].reshape(25, -1, len(expected)).mean(axis=1)
     result = blocks.std(axis=0, ddof=1) / 5
     # An error of more than this would let a wrong rule pass.
@@ -334,7 +334,7 @@ def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine
 
 @ENGINES
 def test_forces_that_are_not_finite_reject_a_trial(engine):
-    """A particle in a well that ends at x = 0.3 nm: what leaves it is rejected, and the run goes on."""
+    """A particle in a well that ends at x = 0.3 nm: trials that leave it are rejected, and the run continues."""
     system = assembled([1.0], field("sqrt(0.09-x^2)-0.3", [0]))
     integrator = sampler(0.02, 3, seed=6, **engine)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))

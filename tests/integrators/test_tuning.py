@@ -1,4 +1,4 @@
-"""Tuning of hybrid Monte Carlo: the acceptance it reaches, what it leaves behind, and what it refuses."""
+"""Tuning of hybrid Monte Carlo: the acceptance it reaches, the state after it, and refusals."""
 
 import itertools
 import math

@@ -38,7 +38,7 @@ def centres_of(topology):
 @pytest.mark.parametrize("constraints", [None, app.HBonds, app.AllBonds, app.HAngles])
 @pytest.mark.parametrize("before", [None, 1.5, 3.0, 4.0])
 def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
-    """What was given to createSystem before does not matter."""
+    """Arguments of createSystem do not matter."""
     topology, forcefield = alanine
     usual = forcefield.createSystem(topology, constraints=constraints)
     system = forcefield.createSystem(topology, constraints=constraints, hydrogenMass=before)

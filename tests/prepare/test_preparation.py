@@ -1,4 +1,4 @@
-"""Prepared Systems: what is done to them, what they remain through later changes, and what integrators find in them."""
+"""Prepared Systems: their changes, later changes by users, and integrators for them."""
 
 import copy
 import warnings
@@ -260,7 +260,7 @@ INTEGRATORS = {
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("kind", INTEGRATORS)
 def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
-    """They move atoms bit for bit like one that is told, and so does the program in their XML."""
+    """They move atoms bit for bit like one with explicit groups, and so does the program in their XML."""
     contexts, ends, made = [], [], []
     for told in ({}, {"fastForceGroups": {FAST}}):
         integrator = seeded(INTEGRATORS[kind](engine=engine, **told))

@@ -163,7 +163,7 @@ def test_a_group_that_is_asked_for_is_used():
 
 @pytest.mark.parametrize("fast", ["angles", "expressions"])
 def test_where_something_is_fast_or_not_known_nothing_is_coarse(fast):
-    """A soft restraint between atoms whose bonds are constrained tells nothing of their angles."""
+    """A soft restraint between atoms whose bonds are constrained does not constrain their angles."""
     system, _, _ = coarse(False)
     if fast == "angles":
         angles = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicAngleForce))

@@ -1,4 +1,4 @@
-"""Steps in which bodies with a small moment of inertia turn too far: spoken of, and refused at two kicks a turn."""
+"""Steps in which bodies with a small moment of inertia turn too far: warnings, and refusals at two kicks a turn."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
+"""Unconstrained bonds: steps that are too long are refused, and long ones draw warnings."""
 
 import copy
 import math
@@ -251,7 +251,7 @@ ADVICE = {
 @pytest.mark.parametrize("prepared", [False, True])
 @pytest.mark.parametrize("kind", ADVICE)
 def test_a_remedy_is_one_that_helps(kind, prepared):
-    """Inner steps for what they can follow, and no preparation where it was done or does nothing."""
+    """Inner steps for motions that they can follow, and no preparation where it was done or has no effect."""
     make, begins, says, leaves_out = ADVICE[kind]
     system, bodies, x = make()
     if prepared:
@@ -318,7 +318,7 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
 
 @pytest.mark.filterwarnings("error")
 def test_the_step_that_a_refusal_in_a_bath_names_draws_no_warning():
-    """Bonds to hydrogen bear a shorter one there than where the energy is conserved."""
+    """The limit of bonds to hydrogen is shorter there than at constant energy."""
     _, _, system = cluster_system(3, rigidWater=False)
     prepare_system(system)
     with pytest.raises(openmm.OpenMMException, match="Take up to") as refused:

@@ -18,7 +18,7 @@ UNEVEN = np.array([0.02, 0.04, 0.05])
 
 
 def test_a_harmonic_mode_has_no_bias_in_a_bath():
-    """What is there at once and what the bath makes of it cancel."""
+    """The bias without a bath and that of the bath cancel."""
     rng = np.random.default_rng(1)
     n, kT, h, frequency, friction = 400, 2.5, 0.002, 30.0, 20.0
     damping = math.exp(-friction * h)

@@ -1,4 +1,4 @@
-"""The models of the study of rigid domains, and how it tells what is right."""
+"""The models of the study of rigid domains, and its criteria."""
 
 import math
 import re

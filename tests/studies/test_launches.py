@@ -1,4 +1,4 @@
-"""`python -m studies.launches`: what is counted, and how many launches a step has."""
+"""`python -m studies.launches`: counted commands, and the number of launches a step."""
 
 import pandas as pd
 import pytest

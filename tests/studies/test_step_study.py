@@ -1,4 +1,4 @@
-"""Properties against the step: runs, what belongs together, and what a run does not tell."""
+"""Properties against the step: runs, their grouping, and missing properties."""
 
 import subprocess
 from types import SimpleNamespace

@@ -27,7 +27,7 @@ def kept(lines):
 
 
 def write_incomplete(path, sequence=True, also=()):
-    """Write the structure without what is missing.
+    """Write the structure without the missing residues and atoms.
 
     Args:
         path: of the PDB file.

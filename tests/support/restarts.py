@@ -60,7 +60,7 @@ def after_ten_steps(simulation, way, path):
 
 
 def full_state(context):
-    """All that a run goes on from."""
+    """The complete state from which a run continues."""
     return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
 
 

@@ -88,7 +88,7 @@ def test_angles_of_a_force_count():
 
 
 def test_one_molecule_among_many():
-    """The one that OpenMM cannot solve is named, wherever it is and whatever is beside it."""
+    """The molecule that OpenMM cannot solve is named, wherever it is in the System."""
     odd = {5: triangle([16, 1, 2])}
     molecules = [odd.get(i, triangle([16, 1, 1])) for i in range(8)]
     masses = [mass for molecule in molecules for mass in molecule.masses]

@@ -1,4 +1,4 @@
-"""Degrees of freedom and temperatures: what counts as heat, by what is conserved."""
+"""Degrees of freedom and temperatures: which motion is heat, by conservation laws."""
 
 import itertools
 import math

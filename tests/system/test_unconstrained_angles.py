@@ -1,4 +1,4 @@
-"""Hydrogens whose angle nothing holds are told of, and no others."""
+"""Warnings of hydrogens with unconstrained angles, and of no others."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""XML is read no further than it is OpenMM's, and OpenMM gets what was looked at."""
+"""XML is read only as far as it is OpenMM's, and OpenMM gets the checked content."""
 
 import io
 import itertools
