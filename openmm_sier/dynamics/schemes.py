@@ -1,7 +1,7 @@
 """Splitting schemes as data.
 
 A `Scheme` is a list of (operator, fraction of the step). Operators are only names here;
-`openmm_sier.dynamics.operators` defines what they do. Order, symmetry and cost are derived from the list.
+`openmm_sier.dynamics.operators` defines their actions. Order, symmetry and cost are derived from the list.
 """
 
 from __future__ import annotations
