@@ -61,7 +61,7 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
     assert after["Conserved Energy (kJ/mole)"][0] == after["Total Energy (kJ/mole)"][0]
 
 
-def test_start_tells_the_system_and_the_temperature(box, npt_run):
+def test_start_determines_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan

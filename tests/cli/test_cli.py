@@ -141,7 +141,7 @@ sys.exit(main.main(arguments))
         thorough((".dcd", "checkpoint", 2, 25, 10)),
     ],
 )
-def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
+def test_killed_run_leaves_usable_files_and_continues_without_a_gap(
     box, whole_run, suffix, place, after, checkpoint, left
 ):
     out = Path("cut").with_suffix(suffix)

@@ -109,7 +109,7 @@ def test_the_command_has_all_ensembles_that_scripts_have(box):
     assert results == set(ensembles.ENSEMBLES.values())
 
 
-def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):
+def test_a_checkpoint_from_before_there_were_thermostats_is_continued(box):
     """Its bath was that of Langevin."""
     short = ["--platform", "Reference", "--equilibrate", "0", "--ensemble", "nvt"]
     run("run", box, *short, "--steps", "1", "--out", "old.dcd")

@@ -365,7 +365,7 @@ def test_pipes_are_not_waited_for(here, capsys, line):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no such pipes here")
 @pytest.mark.timeout(60)
-def test_pipes_beside_other_files_are_not_waited_for(here, capsys):
+def test_pipes_among_other_files_are_not_waited_for(here, capsys):
     shutil.copy("box.csv", "other.csv")
     os.mkfifo("other.chk")
     run("summary", "other.csv")

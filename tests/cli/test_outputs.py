@@ -103,7 +103,7 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
     assert "outputs must be different files" in complaint(capsys, *command)
 
 
-def test_temporary_files_are_nobodys(box, capsys):
+def test_temporary_files_replace_no_others(box, capsys):
     """No file of the user and no other output of the run has their names."""
     Path("x.chk.tmp").write_text("mine")
     extras = ["--report", "x.csv.tmp", "--save-config", "x.toml.tmp"]

@@ -160,7 +160,7 @@ def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
     assert _usual_workers("Reference") == 1
 
 
-def test_each_complaint_is_told_once():
+def test_each_complaint_is_reported_once():
     runs = [Member(seed, Path(f"a-seed{seed}.dcd")) for seed in (1, 2, 5)]
     complaints = [(f"a-seed{run.seed}.dcd: no space at step {10 * run.seed}", run) for run in runs]
     assert _grouped([*complaints, ("another", runs[0])]) == [
@@ -223,7 +223,7 @@ def test_runs_that_are_complete_are_drawn(box, single_runs):
 
 
 @pytest.mark.thorough
-def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
+def test_a_second_call_continues_after_the_first_was_killed(box, single_runs):
     process = started(box, "--seeds", "1-2", "--workers", "2", "--time", str(FOR_EVER))
     wait_for(lambda: max(map(rows, (1, 2))) > 3, process, LIMIT)
     process.kill()

@@ -207,7 +207,7 @@ def test_total_momenta_are_those_of_the_atoms(rng, bodies):
 # --- fitting ----------------------------------------------------------------------------------------------------------
 
 
-def test_small_deviations_are_mended(rng, bodies):
+def test_small_deviations_are_corrected(rng, bodies):
     """Atoms a little out of place: centre of mass and the best attitude."""
     state = random_state(rng, bodies)
     x, _ = atoms_of(bodies, state)
@@ -269,7 +269,7 @@ def test_positions_in_another_unit_are_suspected(rng):
         bodies.fit(10 * x)
 
 
-def test_the_tolerance_is_what_it_says(rng):
+def test_the_tolerance_bounds_the_misfit(rng):
     """Both atoms of a symmetric pair are as far from their places as the bond is too long, halved."""
     pair = RigidBodies([Species.from_coordinates([[0, 1]], [1.0, 1.0], [[0, 0, 0], [0.1, 0, 0]])], 2)
     for excess, fits in ((0.99, True), (1.01, False)):

@@ -99,7 +99,7 @@ def test_where_numba_finds_no_place_every_process_compiles():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other platforms keep caches elsewhere")
-def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monkeypatch):
+def test_the_folder_is_the_users_cache_unless_numba_has_another(folder, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "caches"))
     doubling()(2)
     assert not (folder / "caches").exists()

@@ -211,7 +211,7 @@ def test_andersen_thermostat_is_refused(cluster):
 
 @pytest.mark.parametrize("first", ["exact", "native"])
 @pytest.mark.parametrize("by", ["checkpoint", "state"])
-def test_runs_go_on_with_the_other_engine(cluster, first, by):
+def test_runs_continue_with_the_other_engine(cluster, first, by):
     system, point = cluster
     second = {"exact": "native", "native": "exact"}[first]
     one, other = (
@@ -241,7 +241,7 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
 
 
 @pytest.mark.parametrize(("first", "second"), [("Reference", "CPU"), ("CPU", "Reference")])
-def test_runs_go_on_on_another_platform(first, second):
+def test_runs_continue_on_another_platform(first, second):
     """Whose program divides a step into another number of native steps."""
     _, system, point = settled("box-59", *periodic_system())
     one, other = (SIERIntegrator(0.002, SIER2V2, engine="native") for _ in range(2))

@@ -62,7 +62,7 @@ def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     assert fractions == sorted(fractions)
 
 
-def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
+def test_a_potential_energy_that_is_still_falling_has_not_settled(monkeypatch):
     """80 waters fall at their terminal velocity, g over the friction of 5/ps, 0.15 nm/ps.
 
     Translations are warmer by m v^2/3R = 16 K, within the bound of 27 K, but 160 kJ/mol of potential energy a ps go to

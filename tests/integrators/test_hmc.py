@@ -112,7 +112,7 @@ def test_steps_of_trials_and_of_the_scheme(cluster, tmp_path):
 
 
 @pytest.mark.parametrize(("first", "second"), [("exact", "native"), ("native", "exact")])
-def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
+def test_the_other_engine_continues_from_a_sample(cluster, first, second):
     one, other = (sampler(engine=engine, substeps=2) for engine in (first, second))
     context, later = (context_at(cluster[0], integrator, cluster[1]) for integrator in (one, other))
     one.step(2)
@@ -166,7 +166,7 @@ class Decision:
         return len(self.errors) == self.wanted
 
 
-def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
+def test_a_trajectory_that_would_be_rejected_continues(cluster, monkeypatch):
     """Each of its ends is accepted or not by the same random number, on its own energy; forces are counted.
 
     In turn the first, the second, the third end and none is accepted, whatever its energy. `test_whole_trials.py` has
@@ -200,7 +200,7 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     assert (integrator.getExtraChances(), sampler(extraChances=0).getExtraChances()) == (2, 0)
 
 
-def test_trials_that_are_long_do_not_go_on():
+def test_long_trials_do_not_continue():
     assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
     assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
     with pytest.raises(ValueError, match="extraChances must be a whole number of at least 0, got -1"):

@@ -146,7 +146,7 @@ def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
     assert np.abs(phase_point(context)[1] - velocities).max() < 1e-5
 
 
-def test_noise_that_a_state_does_not_hold_is_spoken_of():
+def test_noise_that_a_state_does_not_hold_draws_a_warning():
     """With the native engine a State continues in the same ensemble, a checkpoint on the same trajectory."""
     _, positions, system = cluster_system(3)
     point = positions, np.zeros_like(positions)
@@ -269,7 +269,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
 
 
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
-def test_a_force_at_another_temperature_is_spoken_of(force):
+def test_a_force_at_another_temperature_draws_a_warning(force):
     _, positions, system = periodic_system()
     system = with_forces(system, force)
     name = type(force).__name__

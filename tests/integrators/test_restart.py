@@ -183,7 +183,7 @@ def with_barostat(system, frequency):
 
 
 @pytest.mark.parametrize("label", representatives(["SIER4", "SIER2 NVT"], "SIER2 NVT"))
-def test_restart_beside_a_barostat_of_openmm(box, label):
+def test_restart_with_a_barostat_of_openmm(box, label):
     """A checkpoint brings the random numbers of the barostat.
 
     It does not bring the count of steps since its last move nor the acceptance ratio of its last ten, with integrators
@@ -252,7 +252,7 @@ def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster
     assert integrator.binding.stored.ledger.draws == 3
 
 
-def test_reinitialization_without_its_state_starts_anew(cluster):
+def test_reinitialization_without_its_state_starts_again(cluster):
     _, system, point = cluster
     integrator = langevin(SIER2)
     context = context_at(system, integrator, point, steps=10)

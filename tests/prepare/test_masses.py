@@ -119,7 +119,7 @@ def test_beads_of_a_coarse_chain_are_no_hydrogens():
     assert masses(system).tolist() == [1.0] * 4
 
 
-def test_masses_that_change_nothing_are_told():
+def test_masses_that_change_nothing_are_reported():
     system = openmm.System()
     system.addParticle(40.0)
     with pytest.warns(UserWarning, match="hydrogenMass has no effect: the System has no hydrogens"):

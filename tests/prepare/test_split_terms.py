@@ -133,7 +133,7 @@ def coarse(has_bodies):
 
 
 @pytest.mark.parametrize("has_bodies", [False, True])
-def test_beads_need_no_fast_forces_and_the_usual_step_is_told(has_bodies):
+def test_beads_need_no_fast_forces_and_the_usual_step_is_reported(has_bodies):
     system, bodies, _ = coarse(has_bodies)
     prepared = prepare_system(system, bodies)
     assert prepared.fastForceGroups == frozenset()

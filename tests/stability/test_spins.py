@@ -97,7 +97,7 @@ def named(degrees):
     return system, positions, np.arange(24).reshape(8, 3)
 
 
-def test_named_bodies_are_looked_at_when_positions_tell_their_shape():
+def test_named_bodies_are_checked_when_positions_give_their_shape():
     system, positions, atoms = named(177)
     integrator = SIERIntegrator(0.02, bodies=atoms.tolist())
     context = made(system, integrator)
@@ -118,7 +118,7 @@ def test_named_bodies_are_looked_at_when_positions_tell_their_shape():
     assert abs(sum(energies(context)) - start) < 0.3
 
 
-def test_an_equilibration_takes_steps_that_they_bear():
+def test_an_equilibration_takes_short_enough_steps():
     system, positions = trimers(177)
     context = made(system, SIERLangevinIntegrator(300, 1, 0.002))
     context.setPositions(positions)

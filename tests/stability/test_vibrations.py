@@ -65,7 +65,7 @@ def test_flexible_water_is_refused(flexible, make):
     assert f"SIER4G is accurate up to {1000 * accurate:.3g} fs, and unstable from {1000 * stable:.3g} fs on" in message
 
 
-def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
+def test_a_long_step_draws_one_warning_and_a_short_one_none(flexible):
     _, positions, system = flexible
     stable, accurate = limits(SIER4G, PERIOD)
     with silence():
@@ -144,7 +144,7 @@ def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
     assert any("if createSystem made hydrogens heavy, call prepare_system" in each for each in remedies) == is_told
 
 
-def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
+def test_hydrogens_are_looked_for_only_for_a_message(monkeypatch):
     """They only decide the words of remedies, and large Systems have many."""
 
     def looked_for(*_):

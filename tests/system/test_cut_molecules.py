@@ -232,7 +232,7 @@ def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(stre
     np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, result.moments, rtol=1e-9)
 
 
-def test_a_wide_gap_in_a_body_is_told_by_a_bond_without_strength():
+def test_a_wide_gap_in_a_body_is_closed_by_a_bond_without_strength():
     """Two atoms of a body that are 2 nm apart in a box of 3 nm look like two that are 1 nm apart, and cut."""
     x = np.array([[0.5, 1.0, 1.0], [0.6, 1.0, 1.0], [2.5, 1.1, 1.0]])
     system, bodies = body_system(x), [[0, 1, 2]]
