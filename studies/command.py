@@ -88,7 +88,7 @@ class BoxSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RunsSettings(Settings):
-    """What studies take that keep their runs one by one, so that a study that was stopped goes on where it was.
+    """Settings of studies that store their runs one by one, so that an interrupted study continues.
 
     Attributes:
         processes: that make runs at the same time.

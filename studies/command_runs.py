@@ -24,7 +24,7 @@ class RunFailed(ValueError):
 
 
 def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
-    """Make a run in a directory; one that is there goes on to its end.
+    """Make a run in a directory, or continue an existing one to its end.
 
     Args:
         directory: for its files.
@@ -32,7 +32,7 @@ def carry_out(directory: Path, box: Path, options: Mapping[str, Any]) -> None:
         options: of `openmm-sier run` by their names, besides those that name files.
 
     Raises:
-        RunFailed: with what the command said.
+        RunFailed: with the message of the command.
     """
     directory.mkdir(parents=True, exist_ok=True)
     begin = ["--out", TRAJECTORY, "--overwrite"]

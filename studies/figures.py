@@ -52,7 +52,7 @@ def bath(record: Record, path: Path) -> None:
 
 
 def bath_title(rows: pd.DataFrame) -> str:
-    """Return what was found at the usual step of SIER2 with heavy hydrogens, or at the nearest that was tried."""
+    """Return the result at the usual step of SIER2 with heavy hydrogens, or at the nearest measured one."""
     ours = rows[rows["method"].str.startswith(f"{SIER2.name},") & ~rows["method"].str.endswith("light")]
     steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
     best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
@@ -61,7 +61,7 @@ def bath_title(rows: pd.DataFrame) -> str:
 
 
 def _against_speed(axes: Any, rows: pd.DataFrame, key: str) -> None:
-    """Draw a point with two errors for each method and step, which is written beside it."""
+    """Draw a point with two errors for each method and step, with a label of the step."""
     families = rows.assign(method=rows["method"].str.partition(",")[0])
     style.curves(
         axes,
@@ -101,7 +101,7 @@ FIGURES = {
 
 @dataclass(frozen=True, kw_only=True)
 class FigureSettings(Settings):
-    """What is drawn.
+    """Settings of the figures.
 
     Attributes:
         names: of figures; those that README shows unless given.

@@ -61,7 +61,7 @@ class Method:
         return Contestant(self, step, **needs)
 
     def of_openmm(self) -> Method:
-        """Return this method with the name that it has beside those of the package."""
+        """Return this method with its name in comparisons with the package."""
         return replace(self, name=f"OpenMM {self.name}")
 
 
@@ -171,7 +171,7 @@ def in_bath(scheme: Scheme = SIER2, name: str = "", **options: Any) -> OwnMethod
 
 
 def trials(scheme: Scheme, steps: int, name: str = "", **options: Any) -> OwnMethod:
-    """Hybrid Monte Carlo with trials of so many steps; `options` are those of `SIERHMCIntegrator`.
+    """Hybrid Monte Carlo with trials of a number of steps; `options` are those of `SIERHMCIntegrator`.
 
     Momenta keep a part by the friction of the bath, unless an option says otherwise.
     """
@@ -237,5 +237,5 @@ def turned_more(step: float, friction: float) -> Contestant:
 
 
 def exact(step: float, steps: int) -> Contestant:
-    """Return hybrid Monte Carlo with trials of so many steps."""
+    """Return hybrid Monte Carlo with trials of a number of steps."""
     return trials(SIER4G, steps).at(step, **HEAVY, steps=steps)

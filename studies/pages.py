@@ -61,7 +61,7 @@ def figure(name: str, shows: str) -> Markdown:
 
     Args:
         name: of the figure.
-        shows: what is to be seen in it, for those who do not see it.
+        shows: description for readers who do not see it.
 
     Raises:
         KeyError: there is no such figure.
@@ -83,7 +83,7 @@ def value(rows: pd.DataFrame, form: str) -> str:
     """Return a number in a sentence.
 
     Args:
-        rows: of a record; where there are several, the least and the largest are told, with "to" between them.
+        rows: of a record; of several, the least and the largest are shown, with "to" between them.
         form: see `text.cell`; its first field is the number.
 
     Raises:

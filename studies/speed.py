@@ -190,7 +190,7 @@ def _turn(context: openmm.Context, steps: int, step: float) -> Turn:
 
 
 def _evaluations(context: openmm.Context, least: float) -> int:
-    """Return the number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes so many seconds."""
+    """Return the number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes a number of seconds."""
     _turn(context, EVALUATIONS, 1.0)
     seconds = _turn(context, EVALUATIONS, 1.0).wall
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)

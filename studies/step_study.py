@@ -122,7 +122,7 @@ def tasks(settings: StepSettings) -> Iterator[Task]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Return what follows from a run; what it does not tell is NaN."""
+    """Return the properties of a run; unknown ones are NaN."""
     step, seed, skip = task.point["step"], task.point["seed"], task.settings.skip
     directory = task.settings.out / f"{task.point['box']}-{task.method}-{step:g}fs-seed{seed}"
     box = SYSTEMS / f"{task.point['box']}.pdb"
@@ -216,7 +216,7 @@ def in_order(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def deviations(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return how far properties are from the exact averages, by box.
+    """Return the differences of properties from the exact averages, by box.
 
     Hybrid Monte Carlo has no error of the step, so that the mean over its rows is exact. It has no dynamics: the
     diffusion is compared with the mean over the rows of the shortest step at which it is known, without those whose

@@ -81,7 +81,7 @@ def context() -> AbstractContextManager:
 
 @contextmanager
 def one_message(path: Path, title: str, height: float = 4.9) -> Iterator[Axes]:
-    """Make a figure of one panel with type that can be read at half its size, and a title that says what was found.
+    """Make a figure of one panel with type that can be read at half its size, and a title with the finding.
 
     Args:
         path: PNG file to write.
@@ -143,7 +143,7 @@ def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, 
 
 
 def shared_legend(picture: Figure, axes: Axes) -> None:
-    """Draw one legend for all panels, beside them, with the labels of one."""
+    """Draw one legend for all panels, next to them, with the labels of one."""
     picture.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
 
 

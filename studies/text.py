@@ -53,7 +53,7 @@ def table(rows: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
     """Return a table of text.
 
     Args:
-        rows: what is shown.
+        rows: data of the table.
         columns: for each heading what stands in its cells, see `cell`. A heading with fields of its own, such as
             "{molecules} molecules", becomes a column for each of their values; rows that are equal in the other
             columns are then one line.
@@ -102,7 +102,7 @@ class _Known(dict[str, Any]):
 
 
 def cell(form: str, row: Mapping[str, Any]) -> str:
-    """Return what stands in one cell.
+    """Return the text of a cell.
 
     Args:
         form: such as "{rotation:.1f} ± {rotation_error:.1f}", or "{rotation_text}" for a value with its error as far as

@@ -1,4 +1,4 @@
-"""The examples run from a fresh checkout and say what they are meant to say."""
+"""The examples run from a fresh checkout and print their results."""
 
 import re
 import subprocess

@@ -101,7 +101,7 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
 
     with suppress(OSError):
         bar.start()
-        # Whatever ends the process then leaves a terminal as it was.
+        # So that a killed process leaves the cursor visible.
         console.show_cursor()
     try:
         yield advance

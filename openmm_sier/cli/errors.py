@@ -5,7 +5,7 @@ MISUSED = 2
 
 
 class RunError(ValueError):
-    """The command cannot do what it was asked for."""
+    """The command cannot be carried out."""
 
 
 class Misused(RunError):

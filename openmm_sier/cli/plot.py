@@ -13,7 +13,7 @@ def execute(logs: list[Path], out: Path | None, skip: float | None) -> None:
 
     Args:
         logs: of runs of one kind.
-        out: the picture; None for one beside the first log.
+        out: the picture; None for one in the folder of the first log.
         skip: what means leave out, ps or trials; None for what had not settled.
 
     Raises:

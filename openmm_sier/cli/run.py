@@ -32,7 +32,7 @@ from openmm_sier.system.temperature import degrees_of_freedom
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
 
-#: K, below which liquids are not simulated and somebody may have meant degrees Celsius.
+#: K. Lower temperatures are too cold for liquids, and may be meant in degrees Celsius.
 COLD = 100.0
 
 
@@ -55,7 +55,7 @@ def execute(
         RunError: settings contradict the checkpoint, or a file is in the way or cannot be written.
         NothingLeft: the run that `restart` names is complete.
         Runaway: the energy or the temperature ran away.
-        Stopped: a signal ended the run; the message says how to go on.
+        Stopped: a signal ended the run; the message says how to continue.
         ForceFieldError, RecordError, RigidityError, OSError, openmm.OpenMMException: as their messages say.
     """
     if config:

@@ -154,7 +154,7 @@ class RunSettings(BaseModel):
         restart="of the call",
     )
 
-    # --- what is written ---
+    # --- outputs ---
 
     out: File = fields.file(
         "trajectory, .dcd or .xtc",
@@ -191,7 +191,7 @@ class RunSettings(BaseModel):
         restart="of the call",
     )
 
-    # --- how it begins and goes on ---
+    # --- starts and restarts ---
 
     start: File | None = fields.file(
         "checkpoint (.chk) of any run: the new run begins with its positions, velocities and box. The options that "

@@ -32,14 +32,14 @@ MOST_SHOWN = 6
 
 
 def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:
-    """Find the rigid bodies of a box, print those that words describe, and return the box with these whole.
+    """Find the rigid bodies of a box, print the selected ones, and return the box with these whole.
 
     Args:
         box: as `inputs.read_input` gives it.
-        rigid: what is to be held rigid, in the geometry that it has in the coordinates, as `select_bodies` takes it.
+        rigid: selection of rigid bodies, with the geometry of the coordinates, see `select_bodies`.
 
     Raises:
-        RigidityError: constraints make no rigid bodies, or what is described cannot be one.
+        RigidityError: constraints do not form rigid bodies, or a selected body cannot be one.
         ValueError: nothing is described by one of the words.
     """
     if not rigid:
@@ -105,7 +105,7 @@ class SimulatedSystem:
         self.inputs = {purpose: file.fingerprint for purpose, file in sources.items()}
 
     def context(self, step: int = 0) -> openmm.Context:
-        """Return the Context of the run when it begins or goes on at a step, without positions."""
+        """Return the Context of the run, which begins or continues at a step, without positions."""
         settings = self.settings
         if settings.method.scheme is not None:
             return self.context_of(self.integrator(settings))

@@ -9,7 +9,7 @@ from openmm_sier.engines.interrupts import handlers_in_use
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the program to stop.
+    """The end of a program by a signal.
 
     Attributes:
         signum: its number.

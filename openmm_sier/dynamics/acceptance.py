@@ -6,34 +6,34 @@ then samples of the canonical ensemble, whatever the step, provided that traject
 phase-space volume. This holds for drifts and kicks, and for gradient kicks, which change momenta by a function of
 positions alone.
 
-Where a CMMotionRemover requires zero total momentum, momenta are drawn with that of the centre of mass, and the motion
-of the centre of mass is removed after the decision. The kinetic energy that is over-relaxed has that of the centre of
-mass, as it was drawn. A removal within a trajectory would be irreversible wherever forces do not sum to zero.
+If a CMMotionRemover requires zero total momentum, momenta are drawn with that of the centre of mass, and the motion of
+the centre of mass is removed after the decision. The over-relaxed kinetic energy includes that of the centre of mass. A
+removal within a trajectory would be irreversible if forces do not sum to zero.
 
 Where many molecules contribute, energy errors are normally distributed. <exp(-error/kT)> = 1, which holds for every
 reversible map that preserves phase-space volume, then makes their mean half their variance in kT^2, and the acceptance
 erfc(sd/sqrt(8)).
 
-The potential energy forgets its past only as fast as it exchanges heat with the momenta. So their kinetic energy is not
-drawn at random, but over-relaxed: where the old one was above its mean, the new one is likely to be below, and energy
-flows back. It is canonical all the same, since it takes the mirrored rank among the old one and several that are drawn.
-Directions of momenta are as they were drawn.
+The potential energy decorrelates only as fast as it exchanges heat with the momenta. So their kinetic energy is not
+drawn at random, but over-relaxed: if the old one was above its mean, the new one is likely to be below, and energy
+flows back. It is still canonical, since it is the value with the mirrored rank among the old one and several random
+ones. Directions of momenta are random.
 
-A rejection reverses all momenta, so that molecules go back to where they came from. It is rarer where a trajectory that
-would be rejected goes on, and the energy error at its next end is compared with the same random number. The next end is
-accepted as often in the reverse direction: let p be the probabilities of the ends. From the end i the end k is
+A rejection reverses all momenta, so that molecules move back. It is rarer if a trajectory that would be rejected
+continues, and the energy error at its next end is compared with the same random number. The next end is accepted as
+often in the reverse direction: let p be the probabilities of the ends. From the end i the end k is
 reached with max(0, min(p_i, p_k) - max_j min(p_i, p_j))/p_i, where j are the ends between them. If this is positive,
 each p_j is below p_i and p_k, so that p_i times it is the same from either side.
 
 Let a be the kinetic fraction of the heat capacity, and let each trial equilibrate kinetic and potential energy. Then
-the potential energy is forgotten in 2/a - 1 trials if kinetic energies are independent, and in 1/a if each is the
-opposite of the one before: in rigid water, where a is about 0.35, in 5 trials and in 3. Slower motions remain as slow.
+the potential energy decorrelates in 2/a - 1 trials if kinetic energies are independent, and in 1/a if each is the
+opposite of the last one: in rigid water, where a is about 0.35, in 5 trials and in 3. Slower motions remain as slow.
 
 Sources: Duane, Kennedy, Pendleton and Roweth, Phys. Lett. B 195, 216 (1987); Horowitz, Phys. Lett. B 268, 247 (1991)
-for partly refreshed momenta, which detailed balance requires to be reversed after a rejection; Gupta, Irbaeck, Karsch
+for partly refreshed momenta, which must be reversed after a rejection for detailed balance; Gupta, Irbaeck, Karsch
 and Petersson, Phys. Lett. B 242, 437 (1990) for the acceptance; R. M. Neal, in Learning in Graphical Models (1998), 205
 for over-relaxation by ranks; C. M. Campos and J. M. Sanz-Serna, J. Comput. Phys. 281, 365 (2015) for trajectories that
-go on.
+continue.
 """
 
 # Without this, annotations would import numpy.random, which is slow.
@@ -49,15 +49,15 @@ from openmm_sier.dynamics.noise import generator
 #: The usual length of a trial, ps. Short trials exchange energy often (docs/measurements/sampling.md).
 TRIAL_LENGTH = 0.072
 
-#: The usual friction by which momenta are drawn in part, 1/ps. Momenta that last for many trials carry molecules far.
+#: The usual friction of partial draws of momenta, 1/ps. Momenta that last for many trials move molecules far.
 TRIAL_FRICTION = 1.0
 
-#: The longest that a trial becomes where it goes on because its end would be rejected, ps. Chaos makes trajectories of
-#: some 0.6 ps irreversible.
+#: Largest length of a trial that continues since its end would be rejected, ps. Chaos makes trajectories of some 0.6 ps
+#: irreversible.
 LONGEST_TRIAL = 3 * TRIAL_LENGTH
 
-#: Number of kinetic energies that are drawn for one that is over-relaxed. It is odd, so that no rank is its own mirror
-#: image; with more of them, the new one would be closer to the opposite of the old one.
+#: Number of random kinetic energies for an over-relaxed one. It is odd, so that no rank is its own mirror image; with a
+#: larger number the new one would be closer to the opposite of the old one.
 RANKED = 15
 
 #: See `best_acceptance`.
@@ -74,7 +74,7 @@ def usual_steps(step: float) -> int:
 
 
 def usual_chances(length: float) -> int:
-    """Return how many times a trial of a length in ps goes on unless users say otherwise: at most twice.
+    """Return the default number of times, at most 2, that a trial of a length in ps continues.
 
     >>> usual_chances(0.072), usual_chances(0.15)
     (2, 0)

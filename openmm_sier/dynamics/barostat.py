@@ -25,7 +25,7 @@ ACCEPTED = 0.25, 0.75
 #: The largest factor of one change of the size.
 LARGEST_CHANGE = 10.0
 
-#: After so many moves the size is judged by those since the last time, of which there are twice as many each time.
+#: Numbers of moves after which the size is judged by those since the last time, whose number doubles each time.
 #: After the last it is kept.
 JUDGED = 10, 30, 70, 150, 310, 630, 1270, 2550
 

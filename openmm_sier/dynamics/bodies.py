@@ -348,7 +348,7 @@ class BodySet:
     # --- from bodies to atoms ---
 
     def place(self, q: np.ndarray, A: np.ndarray, positions: np.ndarray, sites: Sites | None = None) -> np.ndarray:
-        """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3); other particles keep theirs.
+        """Write the atoms of bodies at (q, A) into `positions`, shape (N, 3), without changing other particles.
 
         Args:
             q: centres, (3, n).
@@ -365,7 +365,7 @@ class BodySet:
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
-        """Write the atom velocities of a state into `velocities`, (N, 3); other particles keep theirs."""
+        """Write the atom velocities of a state into `velocities`, (N, 3), without changing other particles."""
         moving, tables = (state.p, state.A, state.L), (self.sites.sets, self.sites.places, self.sites.atoms)
         kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
         return velocities

@@ -1,7 +1,7 @@
 """Splitting schemes as data.
 
 A `Scheme` is a list of (operator, fraction of the step). Operators are only names here;
-`openmm_sier.dynamics.operators` defines what they do. Order, symmetry and cost are derived from the list.
+`openmm_sier.dynamics.operators` defines their actions. Order, symmetry and cost are derived from the list.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ SIER2 = alternating(
     heavy_trial_step=0.003,
 )
 
-#: Made once, since its limits are computed when they are first asked for.
+#: A constant, since a scheme computes its limits at their first use.
 _SIER2_WITH_BATH = SIER2.with_bath()
 
 _H1, _H2, _H3 = 0.1720865590295143, 0.5915620307551568, -0.1616217622107222

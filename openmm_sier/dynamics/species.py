@@ -27,10 +27,10 @@ FIT_TOLERANCE = 0.02
 FIT_FRACTION = 0.25
 
 #: Positions that fit the mirror image this many times better than the body are those of the mirror image. If the two
-#: fit about equally, the body is planar within the deviation, and its handedness cannot be told.
+#: fit about equally, the body is planar within the deviation, and its handedness cannot be determined.
 MIRROR_MARGIN = 2.0
 
-#: Sites at most this far apart, in nm, are at one place and need not be told apart.
+#: Sites at most this far apart, in nm, are at one place and need not be distinguished.
 ONE_PLACE = 1e-9
 
 

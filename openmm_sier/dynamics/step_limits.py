@@ -49,7 +49,7 @@ def limits(stages: Sequence[Stage]) -> tuple[float, float]:
             c, d = c - pull * a, d - pull * b
     unstable = np.abs(a + d) > 2 + ROUNDING
     unequal = np.abs(x * b + c) > INEQUALITY * np.abs(c) + ROUNDING
-    # Beyond half a turn the trace does not tell the angle.
+    # Beyond half a turn the trace does not determine the angle.
     unequal |= (z < np.pi) & (np.abs(np.arccos(np.clip((a + d) / 2, -1, 1)) - z) > INEQUALITY * z)
     stable, accurate = (float(z[beyond.argmax() - 1]) if beyond.any() else np.inf for beyond in (unstable, unequal))
     return stable, min(stable, accurate)

@@ -115,7 +115,7 @@ def solvate(
     padding: float = PADDING,
     salt: float = SALT,
     seed: int = 1,
-    beside: str | Path = ".",
+    directory: str | Path = ".",
 ) -> Completed:
     """Solvate a structure in water with ions, by Modeller.
 
@@ -125,12 +125,12 @@ def solvate(
         padding: minimum distance between the solute and its images, nm.
         salt: concentration of ions beyond those that neutralize the solute, mol/l.
         seed: seed of the positions of ions.
-        beside: additional directory to search for files of the force field.
+        directory: additional directory to search for files of the force field.
 
     Raises:
         ForceFieldError: the force field has no water, or no ions.
     """
-    forcefield = load(structure.files, beside)
+    forcefield = load(structure.files, directory)
     with refusing(f"cannot add water with the force field {' '.join(structure.files)}"), _seeded(seed):
         modeller = app.Modeller(structure.topology, structure.positions)
         modeller.addExtraParticles(forcefield)

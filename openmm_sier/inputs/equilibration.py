@@ -85,7 +85,7 @@ class Equilibration(NamedTuple):
 
 
 def platform_for(name: str | None) -> openmm.Platform:
-    """Return the platform of this name; None takes the one that OpenMM takes by itself, the fastest that works here."""
+    """Return the platform of this name; None: OpenMM's default, the fastest that works here."""
     return usual_platform() if name is None else openmm.Platform.getPlatformByName(name)
 
 

@@ -89,32 +89,32 @@ def pick(path: FilePath) -> tuple[tuple[str, ...], str]:
     return named, "named in the PDB file"
 
 
-def load(files: Sequence[str], beside: FilePath = ".") -> app.ForceField:
-    """Load a ForceField from files, searched as given, in the directory `beside`, in this project and in OpenMM.
+def load(files: Sequence[str], directory: FilePath = ".") -> app.ForceField:
+    """Load a ForceField from files, searched as given, in `directory`, in this project and in OpenMM.
 
     Raises:
         ForceFieldError: a file is not found, or is not a force field.
     """
     with refusing(f"cannot read the force field {' '.join(files)}"):
-        return app.ForceField(*[locate(name, Path(beside)) for name in files])
+        return app.ForceField(*[locate(name, Path(directory)) for name in files])
 
 
-def locate(name: str, beside: Path) -> str:
+def locate(name: str, directory: Path) -> str:
     """Return the path of a force-field file, or its name if OpenMM is to search for it; see `load`.
 
     Raises:
         OSError: the file is not regular, or cannot be read.
     """
-    for place in (directory / name for directory in (Path(), beside, *SHIPPED)):
+    for place in (folder / name for folder in (Path(), directory, *SHIPPED)):
         if place.exists() and not place.is_dir():
             open_regular(place).close()
             return str(place)
     return name
 
 
-def foreign_files(names: Iterable[str], beside: Path) -> dict[str, Path]:
+def foreign_files(names: Iterable[str], directory: Path) -> dict[str, Path]:
     """Return the force-field files that come neither with OpenMM nor with this project, by name; see `load`."""
-    located = {name: Path(locate(name, beside)) for name in names}
+    located = {name: Path(locate(name, directory)) for name in names}
     return {name: path for name, path in located.items() if not _is_installed(path)}
 
 

@@ -20,7 +20,7 @@ class Report:
         """Show the progress of a computation, as a context manager.
 
         Args:
-            description: what is being done.
+            description: of the task.
             total: how much there is to do.
             ps: length of a step, if steps are counted.
         """

@@ -14,14 +14,13 @@ FilePath = str | os.PathLike[str]
 
 
 class SourceFile(os.PathLike[str]):
-    """A file of an input, which stands for its path. What is read of it is kept.
+    """A file of an input, which can be used as its path. Its content is read once.
 
-    Everything that is known of the file, its fingerprint too, is therefore of the same content, even where somebody
-    edits the file in the meantime.
+    So all readers, and the fingerprint, have the same content, even if the file is edited meanwhile.
     """
 
     def __init__(self, path: FilePath):
-        """Take the path of a file, which is opened when its content is first asked for."""
+        """Take the path of a file, which is opened when its content is first needed."""
         self._path = os.fspath(path)
 
     @classmethod

@@ -283,8 +283,8 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet, x: np.ndarray) -> I
             if solved and not free[row]:
                 continue
             sites = followers.get(body, [])
-            beside = (sited[sites] - q[:, body]) @ A[:, :, body].T
-            places = np.concatenate([species.sites.T, beside.reshape(-1, 3)])
+            of_sites = (sited[sites] - q[:, body]) @ A[:, :, body].T
+            places = np.concatenate([species.sites.T, of_sites.reshape(-1, 3)])
             shape = FrameShape.of(species, places)
             particles = np.arange(number, number + len(shape.masses))
             number += len(particles)

@@ -28,7 +28,7 @@ FASTEST_BOND = 0.009
 #: are faster.
 HEATING = 0.8
 
-#: A step is refused at so many times the stability limit of a libration. There all librations of water are unstable,
+#: A step is refused at this multiple of the stability limit of a libration. There all librations of water are unstable,
 #: since the slowest have half the frequency of the fastest.
 HOPELESS = 2.0
 
@@ -47,7 +47,7 @@ AT_USUAL_STEP, RESONANCE_DECAY = 2.5e-4, 1.25
 TOLERATED = 1.06
 
 #: Angular velocities in units of sqrt(kT/I) that a step must follow: one body in twenty spins faster. Free spin is
-#: exact at any step, but forces on atoms beside the axis change with the angle, and kicks sample them once a step. A
+#: exact at any step, but forces on atoms off the axis change with the angle, and kicks sample them once a step. A
 #: scheme follows spins as it follows vibrations, up to its `accuracy_limit`. For 64 trimers like CO2 of 172 to 178
 #: degrees, at 250 K, rms(H)/rms(V) within 1.5 ps was, by the angle sqrt(kT/I) h:
 #:     SIER2          0.3 0.0015, 0.4 0.0025, 0.7 0.007, 1.0 0.014, 1.4 0.04, 1.9 0.07    a line 0.001 to 0.008
@@ -239,8 +239,8 @@ def _resonances(motions: Motions, step: Conditions) -> Limit | None:
 def _stretches(motions: Motions, step: Conditions) -> Limit | None:
     """Limit the step of a scheme with a bath in its drift by the mean length of bonds to hydrogen.
 
-    A constant force in kicks every h, beside a spring that is followed exactly, moves the mean length of a bond by
-    x/tan(x) of what it should, x = pi h/T with the period T: averages shift, at the right temperature.
+    A constant force in kicks every h, with a spring that is integrated exactly, changes the mean length of a bond by
+    x/tan(x) of the correct amount, x = pi h/T with the period T: averages shift, at the right temperature.
     """
     hydrogen = motions.fastest_hydrogen(step.fast_groups)
     if hydrogen is None or not step.scheme.bath_divides_drift:

@@ -223,7 +223,7 @@ class Wholeness:
         self.box = np.array(vectors) if system.usesPeriodicBoundaryConditions() else None
 
     def whole(self, positions: np.ndarray, clusters: Sequence[Any] | np.ndarray = ()) -> np.ndarray:
-        """Return positions at which nothing is cut, (N, 3), nm; whole molecules keep theirs bit for bit.
+        """Return positions at which nothing is cut, (N, 3), nm; those of whole molecules do not change.
 
         Args:
             positions: (N, 3), nm.

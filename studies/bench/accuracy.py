@@ -49,7 +49,7 @@ COSTS = text.columns("percent", "method", "fs_per_force", "forces_per_ps", "fs_p
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSettings(BoxSettings):
-    """What is measured.
+    """Settings of the benchmark.
 
     Attributes:
         time: of each run, ps.

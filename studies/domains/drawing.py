@@ -19,7 +19,7 @@ CHAIN, EXACT, SPRINGS = "chain", "HMC", "springs"
 
 
 def picture(model: Model, positions: np.ndarray) -> dict[str, Any]:
-    """What a picture of chains needs: positions in nm of each chain's atoms, and the number of each atom's body."""
+    """Data of a picture of chains: positions of each chain's atoms in nm, and the number of each atom's body."""
     owners = np.full(len(positions), -1)
     for number, body in enumerate(model.bodies):
         owners[list(body)] = number

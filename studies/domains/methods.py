@@ -15,7 +15,7 @@ from studies.units import md
 
 
 class Made(NamedTuple):
-    """What a Context is made of.
+    """Arguments of a Context.
 
     Attributes:
         system, integrator: of the Context.

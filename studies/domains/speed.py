@@ -68,7 +68,7 @@ def _with_own_turns(plan: Plan) -> set[tuple[str, float]]:
 
 
 def _steps(model: Model, plan: Plan, name: str) -> list[float]:
-    """All steps for which the speed of a method is told."""
+    """All steps for which the speed of a method is measured."""
     usual = [model.usual] if name == "langevinmiddle" else []
     return sorted({*usual, *{**plan.baths, **plan.energies}[name]})
 

@@ -144,7 +144,7 @@ def _methods(plan: Plan, kind: str) -> dict[str, tuple[float, ...]]:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """What a run gave, with its point."""
+    """Result of a run, with its point."""
     settings, (kind, name, method, step) = task.settings, (task.point[key] for key in ("kind", "key", "name", "step"))
     plan = PLANS[name]
     model = plan.build()

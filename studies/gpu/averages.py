@@ -42,7 +42,7 @@ class Observed:
         self._bonded = _bonded_context(system, platform) if has_solute else None
 
     def sample(self, context: openmm.Context) -> dict[str, float]:
-        """Return what is averaged, energies in kJ/mol and temperatures in K."""
+        """Return the observables, energies in kJ/mol and temperatures in K."""
         context.applyVelocityConstraints(1e-6)
         state = context.getState(positions=True, velocities=True, energy=True)
         row = {"potential": md(state.getPotentialEnergy())}

@@ -9,6 +9,6 @@ CALL = 10
 
 
 def advance(integrator: openmm.Integrator, steps: int) -> None:
-    """Make steps by tens, and what is left at the end."""
+    """Make steps in calls of ten, and the remaining ones."""
     for start in range(0, steps, CALL):
         integrator.step(min(CALL, steps - start))

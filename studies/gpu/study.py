@@ -110,7 +110,7 @@ def measure(name: str, settings: GpuSettings, tables: Tables, report: Report) ->
 
 
 def tell(record: Record, report: Report) -> None:
-    """Report what was found."""
+    """Report the results."""
     tables = record.tables
     for name, title, columns in (
         ("speeds", "Speed", SPEEDS),

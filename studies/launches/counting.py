@@ -64,12 +64,12 @@ TRANSFERS = {"copy": "copies", "read": "reads", "map": "reads", "write": "writes
 
 
 def kind_of(kernel: str) -> str:
-    """Return what a kernel does."""
+    """Return the purpose of a kernel."""
     return next((kind for kind, pattern in KINDS.items() if re.match(pattern, kernel)), OTHERS)
 
 
 def numbers(commands: Iterable[Commands]) -> Counter[str]:
-    """Return the numbers of commands by `COUNTS`, and of kernels by what they do.
+    """Return the numbers of commands by `COUNTS`, and of kernels by purpose.
 
     A wait is whatever OpenMM waits for: blocking transfers too.
     """
@@ -91,7 +91,7 @@ def numbers(commands: Iterable[Commands]) -> Counter[str]:
 def divided(
     one: Mapping[str, float], many: Mapping[str, float], steps: int
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return what a step has, and what a call has besides its steps.
+    """Return the numbers for a step, and for a call without its steps.
 
     Args:
         one: numbers of a call of one step.

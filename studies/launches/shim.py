@@ -24,7 +24,7 @@ COMPILERS = ("cc", "gcc", "clang")
 
 
 class Commands(NamedTuple):
-    """Commands that are alike in everything but their sizes.
+    """Commands that differ only in their sizes.
 
     Attributes:
         kind: kernel, read, write, copy, map or wait.
@@ -124,9 +124,9 @@ class Shim:
 
     @contextmanager
     def _timed(self, name: str) -> Iterator[list[float]]:
-        """Note the time of each call of one of OpenMM's C++ functions, that in OpenCL apart, s.
+        """Record the time of each call of one of OpenMM's C++ functions, and its part in OpenCL, s.
 
-        The device is awaited after each, so that what is called next does not have to wait for it.
+        The program waits for the device after each call, so that the next one does not.
         """
         original, seconds = getattr(_openmm, name), self._library.seconds_in_opencl
         within: list[float] = []

@@ -85,7 +85,7 @@ def rows_of(run: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def kernels_of(run: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of the kernels of a step, by what they do."""
+    """Return the rows of the kernels of a step, by purpose."""
     place = {"box": run["box"], "precision": run["precision"], "method": cases.CASES[run["name"]].integrator.name}
     kinds = (*counting.KINDS, counting.OTHERS)
     return [place | {"kind": kind, "launches": round(run["step"][kind], 4)} for kind in kinds if kind in run["step"]]

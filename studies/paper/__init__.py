@@ -44,7 +44,7 @@ def study(settings: PaperSettings, report: Report = SILENT) -> dict[str, Record]
     """Carry out experiments, and write a JSON file for each and a figure of water.
 
     Returns:
-        What was found, by experiment.
+        The results, by experiment.
     """
     chosen = EXPERIMENTS if settings.experiment == "all" else {settings.experiment: EXPERIMENTS[settings.experiment]}
     return {name: _carry_out(name, experiment, settings, report) for name, experiment in chosen.items()}

@@ -201,7 +201,7 @@ def _averages(energy: Spread, potential: Spread, momentum: Spread) -> dict[str, 
 
 
 def tables(record: Record) -> dict[str, pd.DataFrame]:
-    """Return both halves of Table 1 as text, by their titles, with the paper's values beside ours."""
+    """Return both halves of Table 1 as text, by their titles, with the paper's values and ours."""
     settings, rows = record.settings, record.tables["rows"]
     what = (
         f"{settings['dipole']:g} D in {settings['field']:g} MV/m, {settings['bodies']} runs of {settings['span']:g} ps"

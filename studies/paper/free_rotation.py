@@ -182,7 +182,7 @@ def _root_mean(squares: np.ndarray) -> Callable[[np.ndarray], float]:
 
 
 def tables(record: Record) -> dict[str, pd.DataFrame]:
-    """Return tau as text, with the paper's values beside ours, by the title of the table."""
+    """Return tau as text, with the paper's values and ours, by the title of the table."""
     settings = record.settings
     taus = pd.DataFrame([row | _beside(row) for row in record.tables["taus"].to_dict("records")])
     title = f"Free rotation of water, {settings['temperature']:g} K: tau from delta = t/(10 tau), "

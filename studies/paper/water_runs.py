@@ -88,7 +88,7 @@ QUICK = WaterSettings(
 
 
 def phase_points(settings: WaterSettings) -> list[PhasePoint]:
-    """All phase points of an experiment, starting with those that take longest, of PME."""
+    """Return all phase points of an experiment, the slowest first, which are those of PME."""
     kinds = [kind for kind in (liquids.PME, liquids.MOLECULAR) if kind in settings.kinds]
     return [PhasePoint(kind, 1 + i) for kind in kinds for i in range(settings.runs)]
 

@@ -41,7 +41,7 @@ def test_blocks_are_longer_where_samples_are_few():
     assert energy_error_within_1_ps(time, noise - 0.1 * time, noise) == pytest.approx(math.sqrt(0.75), rel=0.04)
 
 
-def test_too_little_to_say():
+def test_too_few_rows():
     assert math.isnan(energy_error(WAVE[:2], POTENTIAL[:2]))
     assert math.isnan(energy_error(WAVE, 0 * POTENTIAL))
     assert math.isnan(energy_walk(TIME[:200], WAVE[:200], POTENTIAL[:200]))

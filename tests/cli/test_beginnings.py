@@ -34,7 +34,7 @@ def momentum(rows):
 @pytest.mark.thorough
 @pytest.mark.parametrize("ensemble", ["nve", "nvt"])
 def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, ensemble):
-    """Potential energy and volume are those of the end of the other run; step and clock begin anew."""
+    """Potential energy and volume are those of the end of the other run; step and clock start from zero."""
     start = npt_run / "npt.chk"
     options = ("--ensemble", ensemble, "--scheme", "sier4g", "--steps", "50")
     run("run", box, "--platform", "Reference", "--start", start, *options)
@@ -61,7 +61,7 @@ def test_run_starts_from_a_checkpoint_of_another_ensemble(box, npt_run, capsys, 
     assert after["Conserved Energy (kJ/mole)"][0] == after["Total Energy (kJ/mole)"][0]
 
 
-def test_start_tells_the_system_and_the_temperature(box, npt_run):
+def test_start_determines_the_system_and_the_temperature(box, npt_run):
     start = ["run", box, "--platform", "Reference", "--start", npt_run / "npt.chk", "--steps", "1", "--overwrite"]
     run(*start, "--ensemble", "nvt")
     plan = checkpoints.read_checkpoint(Path("box.chk"))[1].plan
@@ -131,7 +131,7 @@ def test_unwrapped_frames_have_molecules_where_they_went():
 
 
 def test_the_table_repeats_that_an_equilibration_has_not_settled(capsys, monkeypatch):
-    """Also after a restart; an equilibration that nobody made is not missed."""
+    """Also after a restart; a run without an equilibration draws no warning."""
     monkeypatch.setattr(equilibration, "_are_within_bounds", lambda *_: False)
     write_lattice(Path("box.pdb"), 8)
     short = ["--platform", "Reference", "--dt", "2", "--temperature", "297", "--no-minimize"]

@@ -63,7 +63,7 @@ VICTIMS = [
 @pytest.mark.parametrize(("name", "option", "victim"), [*VICTIMS, ("log", "report", "box.csv")])
 @pytest.mark.parametrize("size", [0, 10, 60, 2**24])
 def test_a_checkpoint_cuts_no_file_of_another_kind(one, capsys, name, option, victim, size):
-    """Not even one that knows what a file holds; and none below its heading."""
+    """Not even one that fits the content of a file; and none below its heading."""
     path = Path(victim)
     if not path.exists():
         path.write_bytes(b"mine, not that of a run\n" * 1000)

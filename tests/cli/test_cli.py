@@ -32,7 +32,7 @@ def whole_run(box):
 
 
 def frames_in_header(path):
-    """Number of frames that a DCD file says it has; MDTraj goes by the length of the file, other readers by this."""
+    """Number of frames in the header of a DCD file; MDTraj uses the length of the file, other readers the header."""
     return int.from_bytes(path.read_bytes()[8:12], "little")
 
 
@@ -141,7 +141,7 @@ sys.exit(main.main(arguments))
         thorough((".dcd", "checkpoint", 2, 25, 10)),
     ],
 )
-def test_killed_run_leaves_usable_files_and_goes_on_without_a_gap(
+def test_killed_run_leaves_usable_files_and_continues_without_a_gap(
     box, whole_run, suffix, place, after, checkpoint, left
 ):
     out = Path("cut").with_suffix(suffix)

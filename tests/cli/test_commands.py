@@ -31,7 +31,7 @@ PARTS = {
 
 @pytest.mark.parametrize("name", representatives(PARTS, "NPT", "HMC"))
 def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
-    """Every file of it; what a killed run wrote after its checkpoint is cut off."""
+    """All its files; records of a killed run after its checkpoint are cut off."""
     monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)
     for out, time in (("whole", "0.12"), ("parts", "0.06")):
         options = [option.format(out) for option in PARTS[name]]
@@ -121,7 +121,7 @@ def test_pme_with_heavy_hydrogens_is_balanced_for_a_bath_if_there_is_one(box, en
     assert balanced == pme_parameters(pme)
 
 
-def test_a_checkpoint_from_before_there_were_thermostats_goes_on(box):
+def test_a_checkpoint_from_before_there_were_thermostats_is_continued(box):
     """Its bath was that of Langevin."""
     short = ["--platform", "Reference", "--equilibrate", "0", "--ensemble", "nvt"]
     run("run", box, *short, "--steps", "1", "--out", "old.dcd")

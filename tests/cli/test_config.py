@@ -1,4 +1,4 @@
-"""Settings in TOML files: `--config` and `--save-config` make the same run, and say what is wrong in one line."""
+"""Settings in TOML files: `--config` and `--save-config` make the same run, and errors are reported in one line."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A restart cuts off what a killed run wrote after its checkpoint, and refuses to cut a run that went on."""
+"""A restart cuts off records of a killed run after its checkpoint, and refuses to cut a run that continued."""
 
 import os
 import shutil
@@ -86,7 +86,7 @@ def test_without_a_later_checkpoint_what_no_killed_run_leaves_is_kept(there, cap
 
 
 @pytest.mark.parametrize("kind", ["dcd", "xtc"])
-def test_what_a_killed_run_wrote_is_cut_off_and_said(there, capsys, kind):
+def test_records_of_a_killed_run_are_cut_off_and_reported(there, capsys, kind):
     """As after SIGKILL: the checkpoint is that of `FIRST`, and the last frame is incomplete."""
     there(kind, WITHIN)
     shutil.move("old.chk", "box.chk")
@@ -101,7 +101,7 @@ def test_what_a_killed_run_wrote_is_cut_off_and_said(there, capsys, kind):
     assert frames(Path(f"box.{kind}"), Path("../box.pdb")).n_frames == (FIRST + 5) // 5
 
 
-def test_overwrite_allows_the_cut_and_the_cut_is_said(there, capsys):
+def test_overwrite_allows_the_cut_and_the_cut_is_reported(there, capsys):
     there("dcd", BEYOND)
     run(*AGAIN, "--restart", "old.chk", "--steps", FIRST + 5, "--overwrite")
     assert "cuts back to 0.1 ps, where old.chk is: box.dcd from 0.24 ps" in capsys.readouterr().out

@@ -118,7 +118,7 @@ def test_a_quantity_with_a_long_memory_is_not_settled_by_the_others():
     assert density.value.value > 0.98
 
 
-def test_no_more_is_said_of_temperatures_than_their_errors_allow():
+def test_findings_about_temperatures_respect_their_errors():
     """Rotation keeps 0.97 of its deviations, so that 66 of 1001 rows are worth one."""
 
     def slow(log):

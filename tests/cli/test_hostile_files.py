@@ -164,7 +164,7 @@ def force_field(path):
 @pytest.mark.parametrize("place", ["beside", "below", "absolute", "above", "of OpenMM"])
 @USES
 def test_a_checkpoint_names_no_force_field(here, capsys, tmp_path_factory, place, command):
-    """One beside the checkpoint may hold code as well."""
+    """A file in the folder of the checkpoint may contain code too."""
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     Path("below").mkdir()
     data = Path(app.__file__).parent / "data"
@@ -281,7 +281,7 @@ def test_notes_have_a_bounded_number_of_values(here, capsys):
 
 @pytest.mark.parametrize("use", [RESTART, START, TUNE], ids=["restart", "start", "tune"])
 def test_a_state_that_no_run_writes(here, capsys, use):
-    """OpenMM ends the process where positions are not finite, and goes on without velocities."""
+    """OpenMM ends the process if positions are not finite, and continues without velocities."""
     with zipfile.ZipFile("box.chk") as archive:
         state = archive.read("state.xml").decode()
     lost = re.sub(r"<Position [^>]*/>", '<Position x="nan" y="0" z="0"/>', state, count=1)
@@ -365,7 +365,7 @@ def test_pipes_are_not_waited_for(here, capsys, line):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no such pipes here")
 @pytest.mark.timeout(60)
-def test_pipes_beside_other_files_are_not_waited_for(here, capsys):
+def test_pipes_among_other_files_are_not_waited_for(here, capsys):
     shutil.copy("box.csv", "other.csv")
     os.mkfifo("other.chk")
     run("summary", "other.csv")

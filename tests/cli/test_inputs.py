@@ -257,13 +257,13 @@ def test_a_state_alone_has_molecules_by_bonds_and_elements_by_mass(capsys):
     assert "82 particles, 162 degrees of freedom" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("defined", "is_told"), [("", False), ("#define FLEXIBLE", True), ("#define OTHER", False)])
-def test_water_that_a_top_file_makes_flexible_is_told_to_be_rigid(capsys, defined, is_told):
+@pytest.mark.parametrize(("defined", "warns"), [("", False), ("#define FLEXIBLE", True), ("#define OTHER", False)])
+def test_water_that_a_top_file_makes_flexible_becomes_rigid(capsys, defined, warns):
     path = Path(GROMACS.topology)
     path.write_text(f"{defined}\n{path.read_text()}")
     run("info", *GROMACS.arguments)
     out = capsys.readouterr().out
-    assert ("warning: gromacs.top defines FLEXIBLE, but its water is rigid here" in out) == is_told
+    assert ("warning: gromacs.top defines FLEXIBLE, but its water is rigid here" in out) == warns
     assert "26 rigid bodies" in out
 
 

@@ -54,7 +54,7 @@ def names():
     return sorted(contents(Path()))
 
 
-def test_second_holder_is_refused_and_told_of_the_first(holder):
+def test_second_holder_is_refused_naming_the_first(holder):
     first = holder("a.dcd", "a.csv")
     with FileLocks() as locks, pytest.raises(RunError) as refusal:
         locks.hold([Path("b.csv"), Path("a.csv")])
@@ -86,7 +86,7 @@ def test_lock_of_a_killed_process_is_free(holder):
         (f"{'x' * 250}.dcd", "File name too long"),
     ],
 )
-def test_a_lock_that_cannot_be_made_is_nobodys(place, reason):
+def test_a_lock_that_cannot_be_made_has_no_holder(place, reason):
     with FileLocks() as locks, pytest.raises(RunError) as refusal:
         locks.hold([Path(place)])
     real = Path(place).absolute()
@@ -107,7 +107,7 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
 
 
 @pytest.mark.parametrize("make", ["file", "link", "broken link", "pipe"])
-def test_a_file_with_the_name_of_a_lock_is_somebodys(make):
+def test_a_file_with_the_name_of_a_lock_is_the_users(make):
     Path("mine").write_text("mine")
     place = Path(".a.dcd.lock")
     if make == "file":

@@ -54,7 +54,7 @@ def test_advice_names_options_of_the_command(box, tmp_path, monkeypatch, capsys)
 
 
 def test_a_step_that_is_refused_is_refused_before_anything_is_simulated(box, tmp_path, monkeypatch, capsys):
-    """The first step would tell it only after the start has been minimized and equilibrated."""
+    """Otherwise it would be reported at the first step, after minimization and equilibration."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(new_run, "prepare", lambda *_: pytest.fail("a start was made"))
     assert main(["run", str(box), *FILES, "--platform", "Reference", "--constraints", "none", "--dt", "12"]) == 1

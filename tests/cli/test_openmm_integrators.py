@@ -40,7 +40,7 @@ def test_what_they_cannot_do_is_refused(box, capsys):
 
 
 @pytest.mark.parametrize("error", [RunawayError("too hot"), openmm.OpenMMException("Particle coordinate is NaN")])
-def test_a_step_that_is_too_long_is_told_of(box, capsys, monkeypatch, error):
+def test_a_step_that_is_too_long_is_reported(box, capsys, monkeypatch, error):
     """The first step ends too hot, or with positions that OpenMM finds to be not finite."""
 
     def fails(*_):

@@ -1,4 +1,4 @@
-"""The declaration of options: what `--help` says, and that files are checked by it before anything is written."""
+"""The declaration of options: `--help`, and checks of files before anything is written."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Files of a run: none destroys an input or another, and what cannot be written is said in one line."""
+"""Files of a run: none replaces an input or another output, and errors are reported in one line."""
 
 import io
 import os
@@ -103,8 +103,8 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
     assert "outputs must be different files" in complaint(capsys, *command)
 
 
-def test_temporary_files_are_nobodys(box, capsys):
-    """Neither those of somebody nor other outputs of the run have their names."""
+def test_temporary_files_replace_no_others(box, capsys):
+    """No file of the user and no other output of the run has their names."""
     Path("x.chk.tmp").write_text("mine")
     extras = ["--report", "x.csv.tmp", "--save-config", "x.toml.tmp"]
     assert main.main(["run", str(box), *SMALL, "--steps", "5", "--out", "x.dcd", *extras]) == 0
@@ -263,7 +263,7 @@ def file_size_limit():
 
 
 def test_file_that_cannot_grow(box, capsys, file_size_limit):
-    """The run ends with the file's name, keeps its last checkpoint, and goes on when there is room."""
+    """The run ends with the file's name, keeps its last checkpoint, and can be continued."""
     options = ["--dt", "4", "--platform", "Reference", "--equilibrate", "0", "--checkpoint-every", "0.02"]
     options += ["--every", "0.004", "--report-every", "0.4"]
     assert main.main(["run", str(box), *options, "--steps", "1", "--out", "first.dcd"]) == 0

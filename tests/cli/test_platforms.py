@@ -45,7 +45,7 @@ def test_a_restart_finds_the_coordinates_by_its_checkpoint(begun, box, part, cap
     )
 
 
-def test_another_platform_is_said_in_one_line_and_noted(box, part, capsys):
+def test_another_platform_is_reported_in_one_line_and_noted(box, part, capsys):
     run("run", box, "--restart", part, "--steps", 11, "--platform", "CPU")
     (line,) = differences(capsys)
     assert line.startswith("part.chk was written on Reference, and the run continues on CPU (Threads ")

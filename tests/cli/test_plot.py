@@ -1,4 +1,4 @@
-"""`plot`: panels and means of logs whose statistics are known, picture files, and what is refused."""
+"""`plot`: panels and means of logs whose statistics are known, picture files, and refusals."""
 
 import sys
 from pathlib import Path
@@ -95,7 +95,7 @@ def test_pictures_of_one_and_of_eight(ensemble, ending, capsys):
     assert contents(Path()) == logs
 
 
-def test_the_picture_lies_beside_the_first_log():
+def test_the_picture_is_in_the_folder_of_the_first_log():
     Path("there").mkdir()
     write_log("there/a.csv", rows=50)
     run("plot", "there/a.csv")

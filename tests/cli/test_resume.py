@@ -1,4 +1,4 @@
-"""`run --resume`: one command line that begins, goes on and ends well, as an array of jobs needs it."""
+"""`run --resume`: one command line that begins, continues and completes a run, for arrays of jobs."""
 
 import shutil
 from pathlib import Path
@@ -33,7 +33,7 @@ def files(place):
     return {name: (Path(place) / name).read_bytes() for name in ("a.dcd", "a.csv")}
 
 
-def test_the_same_line_begins_goes_on_and_ends_well(box, whole_run, capsys):
+def test_the_same_line_begins_continues_and_completes_a_run(box, whole_run, capsys):
     run(*resume(box, *PART))
     assert checkpoints.read_checkpoint(Path("a.chk"))[1].step == 25
     with open("a.csv", "a") as file:
@@ -118,7 +118,7 @@ def test_files_without_their_checkpoint_are_refused(box, whole_run, capsys, vict
     assert files(".") == files(whole_run)
 
 
-def test_a_table_of_somebody_is_refused(box, capsys):
+def test_a_table_of_the_user_is_refused(box, capsys):
     for text in ("", "Step,"):
         Path("a.csv").write_text(text)
         run(*resume(box, "--steps", "1"))
@@ -143,7 +143,7 @@ def test_options_must_be_those_of_the_run(box, whole_run, capsys):
     assert contents(Path()) == before
 
 
-def test_a_run_that_starts_from_another_goes_on_by_itself(box, whole_run):
+def test_a_run_that_starts_from_another_continues_by_itself(box, whole_run):
     """The checkpoint of --start is needed for the beginning alone."""
     shutil.copy(whole_run / "a.chk", "first.chk")
     line = resume(box, "--start", "first.chk", "--ensemble", "nvt", out="b.dcd")

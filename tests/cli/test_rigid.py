@@ -81,7 +81,7 @@ def test_words_that_describe_nothing(capsys, words, said):
 
 
 def test_a_body_without_bonds_that_the_boundary_cuts_is_read_whole(capsys):
-    """Only the words tell that the atoms belong together. The largest moment is 0.36; as the file has them it is 65."""
+    """Only the selection joins the atoms. The largest moment is 0.36; as the file has them it is 65."""
     x = np.array([[2.9, 1.0, 1.0], [0.05, 1.0, 1.0], [0.05, 1.15, 1.0]])
     system, pairwise = openmm.System(), openmm.NonbondedForce()
     pairwise.setNonbondedMethod(pairwise.CutoffPeriodic)

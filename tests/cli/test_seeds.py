@@ -1,4 +1,4 @@
-"""`run --seeds`: members beside each other, killed, stopped and refused; the same bytes as single runs."""
+"""`run --seeds`: parallel members, killed, stopped and refused; the same bytes as single runs."""
 
 import os
 import re
@@ -96,7 +96,7 @@ def rows(seed):
 
 
 def process_of(seed):
-    """The process that writes a run, as its lock tells; None where nobody does, or is about to."""
+    """The process that writes a run, from its lock; None without one."""
     lock = Path(f".a-seed{seed}.csv.lock")
     result = re.match(r"process (\d+) ", lock.read_text()) if lock.exists() else None
     return int(result[1]) if result else None
@@ -160,7 +160,7 @@ def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
     assert _usual_workers("Reference") == 1
 
 
-def test_each_complaint_is_told_once():
+def test_each_complaint_is_reported_once():
     runs = [Member(seed, Path(f"a-seed{seed}.dcd")) for seed in (1, 2, 5)]
     complaints = [(f"a-seed{run.seed}.dcd: no space at step {10 * run.seed}", run) for run in runs]
     assert _grouped([*complaints, ("another", runs[0])]) == [
@@ -223,7 +223,7 @@ def test_runs_that_are_complete_are_drawn(box, single_runs):
 
 
 @pytest.mark.thorough
-def test_a_second_call_goes_on_after_the_first_was_killed(box, single_runs):
+def test_a_second_call_continues_after_the_first_was_killed(box, single_runs):
     process = started(box, "--seeds", "1-2", "--workers", "2", "--time", str(FOR_EVER))
     wait_for(lambda: max(map(rows, (1, 2))) > 3, process, LIMIT)
     process.kill()
@@ -268,7 +268,7 @@ def test_a_member_that_fails_does_not_end_the_others(box, single_runs, capsys):
 
 @pytest.fixture
 def scheduler():
-    """A scheduler of Dask with two workers: its address, its process and theirs."""
+    """A scheduler of Dask with two workers: its address and all processes."""
     programs = []
 
     def start(module, *options):

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.archive import write_incomplete
 from tests.support.commands import complaint, contents, run
+from tests.support.incomplete_structures import write_incomplete
 
 pytest.importorskip("pdbfixer")
 

@@ -1,4 +1,4 @@
-"""Runs that signals end: the files are complete, the exit code is the signal's, and a restart goes on."""
+"""Runs that signals end: the files are complete, the exit code is the signal's, and a restart continues."""
 
 import os
 import pty
@@ -69,7 +69,7 @@ def ended(process):
 
 
 def signal_after_rows(monkeypatch, number, rows):
-    """Sends a signal to this process when a run has written so many rows, twice at once as `timeout` does."""
+    """Sends a signal to this process after a number of rows of its log, twice at once as `timeout` does."""
     write = records.Log.write
 
     def write_and_signal(self, values):

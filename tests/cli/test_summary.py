@@ -56,7 +56,7 @@ def test_of_fewer_than_five_runs_the_errors_are_those_of_each(logs):
     assert density["error"] == pytest.approx(math.hypot(*(each["error"] for each in density["runs"])) / 3)
 
 
-def test_what_had_not_settled_is_left_out_and_said(capsys):
+def test_unsettled_beginnings_are_left_out_and_reported(capsys):
     def warm(log):
         log[POTENTIAL] = log[POTENTIAL] + 300 * np.exp(-log["Time (ps)"])
 
@@ -96,7 +96,7 @@ def test_every_ensemble_and_a_single_run(ensemble):
 
 
 def test_logs_of_one_run_count_once(capsys):
-    """Copies, also of a part of it, with other rows, and a log that goes on in another way."""
+    """Copies, also of a part of it, with other rows, and a log that continues differently."""
     whole = write_log("a.csv", "npt")
     write_log("other.csv", "npt", seed=2)
     Path("copy.csv").write_bytes(Path("a.csv").read_bytes())
@@ -119,7 +119,7 @@ def test_logs_of_one_run_count_once(capsys):
 
 
 @pytest.mark.thorough
-def test_runs_of_one_seed_are_told_by_their_checkpoints(box, capsys):
+def test_runs_of_one_seed_are_recognized_by_their_checkpoints(box, capsys):
     """The same command twice; with more rows; from another start; with a log that a GPU would round otherwise."""
     command = ["run", box, *SMALL, "--ensemble", "nvt", "--time", "0.2"]
     for out, more in (

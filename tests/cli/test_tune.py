@@ -1,4 +1,4 @@
-"""`tune`: what it prints is a run that can be made."""
+"""`tune`: its output is the command line of a valid run."""
 
 import re
 import shlex

@@ -8,9 +8,6 @@ ROOT = Path(__file__).parent.parent.parent
 #: A changelog names what is gone.
 PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("systems/*.md")} - {ROOT / "CHANGELOG.md"})
 
-#: Pages for users, each of which answers one question.
-ASKED = [ROOT / "docs" / "index.md", *sorted({*ROOT.glob("docs/guide/**/*.md"), *ROOT.glob("docs/measurements/*.md")})]
-
 FOLDERS = "docs|examples|openmm_sier|studies|systems|tests"
 
 
@@ -71,17 +68,6 @@ def test_names_of_code_in_contributing_are_there():
     known = words | places | {"py", "md", "toml", "yaml", "cff", "NEW", "nox"}
     unknown = {name for name in named if not set(re.findall(r"\w+", name)) <= known}
     assert unknown == set()
-
-
-def beginning(text: str) -> str:
-    """Return the first paragraph below the title of a page, without cells before it."""
-    body = re.sub(r"^```\{code-cell\}\n.*?^```\n", "", text, flags=re.MULTILINE | re.DOTALL)
-    return re.split(r"\n{2,}", re.split(r"^# .*\n", body, maxsplit=1, flags=re.MULTILINE)[1].strip())[0]
-
-
-def test_pages_begin_with_a_question_and_its_answer():
-    first_lines = re.compile(r"\*\*[^\n]*\?\*\*\\\n\S")
-    assert [page.name for page in ASKED if not first_lines.match(beginning(page.read_text()))] == []
 
 
 def test_links_of_pages_that_sphinx_does_not_build():

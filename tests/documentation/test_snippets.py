@@ -210,9 +210,3 @@ def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypat
 def test_pages_with_code_are_found():
     """README, the guides and all how-tos, so that a changed layout cannot leave them out."""
     assert [page for page in PAGES if not code(page)] == ["docs/guide/howto/index.md"]
-
-
-def test_readme_is_short():
-    """A stranger decides in one screen or two; what is measured stands in the documentation."""
-    lines = (ROOT / "README.md").read_text().splitlines()
-    assert len([line for line in lines if line.strip()]) <= 45

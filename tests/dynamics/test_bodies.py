@@ -1,4 +1,4 @@
-"""Rigid bodies: the way between atoms and bodies, and what is derived from either."""
+"""Rigid bodies: conversion between atoms and bodies, and derived quantities."""
 
 from dataclasses import replace
 from functools import partial
@@ -138,7 +138,7 @@ def test_particles_of_no_body_are_left_alone(rng, bodies):
 
 
 def test_momenta_take_the_rigid_part_of_any_velocities(rng, bodies):
-    """Momentum and angular momentum are sums over the atoms, whatever these do; what is left is no rigid motion."""
+    """Momentum and angular momentum are sums over the atoms, for any velocities; the rest is no rigid motion."""
     state = random_state(rng, bodies)
     x, _ = atoms_of(bodies, state)
     v = rng.normal(size=x.shape)
@@ -207,7 +207,7 @@ def test_total_momenta_are_those_of_the_atoms(rng, bodies):
 # --- fitting ----------------------------------------------------------------------------------------------------------
 
 
-def test_small_deviations_are_mended(rng, bodies):
+def test_small_deviations_are_corrected(rng, bodies):
     """Atoms a little out of place: centre of mass and the best attitude."""
     state = random_state(rng, bodies)
     x, _ = atoms_of(bodies, state)
@@ -269,7 +269,7 @@ def test_positions_in_another_unit_are_suspected(rng):
         bodies.fit(10 * x)
 
 
-def test_the_tolerance_is_what_it_says(rng):
+def test_the_tolerance_bounds_the_misfit(rng):
     """Both atoms of a symmetric pair are as far from their places as the bond is too long, halved."""
     pair = RigidBodies([Species.from_coordinates([[0, 1]], [1.0, 1.0], [[0, 0, 0], [0.1, 0, 0]])], 2)
     for excess, fits in ((0.99, True), (1.01, False)):

@@ -50,7 +50,7 @@ def test_code_is_kept_on_disk(folder):
 
 
 def test_errors_throw_no_code_away(folder):
-    """Neither what a kernel does not take nor a fault at any line of a call."""
+    """Neither wrong arguments of a kernel nor a fault at any line of a call."""
     function = doubling()
     assert function(2) == 4
     kept = kept_in(folder)
@@ -99,7 +99,7 @@ def test_where_numba_finds_no_place_every_process_compiles():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other platforms keep caches elsewhere")
-def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monkeypatch):
+def test_the_folder_is_the_users_cache_unless_numba_has_another(folder, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "caches"))
     doubling()(2)
     assert not (folder / "caches").exists()
@@ -111,7 +111,7 @@ def test_the_place_is_the_users_cache_unless_numba_is_told_another(folder, monke
 
 @pytest.mark.thorough
 def test_another_process_finds_the_code_on_disk(tmp_path):
-    """Names on disk tell of the code alone, not of the process or its hashes; and it does what it did."""
+    """Names on disk depend on the code only, not on the process or its hashes; results are the same."""
     results = []
     for seed in ("1", "2"):
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONHASHSEED": seed}

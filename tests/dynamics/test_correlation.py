@@ -38,6 +38,6 @@ def test_what_does_not_change_is_one_value_with_an_unknown_error():
         assert (value, math.isnan(error)) == (len(constant), True)
 
 
-def test_a_trend_has_no_memory_that_the_series_tells():
+def test_a_trend_has_no_correlation_time():
     value, error = inefficiency_and_error(np.arange(40.0))
     assert (value, math.isnan(error)) == (40, True)

@@ -12,10 +12,3 @@ MODULES = [module.name for module in pkgutil.walk_packages(dynamics.__path__, "o
 def test_examples():
     failures = {name: doctest.testmod(importlib.import_module(name)).failed for name in MODULES}
     assert [name for name in MODULES if failures[name]] == []
-
-
-def test_every_free_rotation_map_has_an_example():
-    finder = doctest.DocTestFinder(recurse=False)
-    maps = importlib.import_module("openmm_sier.dynamics.rotation")
-    for name in maps.__all__:
-        assert any(results.examples for results in finder.find(getattr(maps, name))), name

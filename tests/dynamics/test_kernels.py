@@ -53,7 +53,7 @@ def test_python_executes_what_numba_compiles():
 
 
 def test_calls_of_a_step_do_not_grow_with_the_kinds_of_bodies(rng, monkeypatch):
-    """Beside few bodies it is calls that take the time."""
+    """With few bodies calls take most of the time."""
     bodies, state, forces = every_kind(rng)
     calls = []
     for module, name in [(kernels.atoms, "place"), (kernels.atoms, "collect"), (kernels.bodies, "drift")]:

@@ -1,4 +1,4 @@
-"""Schemes: what they check about themselves and what they derive."""
+"""Schemes: their checks and derived properties."""
 
 import dataclasses
 

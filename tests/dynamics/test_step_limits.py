@@ -1,4 +1,4 @@
-"""The steps that schemes bear in a harmonic mode, beside the motion that their own operators make of one."""
+"""Limits of steps in a harmonic mode, compared with the motion of one by the operators."""
 
 import math
 

@@ -43,7 +43,7 @@ def test_threads_give_the_same_bits(request, rng):
 
 
 def test_no_thread_is_at_work_after_an_interrupt(three_threads):
-    """What breaks off one share comes out, when the others have finished theirs."""
+    """An error in one share is raised after the other shares are finished."""
     busy, finished = threading.Event(), []
 
     def loop(start, stop):

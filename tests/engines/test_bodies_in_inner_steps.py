@@ -219,7 +219,7 @@ def test_waters_are_not_slowed_down(grouped):
     assert (moved.n, int(moved.moments.any(axis=0).sum())) == (10, 6)
 
 
-def test_hydrogen_groups_bear_the_step_of_constrained_bonds(grouped):
+def test_hydrogen_groups_allow_the_step_of_constrained_bonds(grouped):
     """Bonds between groups, of 20 fs, would be wrong in the kicks at 4 fs."""
     system, bodies, positions = grouped
     integrator = SIERIntegrator(0.004, SIER4G, bodies=bodies)
@@ -237,7 +237,7 @@ def test_hydrogen_groups_bear_the_step_of_constrained_bonds(grouped):
 
 
 @pytest.mark.thorough
-def test_what_is_not_finite_is_told(chain):
+def test_numbers_that_are_not_finite_are_reported(chain):
     system, bodies, point = chain
     integrator = SIERIntegrator(0.004, SIER4G, bodies=bodies)
     context = made(integrator, system, point)
@@ -264,7 +264,7 @@ def test_a_point_is_a_body_that_does_not_turn(chain):
 # --- the native engine, by frames -------------------------------------------------------------------------------------
 
 
-def test_frames_of_a_prepared_system_are_prepared_anew():
+def test_frames_of_a_prepared_system_are_prepared_again():
     """Fast terms act on virtual sites of the frames, which the native engine refuses with the remedy that works."""
     system, bodies, positions = stiff_chain(cut_off=None)
     prepare_system(system, bodies)

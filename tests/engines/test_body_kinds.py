@@ -1,4 +1,4 @@
-"""Rigid bodies of every kind: named or constrained, alone and mixed with what is not rigid."""
+"""Rigid bodies of every kind: named or constrained, alone and mixed with flexible molecules."""
 
 import io
 import re
@@ -194,7 +194,7 @@ def test_bodies_that_cannot_be(rigid, message):
 
 
 def test_bodies_of_something_else():
-    """Positions of other particles would give a geometry without a word, as long as the named ones are among them."""
+    """Positions of other particles would otherwise give a geometry without a warning."""
     gas = Gas("handed")
     with pytest.raises(ValueError, match=r"positions must have the shape \(12, 3\).*, got \(3, 3\)"):
         RigidBodies.from_system(gas.system, gas.topology, [[0, 1, 2]], gas.point[0][:3])

@@ -1,4 +1,4 @@
-"""What somebody changes in a Context between steps acts from the next step on, and what cannot be is refused."""
+"""Changes of a Context between steps act from the next step on, and impossible ones are refused."""
 
 from functools import partial
 
@@ -184,7 +184,7 @@ def on_its_own_atom(positions):
     ids=["molecules", "atoms of a molecule"],
 )
 def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap, named, monkeypatch):
-    """OpenMM's minimizer goes on for ever where the energy is no number."""
+    """OpenMM's minimizer does not end if the energy is not a number."""
     topology, system, point = cluster
     get_state = openmm.Context.getState
 

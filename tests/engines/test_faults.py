@@ -1,4 +1,4 @@
-"""What goes wrong stops a run with a reason, and leaves Context and integrator where the run can go on."""
+"""Errors stop a run with a reason, and leave Context and integrator in a state from which the run can continue."""
 
 import gc
 import threading

@@ -159,7 +159,7 @@ INTEGRATORS = {
 @pytest.mark.parametrize("remover", [False, True])
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("make", INTEGRATORS.values(), ids=INTEGRATORS)
-def test_where_all_atoms_are_frozen_steps_and_reports_go_on_in_silence(tmp_path, make, engine, remover):
+def test_where_all_atoms_are_frozen_steps_and_reports_draw_no_warning(tmp_path, make, engine, remover):
     """Nothing moves, no degree of freedom has a temperature, and the centre of mass is at rest."""
     topology, positions, system = cluster_system(2)
     freeze(system, range(system.getNumParticles()))
@@ -211,7 +211,7 @@ def test_named_bodies_may_be_frozen_as_wholes():
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_barostats_that_move_frozen_atoms_are_spoken_of(engine):
+def test_barostats_that_move_frozen_atoms_draw_a_warning(engine):
     _, system, (positions, velocities) = settled("box-59", *periodic_system())
     atoms = freeze(system, range(3))
     with pytest.raises(openmm.OpenMMException, match="particle 0 belongs to no body"):

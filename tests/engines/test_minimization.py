@@ -63,7 +63,7 @@ def test_a_simulation_minimizes_named_bodies_whole(gas, rigid):
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-def test_a_bead_that_is_stuck_in_a_cage_is_told(engine):
+def test_a_bead_that_is_stuck_in_a_cage_draws_a_warning(engine):
     """60 atoms at 0.36 nm hold it, of which each wants to be at 0.66 nm and has 1.6**12 of 4 epsilon: 3e4 kJ/mol.
 
     With the native engine the atoms of the cage have no mass, and OpenMM's minimizer moves the bead.
@@ -79,7 +79,7 @@ def test_a_bead_that_is_stuck_in_a_cage_is_told(engine):
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
-def test_a_bead_that_fits_into_a_cage_is_not_told(engine):
+def test_a_bead_that_fits_into_a_cage_draws_no_warning(engine):
     system, positions, atoms = cages.bead_in_cage(0.3, 12.0 if engine == "exact" else 0.0)
     bodies = RigidBodies.from_system(system, rigid=[atoms], positions=positions) if engine == "exact" else None
     context = context_at(

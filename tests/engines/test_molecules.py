@@ -1,4 +1,4 @@
-"""Molecules that are not rigid, in the exact engine: conservation, restarts, and what is refused."""
+"""Molecules that are not rigid, in the exact engine: conservation, restarts and refusals."""
 
 import gc
 import math
@@ -155,7 +155,7 @@ def test_forces_that_cannot_be_fast_are_refused():
 # --- steps ---
 
 
-def test_steps_that_fast_bonds_do_not_bear():
+def test_steps_that_are_too_long_for_fast_bonds():
     """Unconstrained C-H, of 11.4 fs: refused, warned of and taken."""
     system, _ = system_of(chains(constrained=False))
     period = 2000 * math.pi * math.sqrt(12 / 13 / 2.8e5)

@@ -11,9 +11,9 @@ from openmm_sier import SIER2, SIER2V2, SIER4, SIER4G, RigidBodies, SIERIntegrat
 from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.support.matrices import representatives
+from tests.support.openmm_alone import fails_in_openmm_alone, run_by_openmm_alone
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
-from tests.support.strangers import fails_as_stranger, run_as_stranger
 from tests.support.systems import assembled, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, settled
 
@@ -84,7 +84,7 @@ def test_barostat_and_motion_remover_count_whole_steps():
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4G])
 def test_counting_heat_changes_no_trajectory(cluster, scheme):
-    """Drifts take away what is not projected. At 0 K, since Reference draws noise for each statement of a program."""
+    """Drifts remove components along constraints. At 0 K, since Reference draws noise for each statement."""
     system, point = cluster
     ends = []
     for counts in (True, False):
@@ -158,7 +158,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
     given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
     if bound != "not bound":
         _bound = context_at(system, given, point, steps=2)
-    results, time, _ = run_as_stranger(tmp_path, system, given, state)
+    results, time, _ = run_by_openmm_alone(tmp_path, system, given, state)
     expected = []
     for _ in range(4):
         integrator.step(1)
@@ -190,7 +190,7 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
         openmm.Context(system, integrator)
     # Elsewhere it must not run as if it had been asked for less.
-    assert fails_as_stranger(tmp_path, openmm.XmlSerializer.deserialize(xml))
+    assert fails_in_openmm_alone(tmp_path, openmm.XmlSerializer.deserialize(xml))
 
 
 def test_named_bodies_that_constraints_hold_are_taken(cluster):
@@ -215,7 +215,7 @@ def test_andersen_thermostat_is_refused(cluster):
 
 @pytest.mark.parametrize("first", ["exact", "native"])
 @pytest.mark.parametrize("by", ["checkpoint", "state"])
-def test_runs_go_on_with_the_other_engine(cluster, first, by):
+def test_runs_continue_with_the_other_engine(cluster, first, by):
     system, point = cluster
     second = {"exact": "native", "native": "exact"}[first]
     one, other = (
@@ -245,7 +245,7 @@ def test_runs_go_on_with_the_other_engine(cluster, first, by):
 
 
 @pytest.mark.parametrize(("first", "second"), [("Reference", "CPU"), ("CPU", "Reference")])
-def test_runs_go_on_on_another_platform(first, second):
+def test_runs_continue_on_another_platform(first, second):
     """Whose program divides a step into another number of native steps."""
     _, system, point = settled("box-59", *periodic_system())
     one, other = (SIERIntegrator(0.002, SIER2V2, engine="native") for _ in range(2))

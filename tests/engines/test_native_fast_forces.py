@@ -151,7 +151,7 @@ def test_fast_groups_must_be_integrated():
 
 @both_engines
 def test_bonds_that_constraints_hold_do_not_vibrate(engine):
-    """The constrained bond has a period of 9 fs, at which SIER4G bears no step of 6 fs; the other one 300 fs."""
+    """The constrained bond has a period of 9 fs, too short for SIER4G at 6 fs; the other one 300 fs."""
     bonds = openmm.HarmonicBondForce()
     bonds.addBond(1, 0, 0.109, 4.5e5)
     bonds.addBond(0, 2, 0.153, 2.6e3)

@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 from openmm_sier import RigidBodies, RigidityError, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.observe.openmm_integrators import make_integrator
-from tests.support.braced import benzene, formate, gas, methane, triangle
+from tests.support.constrained_molecules import benzene, formate, gas, methane, triangle
 from tests.support.matrices import representatives
 from tests.support.waters import energies, phase_point, platform
 

@@ -10,9 +10,9 @@ from openmm_sier import SIER2, SIER2V2, SIERHMCIntegrator
 from openmm_sier.engines.native import trials
 from openmm_sier.ensembles import metropolis
 from tests.support import anharmonic, spinning
+from tests.support.openmm_alone import samples_of_openmm_alone
 from tests.support.samplers import counted, sampler
 from tests.support.seeded import seeded
-from tests.support.strangers import samples_as_stranger
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, energies, phase_point, settled
 
@@ -96,7 +96,7 @@ def test_a_checkpoint_is_continued_bit_for_bit(name):
 
 
 def test_trials_of_other_lengths_steps_and_temperatures():
-    """What a trial is made of may change between two, and the next one has it."""
+    """Settings of a trial may change between two trials, and apply to the next."""
     context = anharmonic_context()
     integrator = context.getIntegrator()
     energies_of_atoms = []
@@ -146,7 +146,7 @@ def test_ends_with_broken_constraints_are_rejected(monkeypatch, name, box):
 
 
 def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
-    """At a call after the first few; the run then goes on."""
+    """At a call after the first few; the run then continues."""
     fails_at = math.inf
     calls = 0
 
@@ -201,7 +201,7 @@ def test_stored_xml_samples_exactly_without_this_package(tmp_path):
     system = anharmonic.system()
     plain = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x))
     state = plain.getState(positions=True)
-    rows, (result, accepted), time = samples_as_stranger(tmp_path, system, integrator, state, 4000)
+    rows, (result, accepted), time = samples_of_openmm_alone(tmp_path, system, integrator, state, 4000)
     assert result == 4020
     # 0.7, which scatters by 0.03 between displaced starts.
     assert 0.5 < accepted / result < 0.9

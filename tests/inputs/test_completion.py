@@ -1,4 +1,4 @@
-"""Structures of archives made complete and put into water: what is added, what is said of it, and what is refused."""
+"""Completion and solvation of structures of archives: additions, their report, and refusals."""
 
 import random
 import sys
@@ -12,7 +12,7 @@ from openmm import unit
 from openmm_sier.inputs.completion import FILES, as_pdb, complete, solvate
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors
-from tests.support.archive import FIRST, LAST, kept, villin, write_incomplete
+from tests.support.incomplete_structures import FIRST, LAST, kept, villin, write_incomplete
 from tests.support.matrices import representatives
 
 pytest.importorskip("pdbfixer")
@@ -50,7 +50,7 @@ def heavy(topology):
     ]
 
 
-def test_what_is_missing_is_added_and_said(whole):
+def test_missing_parts_are_added_and_reported(whole):
     expected = kept(villin())
     # The chain ends early, and has a terminal oxygen there.
     assert sorted(heavy(whole.topology)) == sorted([*expected, (LAST, expected[-1][1], "OXT")])
@@ -151,7 +151,7 @@ def test_force_fields_without_water_or_ions_are_refused(structure, whole):
 
 
 @pytest.mark.thorough
-def test_random_numbers_of_others_go_on(whole):
+def test_random_numbers_of_other_integrators_continue(whole):
     random.seed(5)
     expected = random.random()
     random.seed(5)

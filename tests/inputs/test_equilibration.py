@@ -19,13 +19,13 @@ from openmm_sier.inputs import equilibration, forcefields
 from openmm_sier.inputs.equilibration import EquilibrationWarning, equilibrate, prepare
 from tests.support import solutes
 from tests.support.commands import write_lattice
-from tests.support.reports import Told
+from tests.support.reports import RecordingReport
 from tests.support.seeded import seeded
 from tests.support.silence import silence
 from tests.support.solutes import spc, system_of
 from tests.support.systems import assembled, field, with_forces
-from tests.support.tethers import falling_water, tethered_water
 from tests.support.waters import energies, phase_point, platform
+from tests.support.waters_in_fields import falling_water, tethered_water
 
 TEMPERATURE = 300.0
 
@@ -43,7 +43,7 @@ def tethered():
 
 def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     """From springs at rest: half of the energy has still to come when the bath has the temperature already."""
-    report = Told()
+    report = RecordingReport()
     outcome = equilibrate(context_of(*tethered), TEMPERATURE, report=report)
     # One in a hundred windows is out of bounds by chance, so that 17 of them are so with a probability of 1e-34.
     assert outcome.settled
@@ -62,7 +62,7 @@ def test_it_ends_when_temperatures_and_potential_energy_have_settled(tethered):
     assert fractions == sorted(fractions)
 
 
-def test_a_potential_energy_that_goes_on_falling_is_not_settled(monkeypatch):
+def test_a_potential_energy_that_is_still_falling_has_not_settled(monkeypatch):
     """80 waters fall at their terminal velocity, g over the friction of 5/ps, 0.15 nm/ps.
 
     Translations are warmer by m v^2/3R = 16 K, within the bound of 27 K, but 160 kJ/mol of potential energy a ps go to
@@ -85,7 +85,7 @@ def test_a_temperature_that_is_not_reached_is_not_settled(monkeypatch, tethered)
 
 @pytest.mark.parametrize("time", [0.0, 0.06])
 def test_a_time_that_is_given_is_kept(tethered, time):
-    report = Told()
+    report = RecordingReport()
     equilibration = equilibrate(context_of(*tethered), TEMPERATURE, time=time, report=report)
     assert equilibration.time == pytest.approx(time)
     assert not equilibration.settled
@@ -140,7 +140,7 @@ def test_the_step_follows_the_bonds(fast):
     """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
     system, positions = system_of([spc(), spc()])
     groups = prepare_system(system).fastForceGroups if fast else None
-    report = Told()
+    report = RecordingReport()
     with silence():
         context = context_of(system, positions, SIERIntegrator(0.002, fastForceGroups=groups))
         equilibration = equilibrate(context, TEMPERATURE, time=0.05, report=report)

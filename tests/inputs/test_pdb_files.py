@@ -1,4 +1,4 @@
-"""PDB files that are refused, and how interactions are cut off in those that are not."""
+"""PDB files: refusals, and cut-offs of interactions."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_boxes_that_are_refused(tmp_path, lines, change, message):
         ((90, 90, 120), "1.4000 x 1.4000 x 1.4000 nm with angles of 90.00, 90.00 and 120.00 degrees"),
     ],
 )
-def test_a_box_that_is_not_rectangular_is_told_with_its_angles(tmp_path, lines, angles, expected):
+def test_a_box_that_is_not_rectangular_is_reported_with_its_angles(tmp_path, lines, angles, expected):
     path, shown = tmp_path / "box.pdb", "".join(f"{angle:7.2f}" for angle in angles)
     path.write_text("".join([lines[0], f"CRYST1{14:9.3f}{14:9.3f}{14:9.3f}{shown} P 1           1\n", *lines[2:]]))
     box = read_box(path)
@@ -92,7 +92,7 @@ def test_a_box_that_is_not_rectangular_is_told_with_its_angles(tmp_path, lines, 
 
 @pytest.mark.parametrize("ending", [[], ["END\n"]])
 @pytest.mark.parametrize("name", ["box.pdb", "box.cif"])
-def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, ending):
+def test_a_file_that_was_cut_off_is_recognized_by_its_density(tmp_path, lines, name, ending):
     """Seven of 27 molecules are left, and 0.26 g/ml."""
     path = tmp_path / "box.pdb"
     path.write_text("".join([*lines[:23], *ending]))
@@ -108,7 +108,7 @@ def test_a_file_that_was_cut_off_is_told_by_its_density(tmp_path, lines, name, e
     assert ("the file, which has no record END, is cut off" in str(caught[-1].message)) == lacks_end
 
 
-def test_half_a_liquid_is_told_without_a_warning(tmp_path, lines, recwarn):
+def test_half_a_liquid_is_reported_without_a_warning(tmp_path, lines, recwarn):
     path = tmp_path / "box.pdb"
     path.write_text("".join(lines[:44]))
     assert "at 0.517 g/ml, PME" in describe(read_input(path))

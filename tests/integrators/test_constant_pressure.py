@@ -1,4 +1,4 @@
-"""Constant pressure: the distribution of the volume, what is moved, restarts, and what is refused."""
+"""Constant pressure: the distribution of the volume, moves, restarts and refusals."""
 
 from functools import partial
 
@@ -193,7 +193,7 @@ def test_the_box_of_a_network_answers(engine):
 
 @both_engines
 @pytest.mark.parametrize("way", ["Checkpoint", "State"])
-def test_a_restart_goes_on_with_the_size_of_moves(tmp_path, monkeypatch, engine, way):
+def test_a_restart_continues_with_the_size_of_moves(tmp_path, monkeypatch, engine, way):
     """Also where the size is judged only later, by moves from before the restart and after it.
 
     All of them are improbable, so that it becomes smaller.

@@ -44,7 +44,7 @@ def test_a_subclass_of_context_is_refused(cluster):
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("make", [SIERLangevinIntegrator, SIERHMCIntegrator], ids=["bath", "trials"])
 def test_engines_call_openmms_own_methods(box, engine, make, monkeypatch):
-    """An engine's own changes are no news to it, and would make it read all atoms anew."""
+    """An engine's own changes must not trigger the hooks, which would make it read all atoms."""
     _, system, point = box
     called = []
 

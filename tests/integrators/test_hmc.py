@@ -16,8 +16,8 @@ from openmm_sier.ensembles import metropolis
 from openmm_sier.integrators.storage import written
 from tests.support.matrices import representatives
 from tests.support.methanols import positions_of, system_of
+from tests.support.openmm_alone import fails_in_openmm_alone
 from tests.support.samplers import KT, counted, sampler, states_asked
-from tests.support.strangers import fails_as_stranger
 from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
@@ -112,7 +112,7 @@ def test_steps_of_trials_and_of_the_scheme(cluster, tmp_path):
 
 
 @pytest.mark.parametrize(("first", "second"), [("exact", "native"), ("native", "exact")])
-def test_the_other_engine_goes_on_from_a_sample(cluster, first, second):
+def test_the_other_engine_continues_from_a_sample(cluster, first, second):
     one, other = (sampler(engine=engine, substeps=2) for engine in (first, second))
     context, later = (context_at(cluster[0], integrator, cluster[1]) for integrator in (one, other))
     one.step(2)
@@ -166,7 +166,7 @@ class Decision:
         return len(self.errors) == self.wanted
 
 
-def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
+def test_a_trajectory_that_would_be_rejected_continues(cluster, monkeypatch):
     """Each of its ends is accepted or not by the same random number, on its own energy; forces are counted.
 
     In turn the first, the second, the third end and none is accepted, whatever its energy. `test_whole_trials.py` has
@@ -200,7 +200,7 @@ def test_a_trajectory_that_would_be_rejected_goes_on(cluster, monkeypatch):
     assert (integrator.getExtraChances(), sampler(extraChances=0).getExtraChances()) == (2, 0)
 
 
-def test_trials_that_are_long_do_not_go_on():
+def test_long_trials_do_not_continue():
     assert list(map(usual_chances, (0.02, 0.072, 0.09, 0.108, 0.11, 0.5, 0))) == [2, 2, 1, 1, 0, 0, 0]
     assert SIERHMCIntegrator(300, 0.009).getExtraChances() is None
     with pytest.raises(ValueError, match="extraChances must be a whole number of at least 0, got -1"):
@@ -258,7 +258,7 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
 
 
 def assert_means(rows, expected, errors):
-    """Means of rows within four standard errors of what they should be, which are those of 25 blocks."""
+    """Assert that means of rows are within four standard errors, from 25 blocks, of their expected values."""
     blocks = np.array(rows)[: len(rows) // 25 * 25].reshape(25, -1, len(expected)).mean(axis=1)
     result = blocks.std(axis=0, ddof=1) / 5
     # An error of more than this would let a wrong rule pass.
@@ -334,7 +334,7 @@ def test_a_change_between_trials_changes_the_energy_of_the_sample(change, engine
 
 @ENGINES
 def test_forces_that_are_not_finite_reject_a_trial(engine):
-    """A particle in a well that ends at x = 0.3 nm: what leaves it is rejected, and the run goes on."""
+    """A particle in a well that ends at x = 0.3 nm: trials that leave it are rejected, and the run continues."""
     system = assembled([1.0], field("sqrt(0.09-x^2)-0.3", [0]))
     integrator = sampler(0.02, 3, seed=6, **engine)
     context = context_at(system, integrator, (np.zeros((1, 3)), np.zeros((1, 3))))
@@ -471,7 +471,7 @@ def test_fails_without_this_package(tmp_path, kind, engine):
     point = positions, np.zeros_like(positions)
     _context = context_at(system, integrator, point, steps=1)
     assert written(integrator).getGlobalVariableByName(EXACT_ONLY) == 1
-    assert fails_as_stranger(tmp_path, integrator)
+    assert fails_in_openmm_alone(tmp_path, integrator)
 
 
 @pytest.mark.parametrize(

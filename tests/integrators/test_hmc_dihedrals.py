@@ -1,4 +1,4 @@
-"""Phi and psi of alanine dipeptide by hybrid Monte Carlo, beside OpenMM's LangevinMiddle at steps of 0.5 fs.
+"""Phi and psi of alanine dipeptide by hybrid Monte Carlo and by OpenMM's LangevinMiddle at steps of 0.5 fs.
 
 With kicks that are too weak: without the rule they sample the ensemble of a higher temperature.
 
@@ -86,7 +86,7 @@ def expected(dipeptide):
 
 @pytest.fixture
 def unchecked(monkeypatch):
-    """Schemes whose kicks need not sum to 1, which nobody could make otherwise."""
+    """Schemes without the check that their kicks sum to 1."""
 
     def keep(scheme):
         object.__setattr__(scheme, "stages", tuple(Stage(*stage) for stage in scheme.stages))

@@ -146,8 +146,8 @@ def test_a_bath_whose_heat_is_not_counted_has_its_temperature():
     assert np.abs(phase_point(context)[1] - velocities).max() < 1e-5
 
 
-def test_noise_that_a_state_does_not_hold_is_spoken_of():
-    """With the native engine a State goes on in the same ensemble, a checkpoint on the same trajectory."""
+def test_noise_that_a_state_does_not_hold_draws_a_warning():
+    """With the native engine a State continues in the same ensemble, a checkpoint on the same trajectory."""
     _, positions, system = cluster_system(3)
     point = positions, np.zeros_like(positions)
 
@@ -245,7 +245,7 @@ def test_temperatures_are_those_just_after_the_bath(engine):
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
-    """Their share of the mean extension is x/tan(x), x = pi h/T; a warning tells it from 0.9 on."""
+    """Their share of the mean extension is x/tan(x), x = pi h/T; a warning is given below 0.9."""
     count, period, h, force = 50, 0.0093, 0.004, 200.0
     stiffness = (2 * np.pi / period) ** 2 * 16 / 17
     system, positions = fast_bonds(count, (16.0, 1.0), stiffness, openmm.CustomBondForce(f"-{force}*r"))
@@ -269,7 +269,7 @@ def test_slow_forces_stretch_a_fast_bond_by_too_little(engine):
 
 
 @pytest.mark.parametrize("force", [openmm.MonteCarloBarostat(1, 350, 25), openmm.AndersenThermostat(350, 1)])
-def test_a_force_at_another_temperature_is_spoken_of(force):
+def test_a_force_at_another_temperature_draws_a_warning(force):
     _, positions, system = periodic_system()
     system = with_forces(system, force)
     name = type(force).__name__

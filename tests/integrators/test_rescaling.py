@@ -1,4 +1,4 @@
-"""Stochastic velocity rescaling: its distribution, what it leaves alone, its bookkeeping, and restarts."""
+"""Stochastic velocity rescaling: its distribution, unchanged quantities, its bookkeeping, and restarts."""
 
 import numpy as np
 import openmm

@@ -120,7 +120,7 @@ def cluster():
 @pytest.mark.usefixtures("coin")
 @pytest.mark.parametrize(("way", "where", "name", "label"), MATRIX)
 def test_restart_is_exact(tmp_path, cluster, box, way, where, name, label):
-    """A Context that has a past goes on as the one that is restarted, also when it goes back to a checkpoint.
+    """A Context continues like a restarted one, also when it loads a checkpoint.
 
     In a box on the CPU platform positions would be 1e-8 to 1e-6 nm apart if neighbour lists had a past, and energies at
     the start of a trial 1e-5 to 4e-4 kT.
@@ -184,7 +184,7 @@ def with_barostat(system, frequency):
 
 
 @pytest.mark.parametrize("label", representatives(["SIER4", "SIER2 NVT"], "SIER2 NVT"))
-def test_restart_beside_a_barostat_of_openmm(box, label):
+def test_restart_with_a_barostat_of_openmm(box, label):
     """A checkpoint brings the random numbers of the barostat.
 
     It does not bring the count of steps since its last move nor the acceptance ratio of its last ten, with integrators
@@ -247,7 +247,7 @@ def test_noise_is_not_used_again_after_the_state_of_the_start_was_loaded(cluster
     assert integrator.binding.stored.ledger.draws == 3
 
 
-def test_reinitialization_without_its_state_starts_anew(cluster):
+def test_reinitialization_without_its_state_starts_again(cluster):
     _, system, point = cluster
     integrator = langevin(SIER2)
     context = context_at(system, integrator, point, steps=10)
@@ -296,7 +296,7 @@ OTHERS = [
 
 @pytest.mark.parametrize("make", OTHERS, ids=["Verlet", "LangevinMiddle", "NoseHoover", "Custom"])
 def test_states_of_other_integrators_are_taken_over(tmp_path, box, make):
-    """Equilibrate with one, save, go on with the other: OpenMM alone fails over the first one's parameters."""
+    """Equilibrate with one, save, continue with the other: OpenMM alone fails on the first one's parameters."""
     topology, system, point = box
     one = simulation_of(topology, with_barostat(system, 25), make(), "CPU", point)
     one.step(5)
@@ -374,7 +374,7 @@ def test_a_state_is_a_restart_point_if_it_has_the_parameters_of_the_integrator()
     ),
 )
 def test_forces_within_forces_have_neighbour_lists_of_their_own(box, name, engine):
-    """Positions were 2e-7 nm apart when these lists had a past, after the lists were made anew at least once."""
+    """Positions were 2e-7 nm apart when these lists had a past, after the lists were rebuilt at least once."""
     _, system, point = box
     system = contained(system, name)
     prepare_system(system)

@@ -25,12 +25,12 @@ def first_trial(steps):
 
 @pytest.mark.thorough
 def test_trajectories_come_back():
-    """The rounding of forces leaves some 1e-6 nm after 60 fs, a hundredth of what is accepted."""
+    """The rounding of forces leaves some 1e-6 nm after 60 fs, a hundredth of the tolerance."""
     assert 0 < first_trial(10).reversalError < metropolis.REVERSIBLE
 
 
 @pytest.mark.thorough
 def test_trajectories_in_which_chaos_has_its_time_are_refused():
-    """They miss by 4e-3 nm, forty times what is accepted."""
+    """They miss by 4e-3 nm, forty times the tolerance."""
     with pytest.raises(openmm.OpenMMException, match="missed its start by"):
         first_trial(100)

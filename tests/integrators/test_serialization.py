@@ -164,7 +164,7 @@ def test_settled_bodies_come_back_to_the_bit(cluster):
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
-    """OpenMM's Simulation takes file names of System, integrator and State; nothing else is needed to go on."""
+    """OpenMM's Simulation takes file names of System, integrator and State; nothing else is needed to continue."""
     topology, system, point = cluster
     integrator = SIERIntegrator(0.004, SIER4G)
     context = context_at(system, integrator, point, steps=3)
@@ -243,7 +243,7 @@ def test_names_that_xml_readers_damage(name):
 
 
 def test_rotation_without_a_name():
-    """XML cannot carry it and says so; copies within the process can."""
+    """XML cannot contain it and refuses; copies within the process can."""
     integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
     with pytest.raises(openmm.OpenMMException, match=r"free-rotation map .*lambda.* is not known here"):

@@ -1,4 +1,4 @@
-"""Tuning of hybrid Monte Carlo: the acceptance it reaches, what it leaves behind, and what it refuses."""
+"""Tuning of hybrid Monte Carlo: the acceptance it reaches, the state after it, and refusals."""
 
 import itertools
 import math
@@ -111,7 +111,7 @@ def bonded(mass, strength, **options):
     return context_at(assembled(2 * [mass], bond), integrator, point)
 
 
-def test_steps_stay_below_what_a_bond_bears():
+def test_steps_stay_below_the_limit_of_a_bond():
     """The spread of a single bond's energy errors is never what an acceptance of 0.05 has."""
     context = bonded(1.0, 2e4, scheme=SIER2)
     with pytest.warns(UserWarning, match="A step of 4 fs is long"):

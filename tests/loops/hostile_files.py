@@ -71,7 +71,7 @@ NUMBER = re.compile(rb"-?\d+\.?\d*")
 
 
 class Unsafe(AssertionError):
-    """A command did with a file what it must not."""
+    """Forbidden behaviour of a command with a file."""
 
 
 class Hangs(BaseException):

@@ -1,4 +1,4 @@
-"""Ctrl-C at random moments of every kind of run: the Context must be at a completed step, and the run must go on.
+"""Ctrl-C at random moments of every kind of run: the Context must be at a completed step, and the run must continue.
 
     python -m tests.loops.interrupts [--interrupts 2000] [--engines exact] [--runs langevin]
 
@@ -75,7 +75,7 @@ class Broken(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class InterruptSettings(Settings):
-    """What is interrupted, and how often.
+    """Runs to interrupt, and the number of interrupts.
 
     Attributes:
         interrupts: of each run with each engine.

@@ -61,7 +61,7 @@ class Lost(ValueError):
 
 
 def line_of(directory: Path, out: str, steps: int, resume: bool) -> list[str]:
-    """The command that begins a run, or goes on from its checkpoint if there is one: always the same with `resume`."""
+    """The command that begins a run, or continues from its checkpoint: always the same with `resume`."""
     if resume:
         return [*COMMAND, *PLAN, "--out", out, "--resume", "--steps", str(steps)]
     checkpoint = Path(out).with_suffix(".chk")

@@ -10,7 +10,7 @@ from tests.loops.two_commands import TwoSettings
 
 
 @pytest.mark.thorough
-def test_one_command_line_goes_on_after_every_kill(tmp_path):
+def test_one_command_line_continues_after_every_kill(tmp_path):
     """What the loop does fifty times: not a bit may differ from a run that nothing disturbed.
 
     The fourth kill comes early, before there is a checkpoint or while the command reads it.

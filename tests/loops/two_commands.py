@@ -65,7 +65,7 @@ def started(kind: str, place: Path, steps: int = STEPS) -> subprocess.Popen[str]
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """The exit code of a command, and what it said on standard error."""
+    """The exit code and the standard error of a command."""
     try:
         output = process.communicate(timeout=PATIENCE)[1]
     except subprocess.TimeoutExpired:
@@ -125,7 +125,7 @@ def collide(directory: Path, first: str, second: str, times: int, seed: int) -> 
 
 
 def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
-    """How the second and the first command met, by their exit codes and what they said."""
+    """How the second and the first command met, by their exit codes and messages."""
     if one[0] and two[0]:
         raise Disturbed(f"both commands failed: {one[1]}{two[1]}")
     # A restart of a run that is complete has a code of its own.
@@ -140,7 +140,7 @@ def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TwoSettings(Settings):
-    """What is started, and how often.
+    """Pairs of commands, and the number of starts.
 
     Attributes:
         times: how often each pair is started.

@@ -1,4 +1,4 @@
-"""The check of Forces against their energies: it finds those that are no gradient, and nothing in sound ones."""
+"""The check of Forces against their energies: it finds those that are no gradient, and passes others."""
 
 import copy
 

@@ -269,7 +269,7 @@ def test_parameters_and_force_groups_are_followed():
 
 
 @pytest.mark.parametrize("observe", [tensor_of, check_forces], ids=["pressure tensor", "check of forces"])
-def test_random_numbers_of_openmm_go_on_in_the_first_context(observe):
+def test_random_numbers_of_openmm_continue_in_the_first_context(observe):
     """Leave alone what all Contexts of a process share: random numbers of barostats, on Reference those of baths."""
     positions = 0.5 * np.array(list(np.ndindex(4, 4, 4)))
     system, pairs = openmm.System(), openmm.NonbondedForce()

@@ -224,7 +224,7 @@ def test_body_states_have_the_names_of_domains(tmp_path):
         assert sum(map(bool, result)) == 2 - number
 
 
-def test_body_states_tell_where_the_atoms_are(tmp_path):
+def test_body_states_determine_the_atoms(tmp_path):
     """Atoms rebuilt from nothing but the file, of a salt solution whose box changes, against those of the Context."""
     topology, positions, system = periodic_system(ions=True)
     simulation = simulation_of(

@@ -18,7 +18,7 @@ def limits(force):
 
 @pytest.mark.parametrize("epsilon", [np.nan, np.inf])
 def test_the_largest_jump_of_all_atoms_counts(epsilon):
-    """Wherever it is, and beside one that is no number."""
+    """In any place, and together with one that is not a number."""
     force = openmm.NonbondedForce()
     for well in (0.0, epsilon, 0.64, 0.0):
         force.addParticle(0, 0.315, well)

@@ -56,7 +56,7 @@ def test_pme_is_balanced_wherever_it_is(water, name):
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_pme_that_is_not_balanced_is_told_wherever_it_is(water, name):
+def test_pme_that_is_not_balanced_draws_a_warning_in_any_force(water, name):
     system = contained(water[1], name)
     with pytest.warns(UserWarning, match=r"Call prepare_system\(system\) before .*PME jumps"):
         openmm.Context(system, SIERIntegrator(0.004), platform())
@@ -230,7 +230,7 @@ def test_close_pairs_are_found_wherever_they_are(name):
 # --- what else is read of Forces within Forces ---
 
 
-def test_a_jump_is_told_wherever_it_is():
+def test_a_discontinuity_draws_a_warning_in_any_force():
     _, _, system = periodic_system("tip3p", 64)
     message = str(prepare_system(contained(system, "ATMForce")))
     assert "NonbondedForce in ATMForce ends with a jump of the energy at 0.55 nm" in message

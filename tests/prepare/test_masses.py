@@ -38,7 +38,7 @@ def centres_of(topology):
 @pytest.mark.parametrize("constraints", [None, app.HBonds, app.AllBonds, app.HAngles])
 @pytest.mark.parametrize("before", [None, 1.5, 3.0, 4.0])
 def test_hydrogens_of_water_and_solutes(alanine, constraints, before):
-    """What was given to createSystem before does not matter."""
+    """Arguments of createSystem do not matter."""
     topology, forcefield = alanine
     usual = forcefield.createSystem(topology, constraints=constraints)
     system = forcefield.createSystem(topology, constraints=constraints, hydrogenMass=before)
@@ -119,7 +119,7 @@ def test_beads_of_a_coarse_chain_are_no_hydrogens():
     assert masses(system).tolist() == [1.0] * 4
 
 
-def test_masses_that_change_nothing_are_told():
+def test_masses_that_change_nothing_are_reported():
     system = openmm.System()
     system.addParticle(40.0)
     with pytest.warns(UserWarning, match="hydrogenMass has no effect: the System has no hydrogens"):

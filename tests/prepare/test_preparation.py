@@ -1,4 +1,4 @@
-"""Prepared Systems: what is done to them, what they remain through later changes, and what integrators find in them."""
+"""Prepared Systems: their changes, later changes by users, and integrators for them."""
 
 import copy
 import warnings
@@ -143,7 +143,7 @@ def test_what_acts_on_rigid_bodies_is_fast():
     assert "stay slow forces" not in str(preparation)
 
 
-def test_water_is_prepared_and_told_of_what_limits_it():
+def test_water_is_prepared_and_its_limit_reported():
     _, _, system = periodic_system("tip3p", 64)
     force_of(system, openmm.NonbondedForce).setEwaldErrorTolerance(5e-4)
     balanced = copy.deepcopy(system)
@@ -269,7 +269,7 @@ INTEGRATORS = {
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("kind", INTEGRATORS)
 def test_integrators_find_fast_forces(peptide, prepared, kind, engine):
-    """They move atoms bit for bit like one that is told, and so does the program in their XML."""
+    """They move atoms bit for bit like one with explicit groups, and so does the program in their XML."""
     contexts, ends, made = [], [], []
     for told in ({}, {"fastForceGroups": {FAST}}):
         integrator = seeded(INTEGRATORS[kind](engine=engine, **told))
@@ -369,7 +369,7 @@ def test_integrators_of_fourth_order_warn_about_pme(kind):
 @pytest.mark.parametrize(
     "remedy", [prepare_system, lambda system: force_of(system, openmm.NonbondedForce).setPMEParameters(4, 24, 24, 24)]
 )
-def test_nothing_is_told_of_pme_that_somebody_chose(remedy):
+def test_pme_that_a_user_chose_draws_no_warning(remedy):
     _, positions, system = periodic_system("tip3p", 64)
     with silence():
         context_of(system, positions, SIERIntegrator(0.001, "SIER2"))

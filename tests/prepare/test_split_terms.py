@@ -133,7 +133,7 @@ def coarse(has_bodies):
 
 
 @pytest.mark.parametrize("has_bodies", [False, True])
-def test_beads_need_no_fast_forces_and_the_usual_step_is_told(has_bodies):
+def test_beads_need_no_fast_forces_and_the_usual_step_is_reported(has_bodies):
     system, bodies, _ = coarse(has_bodies)
     prepared = prepare_system(system, bodies)
     assert prepared.fastForceGroups == frozenset()
@@ -163,7 +163,7 @@ def test_a_group_that_is_asked_for_is_used():
 
 @pytest.mark.parametrize("fast", ["angles", "expressions"])
 def test_where_something_is_fast_or_not_known_nothing_is_coarse(fast):
-    """A soft restraint between atoms whose bonds are constrained tells nothing of their angles."""
+    """A soft restraint between atoms whose bonds are constrained does not constrain their angles."""
     system, _, _ = coarse(False)
     if fast == "angles":
         angles = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicAngleForce))

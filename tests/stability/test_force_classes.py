@@ -1,5 +1,6 @@
 """A stiff Force of each class limits the step, or is reported as one that cannot be judged."""
 
+import math
 import warnings
 
 import numpy as np
@@ -149,6 +150,14 @@ def test_a_stiff_force_limits_the_step(kind):
     numbers = " and ".join(map(str, atoms)) if len(atoms) == 2 else str(atoms[0])
     with pytest.raises(StepError, match=rf"atoms? {numbers} "):
         judged(make())
+
+
+@pytest.mark.parametrize("kind", UNKNOWN, ids=lambda kind: kind.__name__)
+def test_an_unknown_stiffness_limits_no_step_that_is_chosen(kind):
+    """Such as that of an equilibration, which would be needlessly short."""
+    system = assembled(MASSES, UNKNOWN[kind]())
+    check = StepCheck(system, RigidBodies.from_system(system))
+    assert check.longest_step(SIER2, 1, 0, context=plain_context(system, POSITIONS)) == math.inf
 
 
 @pytest.mark.parametrize("kind", UNKNOWN, ids=lambda kind: kind.__name__)

@@ -1,4 +1,4 @@
-"""Steps that are too long for the librations of molecules: said where they are inaccurate, refused where hopeless."""
+"""Steps that are too long for the librations of molecules: warnings of inaccurate ones, refusals of hopeless ones."""
 
 import openmm
 import pytest
@@ -33,7 +33,7 @@ def longest(system, scheme=SIER4G):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p"])
 def test_steps_in_use_are_taken(model, engine):
-    """The usual step, in a bath 9 fs, of SIER2 6 fs, and Verlet's 3 fs without a word; 4 and 12 fs are spoken of."""
+    """The usual step, in a bath 9 fs, of SIER2 6 fs, and Verlet's 3 fs draw no warning; 4 and 12 fs do."""
     _, _, system = cluster_system(3, model)
     for integrator in (
         SIERIntegrator(SIER4G.constant_energy_step, engine=engine),
@@ -52,7 +52,7 @@ def test_steps_in_use_are_taken(model, engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_step_at_which_the_energy_walks(engine):
-    """It is told once, with what to expect and what to take; nothing is said where the energy need not hold."""
+    """One warning with the expected error and a step; none where the energy is not conserved anyway."""
     _, positions, system = cluster_system(3)
     message = r"With steps of 6 fs the total energy wanders: .* is about 0\.[67] %, and 0\.0\d+ % with SIER4G at 4 fs"
     integrator = SIERIntegrator(0.006, engine=engine)

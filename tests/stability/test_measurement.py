@@ -228,7 +228,7 @@ def test_a_measurement_changes_no_trajectory(monkeypatch):
 
 
 def test_a_measurement_that_is_interrupted_is_made_again(monkeypatch):
-    """The Context is as before, and so is what is known: a step that is too long is still refused."""
+    """The Context does not change, and a step that is too long is still refused."""
 
     def interrupted(*_):
         raise KeyboardInterrupt

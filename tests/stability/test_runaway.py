@@ -84,7 +84,7 @@ def test_hot_starts_and_hot_baths_are_the_users_own(engine):
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("error")
-def test_overlaps_that_are_minimized_first_and_few_atoms_are_not_spoken_of(box):
+def test_overlaps_that_are_minimized_first_and_few_atoms_draw_no_warning(box):
     _, system, (positions, _) = box
     overlapping = positions.copy()
     overlapping[:3] += positions[3] - positions[0] + 0.02

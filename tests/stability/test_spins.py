@@ -1,4 +1,4 @@
-"""Steps in which bodies with a small moment of inertia turn too far: spoken of, and refused at two kicks a turn."""
+"""Steps in which bodies with a small moment of inertia turn too far: warnings, and refusals at two kicks a turn."""
 
 from functools import partial
 
@@ -11,8 +11,8 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.equilibration import equilibrate
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.stability.step_rules import FAST_SPIN
-from tests.support.braced import gas, triangle
-from tests.support.reports import Told
+from tests.support.constrained_molecules import gas, triangle
+from tests.support.reports import RecordingReport
 from tests.support.silence import silence
 from tests.support.systems import field, with_forces
 from tests.support.waters import cluster_system, energies, platform
@@ -116,11 +116,11 @@ def test_the_spins_of_named_bodies_count():
     assert abs(sum(energies(context)) - start) < 0.3
 
 
-def test_an_equilibration_takes_steps_that_they_bear():
+def test_an_equilibration_takes_short_enough_steps():
     system, positions = trimers(177)
     context = made(system, SIERLangevinIntegrator(300, 1, 0.002))
     context.setPositions(positions)
-    report = Told()
+    report = RecordingReport()
     with silence():
         equilibrate(context, 300, time=0.02, report=report)
     # Three quarters of 6.5 fs of SIER4G.

@@ -1,4 +1,4 @@
-"""Bonds that nothing holds: steps that they do not bear are refused, and those that they hardly bear said."""
+"""Unconstrained bonds: steps that are too long are refused, and long ones draw warnings."""
 
 import copy
 import math
@@ -65,7 +65,7 @@ def test_flexible_water_is_refused(flexible, make):
     assert f"SIER4G is accurate up to {1000 * accurate:.3g} fs, and unstable from {1000 * stable:.3g} fs on" in message
 
 
-def test_a_long_step_is_said_once_and_a_short_one_not(flexible):
+def test_a_long_step_draws_one_warning_and_a_short_one_none(flexible):
     _, positions, system = flexible
     stable, accurate = limits(SIER4G, PERIOD)
     with silence():
@@ -147,7 +147,7 @@ def test_a_bond_of_atoms_that_lost_mass_to_hydrogens(of_hydrogen, is_told):
     assert any("if createSystem made hydrogens heavy, call prepare_system" in each for each in remedies) == is_told
 
 
-def test_hydrogens_are_looked_for_only_where_something_is_said(monkeypatch):
+def test_hydrogens_are_looked_for_only_for_a_message(monkeypatch):
     """They only decide the words of remedies, and large Systems have many."""
 
     def looked_for(*_):
@@ -254,7 +254,7 @@ ADVICE = {
 @pytest.mark.parametrize("prepared", [False, True])
 @pytest.mark.parametrize("kind", ADVICE)
 def test_a_remedy_is_one_that_helps(kind, prepared):
-    """Inner steps for what they can follow, and no preparation where it was done or does nothing."""
+    """Inner steps for motions that they can follow, and no preparation where it was done or has no effect."""
     make, begins, says, leaves_out = ADVICE[kind]
     system, rigid, x = make()
     bodies = RigidBodies.from_system(system, rigid=rigid, positions=x) if rigid else None
@@ -322,7 +322,7 @@ def test_flexible_water_that_is_prepared_is_refused_where_kicks_destroy_it(engin
 
 @pytest.mark.filterwarnings("error")
 def test_the_step_that_a_refusal_in_a_bath_names_draws_no_warning():
-    """Bonds to hydrogen bear a shorter one there than where the energy is conserved."""
+    """The limit of bonds to hydrogen is shorter there than at constant energy."""
     _, _, system = cluster_system(3, rigidWater=False)
     prepare_system(system)
     with pytest.raises(openmm.OpenMMException, match="Take up to") as refused:

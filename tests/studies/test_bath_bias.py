@@ -18,7 +18,7 @@ UNEVEN = np.array([0.02, 0.04, 0.05])
 
 
 def test_a_harmonic_mode_has_no_bias_in_a_bath():
-    """What is there at once and what the bath makes of it cancel."""
+    """The bias without a bath and that of the bath cancel."""
     rng = np.random.default_rng(1)
     n, kT, h, frequency, friction = 400, 2.5, 0.002, 30.0, 20.0
     damping = math.exp(-friction * h)
@@ -52,7 +52,7 @@ def test_a_harmonic_mode_has_no_bias_in_a_bath():
     assert abs(bias["weak_potential"].value) < 6.5 * bias["weak_potential"].error < 0.7 * at_once
 
 
-def test_steps_of_rattle_turn_as_the_energy_that_they_conserve_says():
+def test_steps_of_rattle_turn_by_the_energy_that_they_conserve():
     """Body-frame angular momenta follow L' = L x dE/dL, with E that of the study and by scipy's solver."""
     L, h, steps = 3 * np.sqrt(2.5 * UNEVEN), 0.004, 50
     A, lab = np.eye(3)[:, :, None], L[:, None]

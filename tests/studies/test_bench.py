@@ -1,4 +1,4 @@
-"""The benchmark: what it measures is measured rightly; how fast anything is, no test says."""
+"""The benchmark measures correctly; no test asserts a speed."""
 
 import os
 import sys
@@ -18,7 +18,7 @@ from tests.support.waters import plain_context
 
 @pytest.fixture(scope="module")
 def liquid():
-    """512 molecules of TIP3P with velocities: the System, a State, and what peers are told."""
+    """512 molecules of TIP3P with velocities: the System, a State, and the input of peers."""
     result = forcefields.read_box(SYSTEMS / "tip3p-512.pdb")
     context = started(result.system, SIERIntegrator(0.001, "SIER2"), result.positions, 297, seed=1)
     state = context.getState(positions=True, velocities=True)

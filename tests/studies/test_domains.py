@@ -1,4 +1,4 @@
-"""The models of the study of rigid domains, and how it tells what is right."""
+"""The models of the study of rigid domains, and its criteria."""
 
 import math
 import re
@@ -127,7 +127,7 @@ def test_gas_moves_in_a_framework_that_does_not():
     assert np.linalg.norm(moved[-3:], axis=1).min() > 0
 
 
-def test_methods_make_what_they_say():
+def test_methods_match_their_descriptions():
     model = patchy.model(2)
     for name, method in methods.METHODS.items():
         result = method.make(model, 0.01, 1.0, 1)

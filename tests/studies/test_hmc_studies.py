@@ -65,7 +65,7 @@ def test_curvatures_of_known_potentials():
     assert result["rotation_divergence"] == pytest.approx(-2 * field, rel=0.25)
 
 
-def test_costs_beside_those_of_langevin_middle():
+def test_costs_compared_with_those_of_langevin_middle():
     """Two runs of trials, weighted by their times, beside one of the reference; a run that is too short tells none."""
     common = {"box": "b", "at": "constant volume", "hydrogens": "4 Da", "broken": "", "fs_per_second": 100.0}
     of_trials = common | {"method": "SIER2V2 HMC, 9 fs x 8, 1/ps", "accepted": 0.9, "trials": 10}

@@ -1,4 +1,4 @@
-"""`python -m studies.launches`: what is counted, and how many launches a step has."""
+"""`python -m studies.launches`: counted commands, and the number of launches a step."""
 
 import pandas as pd
 import pytest
@@ -46,7 +46,7 @@ def test_commands_are_counted_by_what_they_do():
     assert result == kernels | copies | reads | writes | {"waits": 7}
 
 
-def test_a_step_is_told_from_its_call():
+def test_a_step_is_distinguished_from_its_call():
     """Thirty launches for a step, and one for a call with two reads; one read in every step."""
     one, many = {"launches": 31, "reads": 3}, {"launches": 301, "reads": 12, "writes": 9}
     assert counting.divided(one, many, 10) == (

@@ -1,4 +1,4 @@
-"""Studies from command line to files, in miniature; how fast anything is, no test says."""
+"""Studies from command line to files, in miniature; no test asserts a speed."""
 
 import json
 import math

@@ -11,8 +11,8 @@ from studies import sampling
 from studies.methods import SCHEMES
 from tests.support.flexible_systems import started
 from tests.support.seeded import seeded
-from tests.support.tethers import SPRINGS, tethered_water
 from tests.support.waters import periodic_system
+from tests.support.waters_in_fields import SPRINGS, tethered_water
 
 TEMPERATURE = 300.0
 

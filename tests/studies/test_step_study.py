@@ -1,4 +1,4 @@
-"""Properties against the step: runs, what belongs together, and what a run does not tell."""
+"""Properties against the step: runs, their grouping, and missing properties."""
 
 import subprocess
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ from studies import command_runs, records, step_study
 from studies.command_runs import RunFailed
 from studies.step_study import StepSettings
 from tests.support.commands import log, write_lattice
-from tests.support.reports import Told
+from tests.support.reports import RecordingReport
 from tests.support.studies import make_here
 
 SHORT = {"platform": "Reference", "equilibrate": 0.01, "every": 0.012, "report_every": 0.006, "checkpoint_every": 1.0}
@@ -51,7 +51,7 @@ def settings(box, tmp_path, *methods, **more):
 def test_runs_become_a_table_and_a_figure(box, tmp_path):
     """Two seeds of one method, then another method, which is added to the table; nothing is made twice."""
     step_study.study(settings(box, tmp_path, "sier2", starts=2))
-    report = Told()
+    report = RecordingReport()
     rows = step_study.study(settings(box, tmp_path, "sier2", "langevinmiddle"), report).tables["rows"]
     assert len(report.notes) == 1
     assert list(rows["method"]) == ["OpenMM LangevinMiddle", "SIER2"]
@@ -67,7 +67,7 @@ def test_runs_become_a_table_and_a_figure(box, tmp_path):
 
 
 @pytest.mark.thorough
-def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
+def test_a_longer_run_continues_and_replaces_the_shorter(box, tmp_path):
     first, second = (settings(box, tmp_path, "sier2", times=(time,)) for time in (0.12, 0.24))
     rows = [step_study.study(each).tables["rows"].iloc[0] for each in (first, second)]
     assert [row["time"] for row in rows] == pytest.approx([0.12, 0.24])
@@ -76,7 +76,7 @@ def test_a_longer_run_goes_on_and_takes_the_place_of_the_shorter(box, tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("in_this_process")
-def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
+def test_independent_momenta_have_no_diffusion(box, tmp_path):
     wanted = settings(box, tmp_path, "hmc", per_force=(2.0,), times=(0.24,))
     result = step_study.run(next(step_study.tasks(wanted)))
     assert result["method"] == "SIER4G HMC"
@@ -86,7 +86,7 @@ def test_momenta_that_are_drawn_anew_tell_no_diffusion(box, tmp_path):
 
 
 @pytest.mark.thorough
-def test_a_run_that_fails_is_told(box, tmp_path):
+def test_a_run_that_fails_is_reported(box, tmp_path):
     with pytest.raises(RunFailed, match=r"verlet-0.01fs-seed1 failed: .*expected a number from 0.05 to 1000 fs"):
         step_study.study(settings(box, tmp_path, "verlet", per_force=(0.01,)))
 

@@ -1,7 +1,6 @@
 """One look for every method in every figure."""
 
 import pandas as pd
-from matplotlib.colors import to_rgb
 
 from studies import figures, methods, records, style
 
@@ -19,8 +18,3 @@ def test_methods_of_the_figure_of_costs_have_a_look():
     assert any("LAMMPS" in name for name in drawn)
     assert any("GROMACS" in name for name in drawn)
     assert set(drawn) <= set(style.METHODS)
-
-
-def test_no_two_methods_look_alike():
-    colours = [to_rgb(colour) for colour, _ in style.METHODS.values()]
-    assert len(set(colours)) == len(colours)

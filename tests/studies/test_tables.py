@@ -1,4 +1,4 @@
-"""What studies make of numbers: pooled runs, points with errors, costs, laws, and what a pool refuses."""
+"""Analysis in studies: pooled runs, points with errors, costs, laws, and refusals of a pool."""
 
 import math
 

@@ -35,7 +35,7 @@ def test_a_column_for_each_value_in_a_heading():
     assert result.to_numpy().tolist() == [["1", "0.19", "-"], ["2", "0.83", "0.08"]]
 
 
-def test_names_that_are_not_there_are_told():
+def test_missing_names_are_reported():
     with pytest.raises(ValueError, match="there is no column 'per_cent'; there are method, h, percent"):
         text.table(ROWS, {"%": "{per_cent:.2f}"})
     with pytest.raises(ValueError, match="there is no column 'liquid'"):
@@ -46,7 +46,7 @@ def test_no_rows():
     assert text.table(ROWS[:0], {"fs": "{h:g}", "{method}": "{percent:.2f}"}).empty
 
 
-def test_cells_say_what_is_known():
+def test_cells_of_known_and_unknown_numbers():
     assert text.cell("{x:.1f} ± {e:.1f}", {"x": 1.0, "e": math.nan}) == "1.0"
     assert text.cell("{x:.1f} ± {e:.1f}", {"x": math.nan, "e": 1.0}) == "-"
     assert text.cell("a nanosecond, {x}", {"x": 2}) == "a nanosecond, 2"

@@ -1,4 +1,4 @@
-"""A rigid cage of 60 atoms, of the shape of C60: a large body that no constraint holds."""
+"""A rigid cage of 60 atoms with the shape of C60: a large body without constraints."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The command line as the tests call it: small boxes, what a command wrote, and how it complained."""
+"""Calls of the command line in tests: small boxes, output files and error messages."""
 
 import importlib.util
 import json
@@ -64,7 +64,7 @@ def run(*arguments):
 
 
 def wait_for(condition, process, limit=120.0):
-    """Wait until something is true of what a process has done, but not for more than `limit` s."""
+    """Wait until a condition is true while a process runs, at most `limit` s."""
     end = time.monotonic() + limit
     while not condition():
         assert process.poll() is None, "the command ended by itself"
@@ -84,7 +84,7 @@ def contents(directory):
 
 
 def rewrite_notes(checkpoint, change):
-    """Replace the notes in a checkpoint by what a function makes of them."""
+    """Replace the notes in a checkpoint by the result of a function of them."""
     with zipfile.ZipFile(checkpoint) as archive:
         state, notes = archive.read("state.xml"), json.loads(archive.read("notes.json"))
     change(notes)

@@ -1,4 +1,4 @@
-"""Systems whose NonbondedForce stands in another Force, or in whose place there is one with charges of its own."""
+"""Systems whose NonbondedForce is inside another Force, or is replaced by one with charges."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""Runs of schemes on the model cluster, and the order that their errors show."""
+"""Runs of schemes on the model cluster, and the order of their errors."""
 
 import numpy as np
 

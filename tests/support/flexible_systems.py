@@ -1,4 +1,4 @@
-"""The points of `flexible` as OpenMM Systems, alone and beside rigid water, and what their runs are compared by."""
+"""The points of `flexible` as OpenMM Systems, with or without rigid water, and comparisons of their runs."""
 
 import numpy as np
 import openmm

@@ -1,4 +1,4 @@
-"""Rigid bodies that no constraint holds, of many shapes, in Systems with and without frames."""
+"""Rigid bodies of many shapes without constraints, in Systems with and without frames."""
 
 import numpy as np
 import openmm

@@ -1,4 +1,4 @@
-"""One small system as people bring it: files of AMBER, GROMACS, CHARMM and OpenMM with the same numbers.
+"""One small system in files of AMBER, GROMACS, CHARMM and OpenMM with the same parameters.
 
 26 molecules of TIP3P water and one of hydrogen peroxide, which has bonds, angles, a torsion and a pair three bonds
 apart, on a lattice in a cubic box. Coordinates are rounded to what every file holds, gro files least. The prmtop file

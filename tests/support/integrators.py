@@ -1,4 +1,4 @@
-"""OpenMM's integrators that ours are compared with."""
+"""OpenMM's integrators for comparisons."""
 
 import openmm
 

@@ -1,4 +1,4 @@
-"""Logs of runs that nobody made, with means, drifts and fluctuations that are known."""
+"""Synthetic logs of runs with known means, drifts and fluctuations."""
 
 import zipfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The options of commands, assembled once."""
+"""Options of commands, assembled once for all tests."""
 
 from copy import copy
 

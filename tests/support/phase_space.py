@@ -1,4 +1,4 @@
-"""Phase points of rigid bodies: how far apart they are, and whether a map of them is symplectic."""
+"""Distances of phase points of rigid bodies, and a test whether a map is symplectic."""
 
 from dataclasses import replace
 

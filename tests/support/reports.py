@@ -1,12 +1,12 @@
-"""A report that remembers what it was told."""
+"""A report that records its calls."""
 
 from contextlib import contextmanager
 
 import pandas as pd
 
 
-class Told:
-    """Notes, tables, and for everything that took time its description and the fractions done."""
+class RecordingReport:
+    """A report with its notes and tables, and with description and fractions of each task."""
 
     def __init__(self):
         self.notes: list[str] = []

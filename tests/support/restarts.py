@@ -1,4 +1,4 @@
-"""Ways to stop a run and to continue it, and what has to agree then."""
+"""Ways to stop and continue a run, and comparisons of the results."""
 
 import numpy as np
 import openmm
@@ -60,7 +60,7 @@ def after_ten_steps(simulation, way, path):
 
 
 def full_state(context):
-    """All that a run goes on from."""
+    """The complete state from which a run continues."""
     return context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
 
 

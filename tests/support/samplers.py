@@ -1,4 +1,4 @@
-"""Integrators of hybrid Monte Carlo, and what has to agree after a restart of one."""
+"""Integrators of hybrid Monte Carlo, and their counts, which a restart restores."""
 
 import openmm
 

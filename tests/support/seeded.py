@@ -1,4 +1,4 @@
-"""Random numbers that are the same in every run."""
+"""Seeds that make random numbers reproducible."""
 
 
 def seeded(made, seed=3):

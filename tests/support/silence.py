@@ -1,4 +1,4 @@
-"""Where nothing is to be said."""
+"""Tests that no warnings occur."""
 
 import warnings
 from contextlib import contextmanager
@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def silence(*but):
-    """Warnings are errors, but those whose messages begin as is said."""
+    """Turn warnings into errors, except those whose messages match one of the patterns."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for message in but:

@@ -1,4 +1,4 @@
-"""Small molecules of every kind that is not rigid, by name, as OpenMM Systems among rigid waters and ions."""
+"""Small flexible molecules by name, as OpenMM Systems among rigid waters and ions."""
 
 from __future__ import annotations
 

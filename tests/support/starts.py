@@ -1,4 +1,4 @@
-"""Starting points of test systems, kept as files, and displaced as the tests' option `--displaced` asks."""
+"""Starting points of test systems: stored in files, and displaced by the option `--displaced`."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

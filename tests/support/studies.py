@@ -1,4 +1,4 @@
-"""Runs of studies without processes of their own, which would not see what a test has changed."""
+"""Runs of studies in the process of the test, where its patches apply."""
 
 from __future__ import annotations
 

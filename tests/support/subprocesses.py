@@ -1,4 +1,4 @@
-"""Python programs in interpreters of their own."""
+"""Python programs in separate interpreters."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ LIMIT = 900
 
 
 def run_python(program: str, *arguments, environment=None) -> str:
-    """What a program prints.
+    """Return the output of a program.
 
     Raises:
         AssertionError: it failed, with its errors.

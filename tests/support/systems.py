@@ -1,4 +1,4 @@
-"""Systems and Forces that tests make by hand."""
+"""Systems and Forces of a few particles."""
 
 import numpy as np
 import openmm
@@ -9,7 +9,7 @@ def assembled(masses, *forces, constraints=()):
 
     Args:
         masses: in dalton.
-        forces: what acts on them.
+        forces: OpenMM's Forces.
         constraints: (i, j, length in nm).
     """
     system = openmm.System()

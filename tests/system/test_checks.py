@@ -1,4 +1,4 @@
-"""Forces that do something between steps, which the exact engine lets act, are told from those that do not."""
+"""Forces that act between steps are distinguished from those that do not."""
 
 import openmm
 import pytest
@@ -43,7 +43,7 @@ def mixed(force):
     ids=lambda force: type(force).__name__,
 )
 def test_forces_that_only_give_forces_do_not_act(force):
-    """Beside a barostat neither, whose moves are then read back only where they changed something."""
+    """Neither with a barostat, whose moves are read back only if they changed something."""
     system = with_forces(assembled([1.0]), force)
     assert acting_forces(system) == []
     (acting,) = acting_forces(with_forces(system, openmm.MonteCarloBarostat(1.0, 300.0)))

@@ -138,7 +138,7 @@ def test_a_bond_that_is_made_longer_in_a_context_is_not_cut(engine):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_without_a_box_the_question_is_asked(engine):
-    """A System that is not periodic with positions of one that was: nothing tells that they were cut."""
+    """A System that is not periodic with positions of one that was: the cut cannot be recognized."""
     system, whole = chain(periodic=False)
     broken = cut(system, whole)
     integrator = SIERIntegrator(0.001, "SIER2", engine=engine)
@@ -200,7 +200,7 @@ def test_a_cut_body_is_refused_however_it_gets_its_shape(way, bonds):
 
 
 def test_bonds_without_strength_keep_molecules_whole():
-    """They tell OpenMM what a molecule is, and so they tell it here, whatever lengths they have."""
+    """They define molecules for OpenMM and here, whatever lengths they have."""
     system = body_system(TRIANGLE, 0.0)
     bonds = system.getForce(1)
     for length in (0.0, 0.1, 2.0):
@@ -224,7 +224,7 @@ def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(stre
     np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, result.moments, rtol=1e-9)
 
 
-def test_a_wide_gap_in_a_body_is_told_by_a_bond_without_strength():
+def test_a_wide_gap_in_a_body_is_closed_by_a_bond_without_strength():
     """Two atoms of a body that are 2 nm apart in a box of 3 nm look like two that are 1 nm apart, and cut."""
     x = np.array([[0.5, 1.0, 1.0], [0.6, 1.0, 1.0], [2.5, 1.1, 1.0]])
     system, bodies = body_system(x), [[0, 1, 2]]

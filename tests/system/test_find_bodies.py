@@ -242,7 +242,7 @@ def test_equal_molecules_share_a_geometry_in_silence():
 
 
 def test_constraint_lengths_of_two_types_are_two_species():
-    """Force fields tell bonds apart by 1e-3 nm, which no rounding in a PDB file does."""
+    """Bonds of force fields differ by 1e-3 nm, more than by the rounding in a PDB file."""
     pairs = [((12.0, 1.0), {(0, 1): length}) for length in (0.109, 0.108, 0.1093, 0.109)]
     with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 get") as caught:
         bodies = RigidBodies.from_system(system_of(*pairs))

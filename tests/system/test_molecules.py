@@ -42,7 +42,7 @@ def energy(system, positions):
 @pytest.mark.parametrize("constraints", ["none", "hbonds"])
 @pytest.mark.parametrize("named", [True, False])
 def test_molecules_wrapped_atom_by_atom_are_made_whole(peptide, rng, constraints, named):
-    """Wherever the boundary cuts, also between residues. Energies of bonds do not tell where constraints hold them."""
+    """Wherever the boundary cuts, also between residues. Constrained bonds have no energies."""
     topology, whole, systems = peptide
     system = systems[constraints]
     first = np.array([0] * 22 + [22 + 3 * (i // 3) for i in range(60)])

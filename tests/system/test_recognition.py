@@ -55,7 +55,7 @@ def test_any_water_is_taken_for_water(model, found, rng):
     assert np.linalg.norm((mended - x)[::3], axis=1).max() < FIT_TOLERANCE / 7
 
 
-def test_a_box_of_another_water_model_is_mended_and_said_once():
+def test_a_box_of_another_water_model_is_corrected_with_one_warning():
     """1490 waters came from a PDB file of another model, and OpenMM's own integrators pull such in."""
     _, positions, _ = cluster_system(6, "spce")
     topology, _, system = cluster_system(6, "tip3p")
@@ -76,7 +76,7 @@ def test_a_box_of_another_water_model_is_mended_and_said_once():
         integrator.step(1)
 
 
-def test_rounding_is_not_said():
+def test_rounding_draws_no_warning():
     _, positions, system = cluster_system(6)
     integrator = SIERIntegrator(0.001, "SIER2")
     context = context_at(system, integrator, (np.round(positions, 4), 0 * positions))
@@ -107,7 +107,7 @@ HANDED = np.array([[0, 0, 0], [0.11, 0, 0], [-0.03, 0.1, 0], [-0.03, -0.05, 0.0]
 
 
 @pytest.mark.parametrize("height", [0.012, 0.05])
-def test_hands_are_told_apart_within_the_tolerance(height, rng):
+def test_hands_are_distinguished_within_the_tolerance(height, rng):
     """A flat pyramid is less than the tolerance away from its mirror image, and is not taken for it."""
     shape = HANDED.copy()
     shape[3, 2] = height

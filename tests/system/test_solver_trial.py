@@ -6,7 +6,7 @@ import pytest
 from openmm import app
 
 from openmm_sier.system.solver_trial import SolverTrial
-from tests.support.braced import Braced, benzene, complete, formate, methane, triangle
+from tests.support.constrained_molecules import ConstrainedMolecule, benzene, complete, formate, methane, triangle
 from tests.support.molecules import TETRAHEDRON
 from tests.support.peptides import capped_alanine_box, forcefield
 from tests.support.systems import assembled
@@ -25,11 +25,11 @@ SOLVED = {
     "a bent trimer": triangle([12, 16, 16], np.radians(175), 0.116),
     "tetrahedron": complete(4 * [31], TETRAHEDRON[1:]),
     "ammonia": complete([14, 1, 1, 1], TETRAHEDRON[:4]),
-    "methane with bonds alone": Braced([12, 1, 1, 1, 1], TETRAHEDRON, [(0, i) for i in range(1, 5)]),
+    "methane with bonds alone": ConstrainedMolecule([12, 1, 1, 1, 1], TETRAHEDRON, [(0, i) for i in range(1, 5)]),
     "a methyl group with its bond": methane().without((1, 4), (2, 4), (3, 4)),
     "a square with a diagonal": complete(4 * [12], SQUARE).without((0, 2)),
     "octahedron": complete(6 * [12], OCTAHEDRON).without((0, 3), (1, 4), (2, 5)),
-    "benzene with bonds alone": Braced(
+    "benzene with bonds alone": ConstrainedMolecule(
         6 * [12] + 6 * [1], benzene().places, [*((i, i + 1) for i in range(5)), (0, 5), *((i, i + 6) for i in range(6))]
     ),
 }
@@ -88,7 +88,7 @@ def test_angles_of_a_force_count():
 
 
 def test_one_molecule_among_many():
-    """The one that OpenMM cannot solve is named, wherever it is and whatever is beside it."""
+    """The molecule that OpenMM cannot solve is named, wherever it is in the System."""
     odd = {5: triangle([16, 1, 2])}
     molecules = [odd.get(i, triangle([16, 1, 1])) for i in range(8)]
     masses = [mass for molecule in molecules for mass in molecule.masses]

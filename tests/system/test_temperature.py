@@ -1,4 +1,4 @@
-"""Degrees of freedom and temperatures: what counts as heat, by what is conserved."""
+"""Degrees of freedom and temperatures: which motion is heat, by conservation laws."""
 
 import itertools
 import math
@@ -53,6 +53,13 @@ def compound(expression):
     return force
 
 
+def of_pairs(expression):
+    force = openmm.CustomManyParticleForce(2, expression)
+    for _ in range(3 * N):
+        force.addParticle()
+    return force
+
+
 def variable(force):
     collective = openmm.CustomCVForce("cv")
     collective.addCollectiveVariable("cv", force)
@@ -81,6 +88,8 @@ CASES = {
     "field as a collective variable": (nve, [variable(external())], 0),
     "bond by distance": (nve, [compound("distance(p1, p2)")], 3),
     "bond by coordinates": (nve, [compound("x1 - z2")], 0),
+    "pairs by distance": (nve, [of_pairs("distance(p1, p2)")], 3),
+    "pairs by coordinates": (nve, [of_pairs("x1 - z2")], 0),
 }
 
 

@@ -1,4 +1,4 @@
-"""Hydrogens whose angle nothing holds are told of, and no others."""
+"""Warnings of hydrogens with unconstrained angles, and of no others."""
 
 import warnings
 
@@ -70,7 +70,7 @@ HELD = {
 
 
 @pytest.mark.parametrize("system", LOOSE.values(), ids=LOOSE)
-def test_hydrogens_that_nothing_holds_are_told_of(system):
+def test_unconstrained_hydrogens_draw_a_warning(system):
     with pytest.warns(UserWarning, match="Nothing fixes the angle of atoms 1, 0 and 2, nor that of 0 other molecules"):
         openmm.Context(system, SIERIntegrator(0.0005, "SIER2"), platform())
 

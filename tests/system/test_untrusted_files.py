@@ -1,4 +1,4 @@
-"""XML is read no further than it is OpenMM's, and OpenMM gets what was looked at."""
+"""XML is read only as far as it is OpenMM's, and OpenMM gets the checked content."""
 
 import io
 import itertools
@@ -116,7 +116,7 @@ def test_openmm_gets_all_of_a_state():
     assert openmm.XmlSerializer.serialize(read_state(io.BytesIO(xml.encode()), 4)) == xml
 
 
-def test_directories_are_told_from_other_things(tmp_path):
+def test_directories_are_distinguished_from_other_things(tmp_path):
     with pytest.raises(IsADirectoryError):
         open_regular(tmp_path)
     with pytest.raises(FileNotFoundError):

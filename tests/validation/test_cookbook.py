@@ -146,7 +146,7 @@ def turned(held, positions):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("make", [pulled, pinned, turned])
 def test_restraints_and_external_forces(chain, held, make, engine):
-    """4 fs without a word that is not about the start; what is changed in a run acts from the next step on."""
+    """4 fs draw no warning except about the start; changes during a run act from the next step on."""
     topology, positions = chain
     force, change = make(held, positions)
     held.addForce(force)

@@ -1,4 +1,4 @@
-"""Physical validity as the package physical_validation judges it, by tests that nobody here has written.
+"""Physical validity by the independent tests of the package physical_validation.
 
 Merz and Shirts, PLoS ONE 13, e0202764 (2018). Results are distances from what statistical mechanics demands, in
 standard errors.

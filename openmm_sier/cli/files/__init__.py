@@ -1,1 +1,1 @@
-"""The files of a run: what is written, noted, locked and read back."""
+"""The files of a run: outputs, checkpoints, locks and restarts."""

@@ -64,7 +64,7 @@ def refuse_to_lose(cuts: Sequence[Cut], plan: RunSettings, checkpoint: Path, ste
         checkpoint, step: the checkpoint and its step.
 
     Raises:
-        RunError: naming the files, what they would lose, and a later checkpoint of the run if there is one.
+        RunError: naming the files, the cut, and a later checkpoint of the run if there is one.
     """
     if not cuts:
         return

@@ -36,7 +36,7 @@ LOOK, REFRESH = 0.2, 0.5
 #: Seconds for a scheduler to answer, and for stopped members to complete their step and their files.
 PATIENCE, LAST_STEP = 30.0, 60.0
 
-#: Exit code of a member that was asked to stop.
+#: Exit code of a stopped member.
 STOPPED = 128 + signal.SIGTERM
 
 #: Address of the HTTP servers that Dask requires: any port, for this machine only.

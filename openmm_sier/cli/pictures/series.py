@@ -56,7 +56,7 @@ class Means(NamedTuple):
 
     @property
     def error(self) -> np.ndarray | None:
-        """Standard errors of the mean over runs (n,), from their scatter; None for too few runs to tell."""
+        """Standard errors of the mean over runs (n,), from their scatter; None for too few runs."""
         number = len(self.values)
         return self.values.std(axis=0, ddof=1) / math.sqrt(number) if number >= ENOUGH_RUNS else None
 

@@ -151,7 +151,7 @@ class Constraints:
     # Arrays are made contiguous, since Numba would compile everything once more for another layout.
 
     def project(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return momenta or forces, (3, n), tangent to the constraints at q; unconstrained bodies keep theirs."""
+        """Return momenta or forces, (3, n), tangent to the constraints at q; those of free bodies do not change."""
         q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
         new_p = p.copy()
         if len(self.pairs):

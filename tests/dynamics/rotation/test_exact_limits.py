@@ -64,7 +64,7 @@ def test_any_angle_gives_a_rotation(rng, least, most):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("angle", representatives([1.0, -1e3, 1e5], -1e3))
 def test_uniform_rotation_lasts(axis, angle):
-    """A body that turns exactly about a principal axis goes on so, about the unstable one (here the second) too."""
+    """A body that turns exactly about a principal axis continues, about the unstable one (here the second) too."""
     moments, direction = np.array([0.6, 1.1, 1.7]), np.eye(3)[axis]
     new, _ = rotation.exact(np.eye(3)[:, :, None], direction[:, None], moments, angle * moments[axis])
     expected = Rotation.from_rotvec(-angle * direction).as_matrix()

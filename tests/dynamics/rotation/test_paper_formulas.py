@@ -1,4 +1,4 @@
-"""The paper's misprints: what fails as printed and holds as mended. `test_exact` has its formulas beside the package.
+"""The paper's misprints: formulas that fail as printed and hold after correction. `test_exact` compares others.
 
 Source: van Zon and Schofield (2007).
 """

@@ -1,4 +1,4 @@
-"""RATTLE's free rotation against RATTLE of the atoms, and what it conserves."""
+"""RATTLE's free rotation against RATTLE of the atoms, and conserved quantities."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""A structure as an archive has it, from one that PDBFixer brings: part of villin, of which something is missing."""
+"""Structures with missing residues and atoms, as in an archive: part of villin from PDBFixer's data."""
 
 from importlib.resources import files
 
@@ -27,7 +27,7 @@ def kept(lines):
 
 
 def write_incomplete(path, sequence=True, also=()):
-    """Write the structure without what is missing.
+    """Write the structure without the missing residues and atoms.
 
     Args:
         path: of the PDB file.

@@ -1,4 +1,4 @@
-"""Waters without interactions, in fields of which everything is known."""
+"""Waters without interactions in external fields, with known averages."""
 
 import numpy as np
 import openmm

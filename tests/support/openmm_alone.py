@@ -1,4 +1,4 @@
-"""Integrators in XML as a process without this package meets them."""
+"""Integrators from XML in a process of OpenMM without this package."""
 
 import json
 
@@ -10,7 +10,7 @@ from openmm_sier.integrators.storage import written
 from tests.support.subprocesses import run_python
 from tests.support.waters import plain_context
 
-#: Steps of the integrator, and the energies after each, or why it cannot make a step.
+#: Program that makes steps, and prints the energies after each, or the error.
 PROGRAM = """
 import json, sys, openmm
 system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
@@ -33,7 +33,7 @@ print(json.dumps([energies, context.getTime()._value, error]))
 """
 
 
-#: Positions and velocities after each of many steps, as a file of NumPy.
+#: Program that writes positions and velocities after each of many steps to a file of NumPy.
 SAMPLES = """
 import sys, numpy, openmm
 system, integrator, state = (openmm.XmlSerializer.deserialize(open(name).read()) for name in sys.argv[1:4])
@@ -53,9 +53,9 @@ numpy.savez(sys.argv[5], rows=rows, counts=counts, time=context.getTime()._value
 """
 
 
-def samples_as_stranger(directory, system, integrator, state, steps):
-    """Positions and velocities (n, 2, N, 3) after steps of OpenMM, numbers of trials and of accepted ones, and the time
-    in ps after these steps and 20 before."""
+def samples_of_openmm_alone(directory, system, integrator, state, steps):
+    """Positions and velocities (n, 2, N, 3) after steps, numbers of trials and of accepted ones, and the final time in
+    ps, which includes 20 earlier steps."""
     path = directory / "samples.npz"
     run_python(SAMPLES, *_written(directory, system, integrator, state), steps, path)
     result = np.load(path)
@@ -70,15 +70,15 @@ def _written(directory, system, integrator, state):
     return files
 
 
-def run_as_stranger(directory, system, integrator, state):
+def run_by_openmm_alone(directory, system, integrator, state):
     """Energies (4, 2) after each of four steps of the scheme, the time in ps, and the error that ended them."""
     native_steps = int(written(integrator).getGlobalVariableByName(PARTS)) or 1
     return json.loads(run_python(PROGRAM, *_written(directory, system, integrator, state), native_steps))
 
 
-def fails_as_stranger(directory, integrator):
-    """Whether a program of a free particle fails with the word of what would have to be imported."""
+def fails_in_openmm_alone(directory, integrator):
+    """Whether the program of a free particle fails with a message that names the package to import."""
     system = openmm.System()
     system.addParticle(1.0)
     state = plain_context(system, [[0, 0, 0]]).getState(positions=True, velocities=True)
-    return "import_openmm_sier" in run_as_stranger(directory, system, integrator, state)[2]
+    return "import_openmm_sier" in run_by_openmm_alone(directory, system, integrator, state)[2]

@@ -1,4 +1,4 @@
-"""Small molecules whose atoms constraints hold, by more or fewer of them than they need."""
+"""Small molecules with redundant, exact or missing constraints."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -15,7 +15,7 @@ RING = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.pi / 3 * np.arange(6)])
 OH, HOH = 0.09572, np.radians(104.52)
 
 
-class Braced(NamedTuple):
+class ConstrainedMolecule(NamedTuple):
     """A molecule.
 
     Attributes:
@@ -34,7 +34,7 @@ class Braced(NamedTuple):
     def ordered(self, order):
         """The same molecule with its atoms in another order."""
         pairs = [tuple(sorted((order.index(i), order.index(j)))) for i, j in self.pairs]
-        return Braced([self.masses[i] for i in order], self.places[list(order)], pairs)
+        return ConstrainedMolecule([self.masses[i] for i in order], self.places[list(order)], pairs)
 
     def constraints(self, first=0):
         lengths = [float(np.linalg.norm(self.places[i] - self.places[j])) for i, j in self.pairs]
@@ -42,7 +42,7 @@ class Braced(NamedTuple):
 
 
 def complete(masses, places):
-    return Braced(list(masses), np.array(places, dtype=float), list(combinations(range(len(masses)), 2)))
+    return ConstrainedMolecule(list(masses), np.array(places, dtype=float), list(combinations(range(len(masses)), 2)))
 
 
 def triangle(masses, angle=HOH, arm=OH):
