@@ -90,9 +90,10 @@ def write(
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
     move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
-    each of its drifts is `inner_substeps` RATTLE steps, three of which are composed to fourth order. One step of SIER4G in a drift of 3 fs follows
-    springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle of the drift, the drift is
-    an odd number of RATTLE steps with the bath in the middle of one, with or without fast forces.
+    each of its drifts is `inner_substeps` RATTLE steps, three of which are composed to fourth order. One step of SIER4G
+    in a drift of 3 fs follows springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle
+    of the drift, the drift is an odd number of RATTLE steps with the bath in the middle of one, with or without fast
+    forces.
 
     Velocities are constrained where they are read, before a bath and at the end of the step, and not after every stage:
     what they have along the constraints changes no position that is constrained next, since the constraint forces take
