@@ -37,7 +37,8 @@ def execute(options: Mapping[str, Any], acceptance: float | None, trials: int, s
     note(f"{settings.title} on the {context.getPlatform().getName()} platform: tunes scheme, step and length of trials")
     # Each of the four lengths has the same number of steps; a step is found by some four attempts.
     note(f"this takes some {4 * samples + 4 * trials * count} trials of {settings.step_time:g} ps")
-    tuning = tune(context, acceptance, trials, samples, schemes=schemes)
+    # A run has the usual substeps.
+    tuning = tune(context, acceptance, trials, samples, schemes=schemes, substeps=[])
     # The run below sets the scheme, whether this Context has it or not.
     note(str(tuning._replace(isSet=True)))
     note(f"Do not take averages over these trials. To run with the result:\n{run_line(options, tuning)}")

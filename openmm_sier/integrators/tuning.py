@@ -23,6 +23,9 @@ from openmm_sier.system.second_context import follow_parameters, platform_of
 #: The schemes that are compared, beside that of the integrator.
 SCHEMES = (SIER2V2, SIER2P3, SIER4G)
 
+#: Numbers of RATTLE steps in a drift that are compared with the usual one. More of them make energy errors smaller.
+SUBSTEPS = (2, 3)
+
 #: Trajectory lengths to compare, as multiples of the one that the integrator had.
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 
@@ -42,6 +45,7 @@ def tune(
     samples: int = 200,
     lengths: Sequence[int] | None = None,
     schemes: Sequence[Scheme | str] | None = None,
+    substeps: Sequence[int] | None = None,
 ) -> Tuning:
     """Find scheme, step and trial length of hybrid Monte Carlo for a Context; set step and length in its integrator.
 
@@ -56,14 +60,15 @@ def tune(
 
     First it changes the step of each scheme, at the same length in time, until the energy errors of trials have the
     standard deviation of the best acceptance. It never tries a step that resonates with fast forces. The best scheme is
-    the one whose accepted trajectories take the least processor time, or on GPUs the least time.
+    the one whose accepted trajectories take the least processor time, or on GPUs the least time. In the same way it
+    finds how many steps of RATTLE a drift takes, where the native engine moves molecules without fast forces.
 
     Then it compares trial lengths with this scheme, each with the same number of steps in all, and takes the one at
     which an independent potential energy takes the least time, with the error of that time added. If times differ by
     less than their errors, take more samples.
 
-    It tries other schemes than the integrator's in Contexts of their own. An integrator keeps its scheme: if another
-    one is the best, it gets the best step for its own, and the result has the line that makes a new integrator.
+    It tries other schemes and substeps than the integrator's in Contexts of their own. An integrator keeps its own: if
+    others are the best, it gets the best step for its own, and the result has the line that makes a new integrator.
 
     An interrupt or error restores the step and length that the integrator had. The same seed makes the same trials if
     the platform's forces are deterministic, but the choice also depends on the time that they take.
@@ -80,6 +85,8 @@ def tune(
         lengths: numbers of steps in a trial to compare. None compares half the integrator's length in time, that
             length, twice and four times that.
         schemes: schemes to compare, or their names. None compares the integrator's with SIER2V2, SIER2P3 and SIER4G.
+        substeps: numbers of RATTLE steps in a drift to compare with the integrator's, for the best scheme. None
+            compares 2 and 3 with the usual one, and nothing with a number that the integrator was given.
 
     Returns:
         A `Tuning`; print it as tables.
@@ -97,16 +104,23 @@ def tune(
     if lengths is not None and not counts:
         raise ValueError("lengths must have at least one number of steps, got none")
     compared = _schemes(integrator.scheme, schemes)
+    divisions = _divisions(context, substeps)
     start = _Start.of(integrator)
     if not start.time:
         raise ValueError("the integrator's step must be above zero, got 0")
     bill = _Bill(integrator.forceEvaluations)
     try:
-        found = tuple(_try_scheme(context, scheme, start, acceptance, trials, bill) for scheme in compared)
+        found = [
+            _try_scheme(context, _Choice.of(scheme, integrator, start), start.time, acceptance, trials, bill)
+            for scheme in compared
+        ]
+        best = _cheapest(found)
+        others = [_Choice(best.scheme, number, best.step) for number in divisions]
+        found += [_try_scheme(context, other, start.time, acceptance, trials, bill) for other in others]
         best = _cheapest(found)
         of_lengths = _compare_lengths(context, best, start, samples, counts, bill)
         steps = _best_length(of_lengths).steps
-        own = next((each for each in found if each.scheme == integrator.scheme and not each.refused), None)
+        own = next((each for each in found if each.is_of(integrator.scheme, integrator.substeps)), None)
         if own is not None:
             _set(integrator, own.step, steps if own is best else max(1, round(best.step * steps / own.step)))
     except BaseException:
@@ -115,7 +129,8 @@ def tune(
         raise
     integrator.resetStatistics()
     script = _script(integrator, best, steps)
-    return Tuning(best.scheme, best.step, steps, found, of_lengths, bill.total(integrator), script, isSet=best is own)
+    forces, is_set = bill.total(integrator), best is own
+    return Tuning(best.scheme, best.step, steps, tuple(found), of_lengths, forces, script, is_set, best.substeps)
 
 
 class _Start(NamedTuple):
@@ -140,6 +155,25 @@ class _Start(NamedTuple):
     def time(self) -> float:
         """Return the length of a trial, ps."""
         return self.step * self.steps
+
+
+class _Choice(NamedTuple):
+    """Hold what trials are made with.
+
+    Attributes:
+        scheme: the scheme.
+        substeps: see `SIERIntegrator`.
+        step: with which the search for the best one begins, ps.
+    """
+
+    scheme: Scheme
+    substeps: int | None
+    step: float
+
+    @classmethod
+    def of(cls, scheme: Scheme, integrator: SIERHMCIntegrator, start: _Start) -> "_Choice":
+        """Return another scheme with the substeps and the simulated time per force of an integrator."""
+        return cls(scheme, integrator.substeps, start.per_force * scheme.force_evaluations)
 
 
 class _Bill:
@@ -174,13 +208,26 @@ def _schemes(own: Scheme, asked: Sequence[Scheme | str] | None) -> list[Scheme]:
     return [scheme for i, scheme in enumerate(compared) if scheme not in compared[:i]]
 
 
-def _context_for(context: openmm.Context, scheme: Scheme) -> openmm.Context:
-    """Return the Context itself for its own scheme, or another one at the same state."""
+def _divisions(context: openmm.Context, asked: Sequence[int] | None) -> list[int]:
+    """Return the numbers of RATTLE steps in a drift to compare with that of the integrator."""
     integrator = context.getIntegrator()
-    if scheme == integrator.scheme:
+    if asked is not None:
+        numbers = [whole_number("substeps", number, 1) for number in asked]
+    else:
+        numbers = [*SUBSTEPS] if integrator.substeps is None else []
+    has_rattle = integrator.engine == "native" and context.getSystem().getNumConstraints() > 0
+    if not has_rattle or integrator.fastForceGroups:
+        return []
+    return sorted(set(numbers) - {integrator.substeps})
+
+
+def _context_for(context: openmm.Context, scheme: Scheme, substeps: int | None) -> openmm.Context:
+    """Return the Context itself for its own scheme and substeps, or another one at the same state."""
+    integrator = context.getIntegrator()
+    if (scheme, substeps) == (integrator.scheme, integrator.substeps):
         return context
     other = copy.copy(integrator)
-    other.binding.change(scheme=scheme)
+    other.binding.change(scheme=scheme, substeps=substeps)
     made = openmm.Context(context.getSystem(), other, *platform_of(context))
     state = context.getState(positions=True, velocities=True)
     made.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -216,25 +263,25 @@ def _chances(errors: Sequence[float]) -> float:
 
 
 def _try_scheme(
-    context: openmm.Context, scheme: Scheme, start: _Start, acceptance: float | None, trials: int, bill: _Bill
+    context: openmm.Context, choice: _Choice, time: float, acceptance: float | None, trials: int, bill: _Bill
 ) -> SchemeFound:
-    """Return the best step of a scheme, and what its accepted trajectories cost."""
+    """Return the best step of a choice for trials of a length in ps, and what its accepted trajectories cost."""
+    scheme, substeps, first = choice
     wanted = best_acceptance(scheme.order) if acceptance is None else acceptance
     try:
-        tried_in = _context_for(context, scheme)
+        tried_in = _context_for(context, scheme, substeps)
         try:
-            first = start.per_force * scheme.force_evaluations
-            tried, step = _find_step(tried_in, first, start.time, wanted, trials)
+            tried, step = _find_step(tried_in, first, time, wanted, trials)
         finally:
             if tried_in is not context:
                 bill.add(tried_in.getIntegrator())
     except openmm.OpenMMException as error:
-        return SchemeFound(scheme, math.nan, 0.0, math.inf, (), " ".join(str(error).split()))
+        return SchemeFound(scheme, math.nan, 0.0, math.inf, (), " ".join(str(error).split()), substeps)
     nearest = min((each for each in tried if math.isfinite(each.spread)), key=lambda each: abs(each.step - step))
     expected = acceptance_at(nearest.spread * (step / nearest.step) ** scheme.order)
     # A step takes as long, whatever its size.
     seconds = nearest.seconds * nearest.step / step
-    return SchemeFound(scheme, step, expected, seconds / expected, tuple(tried))
+    return SchemeFound(scheme, step, expected, seconds / expected, tuple(tried), substeps=substeps)
 
 
 def _cheapest(found: Sequence[SchemeFound]) -> SchemeFound:
@@ -303,7 +350,7 @@ def _compare_lengths(
     """Return what trials of several numbers of steps cost, of the best scheme at its step."""
     if counts is None:
         counts = [max(1, round(factor * start.time / best.step)) for factor in LENGTHS]
-    tried_in = _context_for(context, best.scheme)
+    tried_in = _context_for(context, best.scheme, best.substeps)
     found = []
     for steps in sorted(set(counts)):
         several = max(FEWEST, round(samples * start.time / (best.step * steps)))
@@ -346,6 +393,10 @@ def _script(integrator: SIERHMCIntegrator, best: SchemeFound, steps: int) -> str
         repr(scheme.name) if known else scheme.name,
         f"stepsPerTrial={steps}",
     ]
+    if (engine := integrator.binding.settings.engine) != "auto":
+        words.append(f"engine={engine!r}")
+    if best.substeps is not None:
+        words.append(f"substeps={best.substeps}")
     friction = integrator.getFriction().value_in_unit(unit.picosecond**-1)
     if math.isfinite(friction):
         words.append(f"frictionCoeff={friction:g}/picosecond")

@@ -34,6 +34,7 @@ class SchemeFound(NamedTuple):
         seconds: for a ps of trajectories that are accepted; infinite if there is no step.
         tried: the steps that were tried, in order.
         refused: the reason, if none can be taken.
+        substeps: number of steps into which drifts were divided; None for the usual one.
     """
 
     scheme: Scheme
@@ -42,17 +43,27 @@ class SchemeFound(NamedTuple):
     seconds: float
     tried: tuple[StepFound, ...]
     refused: str = ""
+    substeps: int | None = None
+
+    def is_of(self, scheme: Scheme, substeps: int | None) -> bool:
+        """Return whether a step was found for a scheme and its substeps."""
+        return not self.refused and (self.scheme, self.substeps) == (scheme, substeps)
+
+    @property
+    def name(self) -> str:
+        """Return the name of the scheme, with the number of substeps if it is not the usual one."""
+        return self.scheme.name if self.substeps is None else f"{self.scheme.name}/{self.substeps}"
 
     def __str__(self) -> str:
         """Return every step that was tried, and the best one."""
         if self.refused:
-            return f"{self.scheme.name:>8}  {self.refused}"
+            return f"{self.name:>10}  {self.refused}"
         lines = [
-            f"{self.scheme.name:>8}{1e3 * each.step:10.4g}{each.spread:10.3g}{each.acceptance:12.3f}"
+            f"{self.name:>10}{1e3 * each.step:10.4g}{each.spread:10.3g}{each.acceptance:12.3f}"
             f"{each.seconds / each.acceptance if each.acceptance else math.inf:12.3g}"
             for each in self.tried
         ]
-        best = f"{'taken':>8}{1e3 * self.step:10.4g}{spread_at(self.acceptance):10.3g}{self.acceptance:12.3f}"
+        best = f"{'taken':>10}{1e3 * self.step:10.4g}{spread_at(self.acceptance):10.3g}{self.acceptance:12.3f}"
         return "\n".join([*lines, f"{best}{self.seconds:12.3g}"])
 
 
@@ -111,7 +122,8 @@ class Tuning(NamedTuple):
             `inefficiency`, `seconds` and `refused`.
         forceEvaluations: number of force evaluations in the whole tuning.
         script: the line of a script that makes the integrator.
-        isSet: whether the Context has it; otherwise the scheme is another one, which needs a new integrator.
+        isSet: whether the Context has it; otherwise scheme or substeps are others, which need a new integrator.
+        substeps: number of steps into which a drift is divided; None for the usual one.
     """
 
     scheme: Scheme
@@ -122,6 +134,7 @@ class Tuning(NamedTuple):
     forceEvaluations: int
     script: str = ""
     isSet: bool = True
+    substeps: int | None = None
 
     @property
     def stepSize(self) -> float:
@@ -130,16 +143,19 @@ class Tuning(NamedTuple):
         return self.schemeStepSize
 
     def __str__(self) -> str:
+        trial = f"{self.stepsPerTrial} in a trial"
+        if self.substeps is not None:
+            trial += f", drifts in {self.substeps} substeps"
         lines = [
             f"Hybrid Monte Carlo tuned, by {self.forceEvaluations} forces:",
-            f"{self.scheme.name}, steps of {1e3 * self.schemeStepSize:.4g} fs, {self.stepsPerTrial} in a trial",
+            f"{self.scheme.name}, steps of {1e3 * self.schemeStepSize:.4g} fs, {trial}",
             "",
-            "  scheme   step/fs     sd/kT  acceptance  s for an accepted ps",
+            "    scheme   step/fs     sd/kT  acceptance  s for an accepted ps",
         ]
         lines += [str(each) for each in self.schemes]
         lines += ["", "     steps  acceptance  trials, forces and s for an independent potential energy"]
         lines += [str(each) for each in self.lengths]
         lines += ["", "In a script:", f"    {self.script}"]
         if not self.isSet:
-            lines.append("The Context has the step that was found for its own scheme: make a new one for this.")
+            lines.append("The Context has the best step of its own scheme and substeps: make a new one for this.")
         return "\n".join(lines)

@@ -12,12 +12,12 @@ from openmm_sier import SIER2, SIER2V2, SIER4G, SIERHMCIntegrator, SIERIntegrato
 from openmm_sier.dynamics.acceptance import acceptance_at, best_acceptance, spread_at, usual_steps
 from openmm_sier.ensembles import metropolis
 from openmm_sier.integrators import tuning
-from openmm_sier.integrators.tuning import LengthFound
+from openmm_sier.integrators.tuning import LengthFound, StepFound
 from tests.support.matrices import representatives
 from tests.support.seeded import seeded
 from tests.support.silence import silence
 from tests.support.systems import assembled
-from tests.support.waters import context_at, platform
+from tests.support.waters import cluster_system, context_at, platform
 
 TEMPERATURE = 300.0
 
@@ -192,6 +192,58 @@ def test_a_scheme_that_cannot_be_tried_is_left_out(monkeypatch):
         tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G])
 
 
+# --- substeps ---
+
+
+def molecules(**options):
+    """A Context of two molecules of water."""
+    _, positions, system = cluster_system(2)
+    return context_at(
+        system, seeded(SIERHMCIntegrator(TEMPERATURE, 0.004, SIER2, 3, **options), 3), (positions, 0 * positions)
+    )
+
+
+def known_steps(monkeypatch):
+    """Let one, two and three steps of RATTLE in a drift take 3, 1 and 2 s per ps, and return the numbers tried."""
+    tried = []
+
+    def find_step(context, first, time, wanted, trials):
+        lines = [line for part in context.getIntegrator().program.parts for line in part]
+        (number,) = {len(line.lengths) for line in lines if line.title == "drift"} or {0}
+        tried.append(number)
+        return [StepFound(first, spread_at(wanted), wanted, (9.0, 3.0, 1.0, 2.0)[number])], first
+
+    monkeypatch.setattr(tuning, "_find_step", find_step)
+    return tried
+
+
+@pytest.mark.parametrize(("given", "asked", "expected"), [(None, None, [1, 2, 3]), (1, [1, 2], [1, 2])])
+def test_the_cheapest_number_of_substeps_is_chosen(monkeypatch, given, asked, expected):
+    tried = known_steps(monkeypatch)
+    context = molecules(engine="native", substeps=given)
+    integrator = context.getIntegrator()
+    found = tune(context, trials=10, samples=10, lengths=[3], schemes=[SIER2], substeps=asked)
+    assert tried == expected
+    assert [each.substeps for each in found.schemes] == [given, *expected[1:]]
+    assert (found.scheme, found.substeps, found.isSet) == (SIER2, 2, False)
+    assert "3 in a trial, drifts in 2 substeps" in str(found)
+    assert "engine='native', substeps=2" in found.script
+    # The Context keeps its own, at the step that was found for it.
+    assert (integrator.substeps, integrator.getSchemeStepSize()._value) == (given, found.schemes[0].step)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"engine": "native", "substeps": 1}, {"engine": "native", "fastForceGroups": {1}}],
+    ids=["exact engine", "number given", "fast forces"],
+)
+def test_substeps_are_not_compared_where_they_are_given_or_no_steps_of_rattle(monkeypatch, options):
+    tried = known_steps(monkeypatch)
+    found = tune(molecules(**options), trials=10, samples=10, lengths=[3], schemes=[SIER2])
+    assert len(tried) == 1
+    assert found.isSet
+
+
 @pytest.mark.parametrize("order", [2, 4])
 def test_at_the_best_acceptance_a_longer_step_gains_little(order):
     spread = spread_at(best_acceptance(order))
@@ -233,6 +285,7 @@ def test_an_interrupt_restores_step_and_length(monkeypatch, after):
         ({"lengths": []}, "at least one number of steps"),
         ({"schemes": []}, "at least one scheme"),
         ({"schemes": ["SIER9"]}, "scheme must be one of SIER2"),
+        ({"substeps": [0]}, "substeps must be at least 1, got 0"),
     ],
 )
 def test_arguments_that_make_no_sense(options, message):
