@@ -42,14 +42,14 @@ from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
 from studies.hmc.samples import backbone, charges, cost, dihedral
 from studies.methods import (
-    HEAVY,
     MIDDLE,
-    MIDDLE_IN_RIGID_WATER,
-    SEVERAL_STEPS,
     Bath,
     Contestant,
     exact,
+    middle_in_rigid_water,
+    more_inner_steps,
     own,
+    several_steps,
     turned_more,
 )
 from studies.records import Record, Task
@@ -109,11 +109,14 @@ METHODS = {
     for method in (
         *(MIDDLE.at(step, detail=", light") for step in (2, 4)),
         *(MIDDLE.at(step, hydrogens=3.0) for step in (4, 5)),
-        MIDDLE_IN_RIGID_WATER,
-        SEVERAL_STEPS.at(8, **HEAVY),
+        *(middle_in_rigid_water(step) for step in (9, 10)),
+        *(several_steps(step) for step in (8, 9, 10)),
         *(own(step, hydrogens=None, detail=", light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
         *(own(9, hydrogens=mass, detail=f", hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),
+        more_inner_steps(9, 3, ", five inner steps"),
+        more_inner_steps(9, 4, ", seven inner steps"),
+        own(9, friction=20.0, detail=", 20/ps"),
         *(turned_more(9, friction) for friction in (5.0, 10.0)),
         *(exact(step, steps) for step, steps in ((8, 5), (9, 4))),
     )

@@ -111,6 +111,10 @@ class Contestant:
         """Evaluations in a step."""
         return self.method.forces
 
+    def of_openmm(self) -> Contestant:
+        """Return this contestant with the name that it has beside those of the package."""
+        return replace(self, method=self.method.of_openmm())
+
     def integrator(self, bath: Bath) -> openmm.Integrator:
         """Return a new integrator."""
         if not self.method.has_bath:
@@ -221,13 +225,25 @@ def with_bath(bath: Bath, seed: int) -> dict[str, Method]:
 #: What a System gets for long steps in a bath.
 HEAVY: dict[str, Any] = {"hydrogens": 4.0, "prepared": True}
 
-#: In a bath with heavy hydrogens OpenMM's own integrator bears the steps of SIER2 too, in rigid water alone.
-MIDDLE_IN_RIGID_WATER = MIDDLE.at(9, **HEAVY, only_rigid=True)
+
+def middle_in_rigid_water(step: float, detail: str = "") -> Contestant:
+    """Return LangevinMiddle with heavy hydrogens, at a step of SIER2, which it bears in rigid water alone."""
+    return MIDDLE.at(step, **HEAVY, only_rigid=True, detail=detail)
+
+
+def several_steps(step: float, **more: Any) -> Contestant:
+    """Return MTSLangevin with heavy hydrogens."""
+    return SEVERAL_STEPS.at(step, **HEAVY, **more)
 
 
 def own(step: float, **more: Any) -> Contestant:
     """Return SIER2 in a bath, with heavy hydrogens unless `more` says otherwise."""
     return in_bath().at(step, **(HEAVY | more))
+
+
+def more_inner_steps(step: float, substeps: int, detail: str) -> Contestant:
+    """Return SIER2 in a bath, with heavy hydrogens and so many inner steps in half a step."""
+    return in_bath(substeps=substeps).at(step, **HEAVY, detail=detail)
 
 
 def turned_more(step: float, friction: float) -> Contestant:

@@ -38,13 +38,13 @@ from studies.command import BoxSettings, chosen, command
 from studies.methods import (
     HEAVY,
     MIDDLE,
-    MIDDLE_IN_RIGID_WATER,
-    SEVERAL_STEPS,
     VERLET,
     Bath,
     Contestant,
     in_bath,
+    middle_in_rigid_water,
     of_scheme,
+    several_steps,
 )
 from studies.records import Record
 from studies.report import SILENT, Report
@@ -85,6 +85,8 @@ class SpeedSettings(BoxSettings):
         box: of 512 water molecules of three sites, which larger boxes repeat.
         boxes: water-N, N a multiple of the molecules of `box`, peptide, dhfr; water-512, water-4096, water-32768,
             peptide and dhfr unless given.
+        methods: by name, beside the two that ratios are taken over; unless given all, other programs, and the speed at
+            equal energy error.
         rounds: in which all methods take their turns.
         turn: least seconds of a turn.
         largest_for_peers: most molecules of water that LAMMPS and GROMACS get.
@@ -94,6 +96,7 @@ class SpeedSettings(BoxSettings):
     """
 
     boxes: tuple[str, ...] = ("water-512", "water-4096", "water-32768", "peptide", "dhfr")
+    methods: tuple[str, ...] = ()
     rounds: int = 5
     turn: float = 0.5
     largest_for_peers: int = 4096
@@ -112,9 +115,10 @@ def contestants(has_solute: bool) -> list[Contestant]:
     methods = [VERLET.of_openmm().at(step) for step in (1, 2)]
     methods += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
     methods += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
-    methods.append(SEVERAL_STEPS.of_openmm().at(8, **HEAVY))
-    if not has_solute:
-        methods.append(replace(MIDDLE_IN_RIGID_WATER, method=middle))
+    if has_solute:
+        methods += [several_steps(step).of_openmm() for step in (8, 9, 10)]
+    else:
+        methods += [middle_in_rigid_water(step).of_openmm() for step in (9, 10)]
         methods.append(bath(SIER2P3, 18))
     return [*methods, *(bath(SIER2, step) for step in (8, 9, 10))]
 
@@ -129,14 +133,18 @@ class Turn(NamedTuple):
 
 def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
     """Return a row for each method in one box, from a phase point."""
-    methods = {method.name: method for method in contestants(box.has_solute)}
+    wanted = {*settings.methods, REFERENCE, BATH_REFERENCE}
+    methods = {
+        method.name: method for method in contestants(box.has_solute) if not settings.methods or method.name in wanted
+    }
     contexts = {name: _context(method, box, state, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
     actions: dict[str, Callable[[], Turn]] = {
         name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
         for name, method in methods.items()
     }
-    actions |= _actions_of_peers(box, state, evaluations, settings)
+    if not settings.methods:
+        actions |= _actions_of_peers(box, state, evaluations, settings)
     platform = contexts[REFERENCE].getPlatform().getName()
     times = turns(actions, settings.rounds)
     rows = rows_of(times, platform)
@@ -282,16 +290,17 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
     """Measure, and write speed.json.
 
     Raises:
-        ValueError: a box is unknown.
+        ValueError: a box or a method is unknown.
         ImportError: dhfr is to be measured without openmmtools.
     """
     with_solute = [name for name in settings.boxes if not name.startswith("water-")]
     chosen(with_solute, SOLUTES, "box")
+    chosen(settings.methods, {method.name: method for has in (False, True) for method in contestants(has)}, "method")
     rows: list[dict[str, Any]] = []
     for name in settings.boxes:
         rows += speeds(*speed_boxes.start(name, settings, report), settings, report)
     tables = {"speeds": pd.DataFrame(rows)}
-    if len(with_solute) < len(settings.boxes):
+    if len(with_solute) < len(settings.boxes) and not settings.methods:
         tables["points"] = energy_errors(settings, report)
         tables["equal"] = at_equal_error(tables["speeds"], tables["points"])
     builds = {peer.name: peer.build for peer in usual_inputs.installed()}

@@ -10,13 +10,14 @@ from studies.hmc import trials
 from studies.methods import (
     HEAVY,
     MIDDLE,
-    MIDDLE_IN_RIGID_WATER,
-    SEVERAL_STEPS,
     VERLET,
     Contestant,
     in_bath,
+    middle_in_rigid_water,
+    more_inner_steps,
     of_scheme,
     own,
+    several_steps,
 )
 
 #: What ratios are taken over.
@@ -36,7 +37,7 @@ STEADY = of_scheme(SIER4G).at(4, prepared=True)
 
 def in_water() -> list[Contestant]:
     """Return the methods that are compared in rigid water alone."""
-    middle_steps = [replace(MIDDLE_IN_RIGID_WATER, step=step, detail=", heavy hydrogens") for step in (9, 10)]
+    middle_steps = [middle_in_rigid_water(step, ", heavy hydrogens") for step in (9, 10)]
     longer = [replace(LONG_STEPS, step=step) for step in (10, 11)]
     return [*middle_steps, *longer, trials.METHODS[trials.USUAL]]
 
@@ -45,9 +46,9 @@ def around_a_solute() -> list[Contestant]:
     """Return the methods that are compared around a solute alone."""
     return [
         MIDDLE.at(5, hydrogens=3.0, friction=1.0),
-        SEVERAL_STEPS.at(8, **HEAVY, friction=1.0),
+        several_steps(8, friction=1.0),
         replace(LONG_STEPS, step=8),
-        in_bath(substeps=3).at(9, **HEAVY, detail=", five inner steps"),
+        more_inner_steps(9, 3, ", five inner steps"),
         trials.METHODS[trials.SHORT],
     ]
 

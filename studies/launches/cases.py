@@ -11,7 +11,7 @@ from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
 from openmm_sier.inputs import forcefields
 from studies.command import SYSTEMS
-from studies.methods import HEAVY, MIDDLE, SEVERAL_STEPS, VERLET, Bath, Contestant, in_bath, of_scheme, trials
+from studies.methods import HEAVY, MIDDLE, VERLET, Bath, Contestant, in_bath, of_scheme, several_steps, trials
 
 #: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
 BOXES = ("tip3p-512", "tip4p-512", "peptide")
@@ -49,7 +49,7 @@ def _native_trials() -> Contestant:
 CASES = {
     "verlet": Case(VERLET.at(4), "VerletIntegrator"),
     "langevinmiddle": Case(MIDDLE.at(4, friction=1.0), "LangevinMiddleIntegrator"),
-    "mtslangevin": Case(SEVERAL_STEPS.at(8, **HEAVY, friction=1.0)),
+    "mtslangevin": Case(several_steps(8, friction=1.0)),
     "sier2": Case(in_bath(engine="native").at(9, **HEAVY)),
     "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),

@@ -215,6 +215,6 @@ def test_stored_xml_rejects_ends_with_broken_constraints(tmp_path):
     integrator = SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0)
     x, system = spinning.POSITIONS, spinning.system()
     state = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x)).getState(positions=True)
-    rows, (made, accepted), _ = samples_as_stranger(tmp_path, system, integrator, state, 300)
+    rows, (made, accepted), _ = samples_of_openmm_alone(tmp_path, system, integrator, state, 300)
     assert 0.1 < accepted / made < 0.9
     assert max(spinning.broken(positions) for positions, _ in rows) < 1e-6

@@ -1,0 +1,1 @@
+"""What long steps change around a solute: a harmonic model of molecules and their neighbours."""
