@@ -15,8 +15,12 @@ from openmm_sier.dynamics.kernels.short_steps import free_rotation
 compiled = numba.njit(fastmath=True, error_model="numpy")
 
 #: How a drift turns bodies. HALVES: exactly, half before the bath and half after it. EXACT_MEAN, RATTLE_MEAN: at once,
-#: by the mean of the angular momenta before and after the bath, exactly or by a step of RATTLE.
-HALVES, EXACT_MEAN, RATTLE_MEAN = 0, 1, 2
+#: by the mean of the angular momenta before and after the bath, exactly or by a step of RATTLE. BETWEEN_MEAN: by that
+#: mean too, with a part of the time by RATTLE, whose error is that of a whole step by half.
+HALVES, EXACT_MEAN, RATTLE_MEAN, BETWEEN_MEAN = 0, 1, 2, 3
+
+#: The part of the time by RATTLE, the cube root of a half: a step's error of the motion is of third order.
+BETWEEN = 0.5 ** (1 / 3)
 
 #: What `follow` samples, each a column: the potential energy V, kinetic energies, |F|^2/m and torque^2/I, the traces of
 #: the Hessian of V over masses, the rates at which motion changes V; and of free rotation the error of a step of RATTLE
@@ -34,6 +38,9 @@ COLUMNS = (
     "rattle",
     "rattle_bath",
 )
+
+#: Sites of a molecule; the compiler unrolls loops of a constant length.
+SITES = 3
 
 #: Iterations of RATTLE, and the change of Gibbs' vector that ends them.
 ITERATIONS, CONVERGED = 100, 1e-14
@@ -84,14 +91,14 @@ def pairs(sites, charges, repulsion, dispersion, lengths, inverse_mass, inverse_
         lengths: its box, near and far.
         inverse_mass, inverse_moments: of a molecule.
         q, A: centres and attitudes.
-        arms: (n, s, 3), written: places of sites from centres.
+        arms: (n, SITES, 3), written: places of sites from centres.
         F, torque: (n, 3), written.
         traces: (2,), written: traces of the Hessian over mass and moments; none are computed for (0,).
     """
-    n, count = q.shape[0], sites.shape[0]
+    n = q.shape[0]
     box, near, far = lengths
     for i in range(n):
-        for s in range(count):
+        for s in range(SITES):
             for x in range(3):
                 arms[i, s, x] = sites[s, 0] * A[i, 0, x] + sites[s, 1] * A[i, 1, x] + sites[s, 2] * A[i, 2, x]
     F[:] = 0.0
@@ -111,19 +118,19 @@ def pairs(sites, charges, repulsion, dispersion, lengths, inverse_mass, inverse_
             u, divergence = 0.0, 0.0
             fx, fy, fz = 0.0, 0.0, 0.0
             jx, jy, jz = 0.0, 0.0, 0.0
-            for s in range(count):
+            for s in range(SITES):
                 ax, ay, az = arms[i, s, 0], arms[i, s, 1], arms[i, s, 2]
                 sx, sy, sz = 0.0, 0.0, 0.0
-                for t in range(count):
+                for t in range(SITES):
                     bx, by, bz = arms[j, t, 0], arms[j, t, 1], arms[j, t, 2]
                     dx, dy, dz = X + ax - bx, Y + ay - by, Z + az - bz
                     inverse = 1 / (dx * dx + dy * dy + dz * dz)
                     coulomb = charges[s, t] * math.sqrt(inverse)
                     repelled, attracted = 0.0, 0.0
-                    if repulsion[s, t] > 0:
+                    if s == 0 and t == 0:
                         sixth = inverse * inverse * inverse
-                        repelled = repulsion[s, t] * sixth * sixth
-                        attracted = dispersion[s, t] * sixth
+                        repelled = repulsion * sixth * sixth
+                        attracted = dispersion * sixth
                     u += coulomb + repelled - attracted
                     push = (coulomb + 12 * repelled - 6 * attracted) * inverse
                     px, py, pz = push * dx, push * dy, push * dz
@@ -271,8 +278,13 @@ def turn_around_bath(p, L, A, n, I, inverse_moments, h, kept, widths, rotation):
     L[n, 0], L[n, 1], L[n, 2] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w)
     if rotation == EXACT_MEAN:
         turn_exactly(A, in_body(A, L, n), n, inverse_moments, h)
-    else:
+    elif rotation == RATTLE_MEAN:
         turn_by_rattle(A, in_body(A, L, n), n, I, inverse_moments, h)
+    else:
+        rest = 0.5 * (1 - BETWEEN) * h
+        turn_exactly(A, in_body(A, L, n), n, inverse_moments, rest)
+        turn_by_rattle(A, in_body(A, L, n), n, I, inverse_moments, BETWEEN * h)
+        turn_exactly(A, in_body(A, L, n), n, inverse_moments, rest)
     L[n, 0], L[n, 1], L[n, 2] = u, v, w
 
 
@@ -336,14 +348,14 @@ def follow(seed, liquid, bodies, h, steps, every, friction, turning_friction, ro
         steps: their number, a multiple of `every`.
         every: steps between two samples.
         friction, turning_friction: of translation and rotation, 1/ps.
-        rotation: HALVES, EXACT_MEAN or RATTLE_MEAN.
+        rotation: HALVES, EXACT_MEAN, RATTLE_MEAN or BETWEEN_MEAN.
         has_traces: whether traces of the Hessian are sampled.
         rows: samples, (steps / every, columns), written.
     """
     # Within compiled code this generator is Numba's.
     np.random.seed(seed)  # noqa: NPY002
     n = bodies.q.shape[0]
-    arms = np.empty((n, liquid.sites.shape[0], 3))
+    arms = np.empty((n, SITES, 3))
     F, torque = np.empty((n, 3)), np.empty((n, 3))
     traces, none = np.empty(2), np.empty(0)
     kept = math.exp(-friction * h), math.exp(-turning_friction * h)

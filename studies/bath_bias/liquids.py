@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,9 @@ class Liquid(NamedTuple):
     Energies of pairs of molecules are switched off between two distances of their centres.
 
     Attributes:
-        sites: places in the principal axes, nm, (s, 3).
-        charges: products of charges with Coulomb's constant, (s, s).
-        repulsion, dispersion: coefficients of r^-12 and r^-6, (s, s).
+        sites: places in the principal axes, nm, (3, 3).
+        charges: products of charges with Coulomb's constant, (3, 3).
+        repulsion, dispersion: coefficients of r^-12 and r^-6 between first sites.
         box: its edge, nm.
         near, far: distances of centres, nm.
         field: c of V = -c tr A in kJ/mol; with 0 bodies act on each other.
@@ -37,8 +37,8 @@ class Liquid(NamedTuple):
 
     sites: np.ndarray
     charges: np.ndarray
-    repulsion: np.ndarray
-    dispersion: np.ndarray
+    repulsion: float
+    dispersion: float
     box: float
     near: float
     far: float
@@ -69,11 +69,11 @@ class Model:
     """Describe a molecule, and how it is simulated.
 
     Attributes:
-        places: of its atoms in principal axes, ascending moments, nm; the origin is anywhere.
+        places: of its three atoms in principal axes, nm; the origin is anywhere.
         masses: dalton.
         charges: e.
-        depths: well depths of the Lennard-Jones potential, kJ/mol.
-        diameters: its diameters, nm.
+        depth: of the well of the Lennard-Jones potential of the first atom, kJ/mol.
+        diameter: of that potential, nm.
         molecules: in the box.
         density: molecules in a nm^3.
         temperature: K.
@@ -84,8 +84,8 @@ class Model:
     places: tuple[tuple[float, float, float], ...]
     masses: tuple[float, ...]
     charges: tuple[float, ...]
-    depths: tuple[float, ...]
-    diameters: tuple[float, ...]
+    depth: float
+    diameter: float
     molecules: int = 64
     density: float
     temperature: float
@@ -97,15 +97,13 @@ class Model:
         places = places - masses @ places / masses.sum()
         squares = masses @ places**2
         moments = squares.sum() - squares
-        depths = np.sqrt(np.outer(self.depths, self.depths))
-        diameters = np.add.outer(self.diameters, self.diameters) / 2
         box = (self.molecules / self.density) ** (1 / 3)
         far = box / 2 - MARGIN
         return Liquid(
             sites=places,
             charges=COULOMB * np.outer(self.charges, self.charges),
-            repulsion=4 * depths * diameters**12,
-            dispersion=4 * depths * diameters**6,
+            repulsion=4 * self.depth * self.diameter**12,
+            dispersion=4 * self.depth * self.diameter**6,
             box=box,
             near=far - SHELL,
             far=far,
@@ -138,32 +136,58 @@ def _turned_at_random(rng: np.random.Generator, n: int) -> np.ndarray:
     return A * np.linalg.det(A)[:, None, None]
 
 
-def tip3p(hydrogen: float) -> dict:
-    """Return masses, places and interactions of a TIP3P molecule with hydrogens of a mass, dalton."""
-    half, bond = math.radians(104.52 / 2), 0.09572
+def hydride(
+    bond: float, angle: float, charge: float, depth: float, diameter: float, masses: tuple[float, float]
+) -> dict[str, Any]:
+    """Return places, masses and interactions of a bent molecule with two bare hydrogens.
+
+    Args:
+        bond, angle: its shape, nm and degrees.
+        charge: of a hydrogen, e.
+        depth, diameter: of the central atom, kJ/mol and nm.
+        masses: of the molecule and of a hydrogen, dalton.
+    """
+    half = math.radians(angle / 2)
     x, y = bond * math.sin(half), bond * math.cos(half)
+    whole, hydrogen = masses
     return {
         "places": ((0.0, 0.0, 0.0), (x, y, 0.0), (-x, y, 0.0)),
-        "masses": (18.0154 - 2 * hydrogen, hydrogen, hydrogen),
-        "charges": (-0.834, 0.417, 0.417),
-        "depths": (0.635968, 0.0, 0.0),
-        "diameters": (0.315075, 0.0, 0.0),
+        "masses": (whole - 2 * hydrogen, hydrogen, hydrogen),
+        "charges": (-2 * charge, charge, charge),
+        "depth": depth,
+        "diameter": diameter,
     }
 
 
+#: Water with hydrogens of 4 dalton.
+TIP3P = hydride(0.09572, 104.52, 0.417, 0.635968, 0.315075, (18.0154, 4.0))
+SPCE = hydride(0.1, 109.47, 0.4238, 0.650194, 0.316557, (18.0154, 4.0))
+
 MODELS = {
-    "water": Model(
-        **tip3p(4.0),
+    "TIP3P": Model(
+        **TIP3P,
         density=33.37,
         temperature=297.0,
-        source="TIP3P, Jorgensen et al., J. Chem. Phys. 79, 926 (1983); hydrogens of 4 dalton",
+        source="Jorgensen et al., J. Chem. Phys. 79, 926 (1983); hydrogens of 4 dalton",
     ),
-    "water in a field": Model(
-        **tip3p(4.0),
+    "TIP3P in a field": Model(
+        **TIP3P,
         molecules=1024,
         density=33.37,
         temperature=297.0,
         field=120.0,
         source="V = -c tr A, c = 120 kJ/mol: librations of 50, 87 and 100 fs",
+    ),
+    "SPC/E": Model(
+        **SPCE,
+        density=33.37,
+        temperature=297.0,
+        source="Berendsen et al., J. Phys. Chem. 91, 6269 (1987); hydrogens of 4 dalton",
+    ),
+    "hydrogen sulphide": Model(
+        **hydride(0.134, 92.0, 0.235, 1.046, 0.37, (34.08, 1.008)),
+        density=16.77,
+        temperature=213.0,
+        source="Jorgensen, J. Phys. Chem. 90, 6379 (1986)",
     ),
 }

@@ -1,12 +1,13 @@
 """Bias of averages in a heat bath by step and friction, beside a law that predicts it from short steps.
 
     python -m studies.bath_bias                                 all models
-    python -m studies.bath_bias --models water --processes 2
+    python -m studies.bath_bias --models SPC/E --processes 2
 
-64 molecules of water with hydrogens of 4 dalton and an energy of their own (`liquids.py`); and water that turns in a
-field, where the average is an integral. Steps are those of SIER2 in a bath; others have drifts that rotate molecules at
-once, exactly or by RATTLE, as LangevinMiddle does. Short steps give averages without bias and, by `law.py`, the bias of
-long steps. Each run is kept in bath-bias.jsonl as soon as it is done, and is not repeated. Writes bath-bias.json.
+64 molecules with an energy of their own (`liquids.py`): two models of water with hydrogens of 4 dalton, and hydrogen
+sulphide; and water that turns in a field, where the average is an integral. Steps are those of SIER2 in a bath; others
+have drifts that rotate molecules at once: exactly, by RATTLE as LangevinMiddle does, or half-way between. Short steps
+give averages without bias and, by `law.py`, the bias of long steps. Each run is kept in bath-bias.jsonl as soon as it
+is done, and is not repeated. Writes bath-bias.json.
 """
 
 from __future__ import annotations
@@ -23,20 +24,39 @@ from openmm_sier.analysis.statistics import Estimate, mean_and_error, pooled
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from studies import records, text
 from studies.bath_bias import law
-from studies.bath_bias.kernels import COLUMNS, EXACT_MEAN, HALVES, RATTLE_MEAN, follow
+from studies.bath_bias.kernels import BETWEEN_MEAN, COLUMNS, EXACT_MEAN, HALVES, RATTLE_MEAN, follow
 from studies.bath_bias.liquids import MODELS, Model
 from studies.command import RunsSettings, chosen
 from studies.records import Record, Task
 from studies.report import SILENT, Report
 
 #: Names of drifts.
-ROTATIONS = {HALVES: "SIER2", EXACT_MEAN: "exact, by the mean", RATTLE_MEAN: "RATTLE, by the mean"}
+ROTATIONS = {
+    HALVES: "SIER2",
+    EXACT_MEAN: "exact, by the mean",
+    RATTLE_MEAN: "RATTLE, by the mean",
+    BETWEEN_MEAN: "half-way, by the mean",
+}
+
+#: Columns of `law.predicted` that rotations by the mean add, and the share of each.
+ADDITIONS = {
+    ROTATIONS[HALVES]: {},
+    ROTATIONS[EXACT_MEAN]: {"mean_": 1.0},
+    ROTATIONS[RATTLE_MEAN]: {"rattle_": 1.0},
+    ROTATIONS[BETWEEN_MEAN]: {"mean_": 0.5, "rattle_": 0.5},
+}
 
 #: The run without bias, from which the law has its averages.
 SHORT = "short steps"
 
-#: Errors by which a bias may be off what was predicted.
-MEASURED = ("potential", "translation", "rotation")
+
+class Long(NamedTuple):
+    """A run of long steps: these in fs, the rotation, frictions of translation and rotation in 1/ps, its time in ps."""
+
+    step: float
+    rotation: int
+    frictions: tuple[float, float]
+    time: float
 
 
 class Plan(NamedTuple):
@@ -46,52 +66,77 @@ class Plan(NamedTuple):
         short: the short step, fs.
         interval: between its samples, fs.
         memory: of `law.predicted`, ps.
-        short_time: of a run of short steps, ps.
-        time: of each of the others, ps.
-        short_baths: frictions of translation and rotation, 1/ps, with runs of short steps.
-        baths: frictions with runs of long steps; for each these steps in fs, and the rotation.
+        short_time: of the run of short steps, ps.
+        short_bath: its frictions of translation and rotation, 1/ps.
+        long: runs of long steps.
     """
 
     short: float
     interval: float
     memory: float
     short_time: float
-    time: float
-    short_baths: tuple[tuple[float, float], ...]
-    baths: dict[tuple[float, float], tuple[tuple[float, int], ...]]
+    short_bath: tuple[float, float]
+    long: tuple[Long, ...]
 
 
 PLANS = {
-    "water": Plan(
+    "TIP3P": Plan(
         short=4.0,
         interval=8.0,
         memory=3.0,
         short_time=6000.0,
-        time=12000.0,
-        short_baths=((5.0, 5.0),),
-        baths={(5.0, 5.0): ((10.0, HALVES), (10.0, RATTLE_MEAN)), (1.0, 1.0): ((10.0, HALVES),)},
+        short_bath=(5.0, 5.0),
+        long=(
+            Long(10.0, HALVES, (5.0, 5.0), 12000.0),
+            Long(10.0, RATTLE_MEAN, (5.0, 5.0), 12000.0),
+            Long(10.0, HALVES, (1.0, 1.0), 12000.0),
+            Long(10.0, HALVES, (5.0, 20.0), 6000.0),
+            Long(10.0, BETWEEN_MEAN, (5.0, 5.0), 6000.0),
+        ),
     ),
-    "water in a field": Plan(
+    "SPC/E": Plan(
+        short=5.0,
+        interval=10.0,
+        memory=3.0,
+        short_time=8000.0,
+        short_bath=(5.0, 5.0),
+        long=(Long(10.0, HALVES, (5.0, 5.0), 8000.0),),
+    ),
+    "hydrogen sulphide": Plan(
+        short=6.0,
+        interval=12.0,
+        memory=5.0,
+        short_time=10000.0,
+        short_bath=(2.0, 2.0),
+        long=(Long(18.0, HALVES, (2.0, 2.0), 10000.0),),
+    ),
+    "TIP3P in a field": Plan(
         short=2.0,
         interval=4.0,
         memory=1.0,
         short_time=100.0,
-        time=1500.0,
-        short_baths=((5.0, 5.0),),
-        baths={(5.0, 5.0): ((10.0, HALVES), (10.0, RATTLE_MEAN), (10.0, EXACT_MEAN))},
+        short_bath=(5.0, 5.0),
+        long=(
+            Long(10.0, HALVES, (5.0, 5.0), 1500.0),
+            Long(10.0, RATTLE_MEAN, (5.0, 5.0), 1500.0),
+            Long(10.0, EXACT_MEAN, (5.0, 5.0), 1500.0),
+            Long(10.0, HALVES, (5.0, 20.0), 1500.0),
+            Long(10.0, BETWEEN_MEAN, (5.0, 5.0), 1500.0),
+        ),
     ),
 }
 
 COLUMNS_SHOWN = {
     **text.columns("model", "method"),
     "step, fs": "{step:g}",
-    "friction, 1/ps": "{friction:g}",
+    "frictions, 1/ps": "{friction:g}, {turning_friction:g}",
     "ps": "{time:g}",
     "T of translations, K": "{translation_text}",
     "predicted": "{translation_law_text}",
     "of rotations, K": "{rotation_text}",
     "predicted ": "{rotation_law_text}",
     "bias of V, kJ/mol a molecule": "{bias_text}",
+    "of its thermal part, %": "{percent_text}",
     "predicted  ": "{bias_law_text}",
 }
 
@@ -116,11 +161,17 @@ def tasks(settings: BiasSettings) -> Iterator[Task]:
     chosen(settings.models, PLANS, "model")
     for model in settings.models or PLANS:
         plan = PLANS[model]
-        runs = [(bath, SHORT, plan.short) for bath in plan.short_baths]
-        runs += [(bath, ROTATIONS[kind], step) for bath, several in plan.baths.items() for step, kind in several]
-        for (friction, turning), method, step in runs:
+        runs = [(SHORT, plan.short, plan.short_bath)]
+        runs += [(ROTATIONS[each.rotation], each.step, each.frictions) for each in plan.long]
+        for method, step, (friction, turning) in runs:
             point = {"model": model, "method": method, "step": step, "seed": settings.seed}
             yield Task(settings, point | {"friction": friction, "turning_friction": turning})
+
+
+def long_run(plan: Plan, point: dict[str, Any]) -> Long:
+    """Return the run of long steps of a plan that a point identifies."""
+    wanted = point["method"], point["step"], point["friction"], point["turning_friction"]
+    return next(each for each in plan.long if (ROTATIONS[each.rotation], each.step, *each.frictions) == wanted)
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -128,9 +179,9 @@ def run(task: Task) -> dict[str, Any]:
     point, plan, model = task.point, PLANS[task.point["model"]], MODELS[task.point["model"]]
     frictions = point["friction"], point["turning_friction"]
     is_short = point["method"] == SHORT
-    rotation = HALVES if is_short else {name: number for number, name in ROTATIONS.items()}[point["method"]]
-    time = (plan.short_time if is_short else plan.time) / task.settings.shorter
-    samples = simulate(model, plan, point["step"], time, frictions, rotation, point["seed"], is_short)
+    planned = Long(plan.short, HALVES, frictions, plan.short_time) if is_short else long_run(plan, point)
+    time = planned.time / task.settings.shorter
+    samples = simulate(model, plan, point["step"], time, frictions, planned.rotation, point["seed"], is_short)
     n, degrees = model.molecules, model.degrees
     temperature = [2 / (GAS_CONSTANT * n * max(1, each)) for each in degrees]
     means = {
@@ -194,7 +245,8 @@ def simulate(
 def compared(runs: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each run of long steps: its bias, and what the law predicts.
 
-    That is known in a bath that has a run of short steps too, and in the limit of a weak bath.
+    That is known in a bath that has a run of short steps too, and with SIER2 in the limit of a weak bath of equal
+    frictions. In a field the bias is also given in per cent of the thermal part of V.
     """
     rows = []
     for name, group in runs.groupby("model", sort=False):
@@ -205,7 +257,14 @@ def compared(runs: pd.DataFrame) -> pd.DataFrame:
             row["bias_error"] = math.hypot(row["potential_error"], exact.error)
             frictions = ["friction", "turning_friction"]
             alike = short[(short[frictions] == [row[key] for key in frictions]).all(axis=1)]
-            rows.append(row | weak(short.iloc[0], row) | (predicted(alike.iloc[0], row) if len(alike) else {}))
+            if MODELS[name].field:
+                # At rest a body has -3 c.
+                row["percent"], row["percent_error"] = (
+                    100 * row[key] / (exact.value + 3 * MODELS[name].field) for key in ("bias", "bias_error")
+                )
+            if row["method"] == ROTATIONS[HALVES] and row["friction"] == row["turning_friction"]:
+                row |= weak(short.iloc[0], row)
+            rows.append(row | (predicted(alike.iloc[0], row) if len(alike) else {}))
     table = pd.DataFrame(rows)
     # Centres of mass move freely in a field.
     is_free = table["model"].map(lambda name: MODELS[name].field > 0)
@@ -249,16 +308,17 @@ def exact_potential(name: str, short: pd.DataFrame) -> Estimate:
 def predicted(short: pd.Series, row: dict[str, Any]) -> dict[str, float]:
     """Return what the law predicts for a run of long steps: temperatures, and the bias of V of a molecule."""
     square = (1e-3 * row["step"]) ** 2
-    addition = {ROTATIONS[EXACT_MEAN]: "mean_", ROTATIONS[RATTLE_MEAN]: "rattle_"}.get(row["method"])
+    shares = {"": 1.0} | ADDITIONS[row["method"]]
     found = {}
     for name, column, base in (
         ("bias_law", "potential", 0.0),
         ("translation_law", "kinetic_translation", MODELS[row["model"]].temperature),
         ("rotation_law", "kinetic_rotation", MODELS[row["model"]].temperature),
     ):
-        columns = [column] if addition is None else [column, addition + column]
-        found[name] = base + square * sum(short[f"{each}_law"] for each in columns)
-        found[f"{name}_error"] = square * math.hypot(*(short[f"{each}_law_error"] for each in columns))
+        values = {f"{prefix}{column}_law": share for prefix, share in shares.items()}
+        found[name] = base + square * sum(share * short[each] for each, share in values.items())
+        errors = [share * short[f"{each}_error"] for each, share in values.items()]
+        found[f"{name}_error"] = square * math.hypot(*errors)
     return found
 
 
