@@ -76,7 +76,7 @@ INNER = (
     "SolverTrial",
     "Species",
     "StepCheck",
-    "StoredLedger",
+    "StoredTally",
     "Volume",
 )
 nitpick_ignore_regex = [

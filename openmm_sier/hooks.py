@@ -82,10 +82,10 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
     if type(context) is not openmm.Context:
         raise openmm.OpenMMException("A SIER integrator needs an openmm.Context itself, and this is of a subclass")
     with tables.read_once():
-        integrator.binding.prepare(system, platform)
+        integrator.impl.prepare(system, platform)
         method(context, *args, **kwargs)
         context.__class__ = SIERContext
-        integrator.binding.bind(context)
+        integrator.impl.bind(context)
 
 
 def _refuse_compound(integrator: openmm.Integrator) -> None:
@@ -101,7 +101,7 @@ def _refuse_compound(integrator: openmm.Integrator) -> None:
 def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
-        context.binding.changed(Change.FORCES)
+        context.impl.changed(Change.FORCES)
 
 
 def _keep_bodies(
@@ -109,7 +109,7 @@ def _keep_bodies(
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if isinstance(context, SIERContext):
-        context.binding.minimize(by_openmm, tolerance, maxIterations, reporter)
+        context.impl.minimize(by_openmm, tolerance, maxIterations, reporter)
     else:
         by_openmm()
 

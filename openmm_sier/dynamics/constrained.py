@@ -40,11 +40,11 @@ from openmm_sier.dynamics import kernels, operators
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI
-from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import Thermostat
 
 
@@ -90,13 +90,13 @@ def projection(constraints: Constraints) -> Operator:
 # --- kicks ---
 
 
-def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -> Operator:
+def constrained_bath(bath: Operator, constraints: Constraints, tally: Tally) -> Operator:
     """Return an Ornstein-Uhlenbeck process with projected noise, so that constrained momenta are exactly thermal.
 
     Let P be the projection, and k_B T M the covariance of the noise. The covariance of the projected noise is
     k_B T P M P^T = k_B T P M, as in the Boltzmann distribution on the tangent space. Old momenta are projected too,
     since the heat is the gain in kinetic energy of the tangent momenta; it corrects the heat that the bath has counted
-    in `ledger`.
+    in `tally`.
     """
     tangent = projection(constraints)
 
@@ -105,22 +105,22 @@ def constrained_bath(bath: Operator, constraints: Constraints, ledger: Ledger) -
         p = constraints.project(state.q, warmed.p)
         columns = constraints.members
         removed = 0.5 * float(((warmed.p[:, columns] ** 2 - p[:, columns] ** 2) / constraints.masses[columns]).sum())
-        ledger.heat -= removed
+        tally.heat -= removed
         return replace(warmed, p=p)
 
     return apply
 
 
-def bath_operator(bath: Thermostat, bodies: BodySet, ledger: Ledger) -> Operator:
+def bath_operator(bath: Thermostat, bodies: BodySet, tally: Tally) -> Operator:
     """Return a bath as an operator on bodies, with or without constraints between them.
 
     Args:
         bath: the heat bath.
         bodies: all bodies.
-        ledger: source of random numbers, which counts heat and draws.
+        tally: source of random numbers, which counts heat and draws.
     """
-    operator, constraints = bath.operator(bodies, ledger), bodies.constraints
-    return constrained_bath(operator, constraints, ledger) if len(constraints.pairs) else operator
+    operator, constraints = bath.operator(bodies, tally), bodies.constraints
+    return constrained_bath(operator, constraints, tally) if len(constraints.pairs) else operator
 
 
 def constrained_gradient_kick(

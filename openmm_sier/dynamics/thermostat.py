@@ -10,8 +10,8 @@ import numpy as np
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import Operator
+from openmm_sier.dynamics.tally import Tally
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ class Thermostat(ABC):
     rotational_friction: float
 
     @abstractmethod
-    def operator(self, bodies: BodySet, ledger: Ledger) -> Operator:
+    def operator(self, bodies: BodySet, tally: Tally) -> Operator:
         """Return the thermostat as an operator of a splitting scheme.
 
         Args:
             bodies: bodies on which it acts.
-            ledger: source of random numbers, which counts heat and draws.
+            tally: source of random numbers, which counts heat and draws.
         """
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
@@ -62,7 +62,7 @@ class OrnsteinUhlenbeck(Thermostat):
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
-    def operator(self, bodies: BodySet, ledger: Ledger) -> Operator:
+    def operator(self, bodies: BodySet, tally: Tally) -> Operator:
         thermal = GAS_CONSTANT * self.temperature
         spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
         inverses = bodies.inverse_masses, bodies.inverse_moments
@@ -75,13 +75,13 @@ class OrnsteinUhlenbeck(Thermostat):
             return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
-            noise = ledger.noise().standard_normal((6, bodies.n))
+            noise = tally.noise().standard_normal((6, bodies.n))
             damping, widths = decay(h)
             p, L, gains = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
             moving = state.p, state.A, state.L
             kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L, gains)
-            ledger.draws += 1
-            ledger.heat += float(gains.sum())
+            tally.draws += 1
+            tally.heat += float(gains.sum())
             return BodyState(state.q, p, state.A, L)
 
         return apply

@@ -7,8 +7,8 @@ from functools import cache
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
@@ -44,7 +44,12 @@ def _taken_by_openmm(default: str | None) -> openmm.Platform:
 
 
 def make_engine(
-    name: str, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+    name: str,
+    context: openmm.Context,
+    method: IntegrationMethod,
+    tally: Tally,
+    bodies: BodySet | None,
+    program: Program,
 ) -> Engine:
     """Return an engine of a Context.
 
@@ -52,18 +57,18 @@ def make_engine(
         name: one of `ENGINES`, or "auto": the exact one on `EXACT_PLATFORMS` where all shapes are known, otherwise the
             native one.
         context: openmm.Context, which has the integrator.
-        flow: the scheme that will be executed.
-        ledger: of the integrator.
+        method: the scheme that will be executed.
+        tally: of the integrator.
         bodies: the rigid bodies; None: those that the constraints form.
-        program: of the native engine, written for the flow.
+        program: of the native engine, written for the method.
     """
     if name == ExactEngine.name:
-        return ExactEngine(context, flow, ledger, bodies)
+        return ExactEngine(context, method, tally, bodies)
     # Where OpenMM could not use the platform that it tried first, the variables of the exact engine may be missing.
     has_variables = set(STATE_VARIABLES) <= vectors_of(context.getIntegrator())
     if name == "auto" and is_on_host(context.getPlatform()) and has_variables:
         # The native engine needs no shapes.
         with suppress(UnknownShapeError):
-            return ExactEngine(context, flow, ledger, bodies)
+            return ExactEngine(context, method, tally, bodies)
     native = NativeEngine if program.trials is None else TrialEngine
-    return native(context, flow, ledger, bodies, program)
+    return native(context, method, tally, bodies, program)

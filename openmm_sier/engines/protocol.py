@@ -15,8 +15,8 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodySet, BodyState
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger, Mark
+from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.trials import Outcome, Trial
@@ -45,7 +45,7 @@ class SavedState(NamedTuple):
         point: phase point, in the form of the engine.
         clock: time and number of steps.
         box: periodic box vectors, nm.
-        mark: of the ledger.
+        mark: of the tally.
         counts: of the ensemble, by name.
         more: further data of the engine.
     """
@@ -88,8 +88,8 @@ class Engine(ABC):
         name: by which users ask for the engine.
         repeats_noise: whether the noise of baths continues from a State as it does from a checkpoint.
         makes_trials: whether a trial of hybrid Monte Carlo is one step of OpenMM.
-        flow: the scheme that is executed, with its step.
-        ledger: heat, random numbers and counts.
+        method: the scheme that is executed, with its step.
+        tally: heat, random numbers and counts.
         changes: changes since the last step. While there are none, steps read nothing from the Context.
         moving: the bodies of the phase point: rigid and point bodies, or the massive atoms alone.
         check_step: the check of the length of steps.
@@ -105,19 +105,19 @@ class Engine(ABC):
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
 
-    def __init__(self, context: openmm.Context, flow: Flow, ledger: Ledger):
-        """Keep the Context, the flow and the ledger. Engines refuse, here, whatever they cannot do.
+    def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
+        """Keep the Context, the method and the tally. Engines refuse, here, whatever they cannot do.
 
         Args:
             context: openmm.Context, which has the integrator.
-            flow: the scheme that will be executed.
-            ledger: of the integrator.
+            method: the scheme that will be executed.
+            tally: of the integrator.
         """
         # The Context owns its integrator, and that its engine: strong references back would keep all of them alive.
         self._context = weakref.proxy(context)
         self._integrator = weakref.proxy(context.getIntegrator())
-        self.flow = flow
-        self.ledger = ledger
+        self.method = method
+        self.tally = tally
         self.changes = Change.ATOMS
         #: Of the System; None before they are needed, and after its Forces have changed.
         self._bonds: Bonds | None = None
@@ -135,7 +135,7 @@ class Engine(ABC):
 
     @abstractmethod
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
-        """Advance by steps of the flow's scheme, and the clock with them.
+        """Advance by steps of the method's scheme, and the clock with them.
 
         Args:
             steps: number of steps.
@@ -173,15 +173,15 @@ class Engine(ABC):
     def select_groups(self) -> None:
         """Take over other integration force groups."""
 
-    def begin(self, flow: Flow) -> None:
-        """Take over all changes before steps of a flow, and check its step.
+    def begin(self, method: IntegrationMethod) -> None:
+        """Take over all changes before steps of a method, and check its step.
 
         Raises:
-            openmm.OpenMMException: the flow cannot be followed. Nothing has been changed then.
+            openmm.OpenMMException: the method cannot be followed. Nothing has been changed then.
         """
-        self.flow = flow
+        self.method = method
         self.synchronize()
-        self.check_step(flow, self._groups, self._context)
+        self.check_step(method, self._groups, self._context)
         self.changes = Change.NONE
 
     # --- the phase point ---
@@ -209,7 +209,7 @@ class Engine(ABC):
             if not (keeps_completed and self.clock.steps > before.clock.steps):
                 self.changes |= Change.HISTORY
                 self.restore(before)
-                self.ledger.counts = before.counts
+                self.tally.counts = before.counts
             raise
 
     # --- moves of ensembles ---
@@ -249,7 +249,7 @@ class Engine(ABC):
 
     def shift_velocities(self, velocity: np.ndarray) -> None:
         """Add a velocity, (3,), nm/ps, to all that moves, and its energy to the heat."""
-        self.ledger.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
+        self.tally.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
         self.transform_velocities(1.0, velocity)
 
     def scale_velocities(self, factor: float, centre: np.ndarray) -> None:
@@ -259,7 +259,7 @@ class Engine(ABC):
         """
         before = self.kinetic_energy()
         self.transform_velocities(factor, (1 - factor) * centre)
-        self.ledger.heat += self.kinetic_energy() - before
+        self.tally.heat += self.kinetic_energy() - before
 
     @cached_property
     def molecule_centres(self) -> MoleculeCentres:
@@ -314,18 +314,18 @@ class Engine(ABC):
         """Return the phase point of a whole step, with momenta that do not lag; it costs a force if they do."""
         if not self.momentum_lag:
             return state
-        bodies, groups, fast = self.bodies, self._groups, self.flow.fast_groups
+        bodies, groups, fast = self.bodies, self._groups, self.method.fast_groups
         p, L = state.p, state.L
-        for step, acting in ((self.flow.step, groups & ~fast), (self.inner_step(self.flow), groups & fast)):
+        for step, acting in ((self.method.step, groups & ~fast), (self.inner_step(self.method), groups & fast)):
             if acting:
                 forces = openmm.Context.getState(self._context, forces=True, groups=acting).getForces(asNumpy=True)
                 F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
 
-    def inner_step(self, flow: Flow) -> float:
-        """Return the longest step of a flow within drifts, ps."""
-        return self.check_step.inner_step(flow, self._groups)
+    def inner_step(self, method: IntegrationMethod) -> float:
+        """Return the longest step of a method within drifts, ps."""
+        return self.check_step.inner_step(method, self._groups)
 
     @cached_property
     def _momentum(self) -> MomentumConservation:

@@ -14,7 +14,7 @@ def make_trial(engine: Engine, trial: Trial) -> Outcome:
     with engine.transaction():
         if trial.kinetic:
             draw_start(engine, trial)
-        engine.ledger.draws += 1
+        engine.tally.draws += 1
         start = engine.save()
         potential = engine.potential_energy()
         refuse_energy(potential, engine.clock)

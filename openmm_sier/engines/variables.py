@@ -4,12 +4,12 @@ import weakref
 
 import openmm
 
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.tally import Tally
 
 #: What the names begin with, so that no parameter of a Force has the same name.
 PREFIX = "sier_"
 
-#: Global variables of a ledger: heat, kJ/mol; number of draws so far; seed, 0 if none was chosen.
+#: Global variables of a tally: heat, kJ/mol; number of draws so far; seed, 0 if none was chosen.
 HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 
 #: Global variable: the next native step of the program. If it is negative, OpenMM updates the Context's state and does
@@ -20,34 +20,34 @@ PART = PREFIX + "part"
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 
 
-class StoredLedger:
-    """A ledger, and the global variables of an integrator by which checkpoints, States and XML carry it.
+class StoredTally:
+    """A tally, and the global variables of an integrator by which checkpoints, States and XML carry it.
 
     They are written before one of these is made, and read after it was loaded. At other times they do not matter.
 
     Attributes:
-        ledger: the ledger.
+        tally: the tally.
         names: of all variables.
     """
 
-    def __init__(self, integrator: openmm.CustomIntegrator, ledger: Ledger):
+    def __init__(self, integrator: openmm.CustomIntegrator, tally: Tally):
         # The integrator holds this.
         self._integrator = weakref.ref(integrator)
-        self.ledger = ledger
-        self.names = HEAT, DRAWS, SEED, *ledger.counts
+        self.tally = tally
+        self.names = HEAT, DRAWS, SEED, *tally.counts
 
     def load(self) -> None:
-        """Set the ledger to the variables."""
+        """Set the tally to the variables."""
         get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
-        ledger = self.ledger
-        ledger.heat = get(HEAT)
-        ledger.draws = int(get(DRAWS))
-        ledger.seed = int(get(SEED))
-        ledger.counts = {name: get(name) for name in ledger.counts}
+        tally = self.tally
+        tally.heat = get(HEAT)
+        tally.draws = int(get(DRAWS))
+        tally.seed = int(get(SEED))
+        tally.counts = {name: get(name) for name in tally.counts}
 
     def write(self) -> None:
-        """Set the variables to the ledger."""
-        ledger, integrator = self.ledger, self._integrator()
-        values = {HEAT: ledger.heat, DRAWS: float(ledger.draws), SEED: float(ledger.seed), **ledger.counts}
+        """Set the variables to the tally."""
+        tally, integrator = self.tally, self._integrator()
+        values = {HEAT: tally.heat, DRAWS: float(tally.draws), SEED: float(tally.seed), **tally.counts}
         for name, value in values.items():
             integrator.setGlobalVariableByName(name, value)  # type: ignore[union-attr]

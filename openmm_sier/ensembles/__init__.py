@@ -1,4 +1,4 @@
-"""Decide what happens between the flows that an engine follows: nothing, thermostats, volume moves, trials.
+"""Decide what happens between the steps that an engine follows: nothing, thermostats, volume moves, trials.
 
 An ensemble is frozen data: moves that act between steps, and a way to advance by steps. It knows engines only by
 `engines.protocol.Engine`, so that it is written once for all of them.

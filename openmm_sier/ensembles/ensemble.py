@@ -11,7 +11,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.engines.protocol import Engine, TrajectoryError
 from openmm_sier.engines.trials import Trial
@@ -48,7 +48,7 @@ class Ensemble:
 
     Attributes:
         is_random: whether it draws random numbers.
-        counts: names of what it counts in the ledger.
+        counts: names of what it counts in the tally.
         steps: number of steps of the scheme in one step of the integrator.
         needs_package: whether the program of the scheme alone would do less, as it does where there are moves.
         has_friction: whether it kicks each momentum by itself, so that the total momentum is not conserved.
@@ -77,11 +77,11 @@ class Ensemble:
         """
         return scheme
 
-    def flow(self, flow: Flow) -> Flow:
-        """Return what the engine is to follow, from a flow at constant energy."""
-        return flow
+    def method(self, method: IntegrationMethod) -> IntegrationMethod:
+        """Return what the engine is to follow, from a method at constant energy."""
+        return method
 
-    def trial(self, flow: Flow) -> Trial | None:
+    def trial(self, method: IntegrationMethod) -> Trial | None:
         """Return the numbers of each trial that a program makes without this package; None where it makes none."""
         return None
 
@@ -123,10 +123,10 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
-    """Add nothing to the flow, so that the energy is constant."""
+    """Add nothing to the method, so that the energy is constant."""
 
-    def flow(self, flow: Flow) -> Flow:
-        return replace(flow, constant_energy=True)
+    def method(self, method: IntegrationMethod) -> IntegrationMethod:
+        return replace(method, constant_energy=True)
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,9 @@ class ConstantTemperature(Ensemble):
         Raises:
             openmm.OpenMMException: the box became too small for the cut-off, or OpenMM found no energy.
         """
-        ledger, before = engine.ledger, engine.potential_energy()
+        tally, before = engine.tally, engine.potential_energy()
         sample, volume, size = engine.save(), engine.volume(), _move_size(engine)
-        move = MonteCarloVolumeMove.drawn(ledger.seed, ledger.draws, engine.molecule_centres.count, size.largest)
+        move = MonteCarloVolumeMove.drawn(tally.seed, tally.draws, engine.molecule_centres.count, size.largest)
         try:
             engine.scale(move.factor)
             gain = engine.potential_energy() - before
@@ -192,11 +192,11 @@ class ConstantTemperature(Ensemble):
             ) from error
         probability = move.probability(gain, pressure, volume, GAS_CONSTANT * self.temperature)
         if move.is_accepted(probability):
-            ledger.heat += gain
+            tally.heat += gain
         else:
             engine.restore(sample)
-        ledger.draws += 1
-        ledger.counts.update(zip((SIZE, MOVES, ACCEPTED_MOVES), size.after(probability), strict=True))
+        tally.draws += 1
+        tally.counts.update(zip((SIZE, MOVES, ACCEPTED_MOVES), size.after(probability), strict=True))
 
 
 def make_number(ensemble: Ensemble, field: str, name: str, symbol: str = "", least: float = -math.inf) -> None:
@@ -222,7 +222,7 @@ def make_number(ensemble: Ensemble, field: str, name: str, symbol: str = "", lea
 
 def _move_size(engine: Engine) -> MoveSize:
     """Return the size of the next move, by what is counted of the earlier ones."""
-    counts = engine.ledger.counts
+    counts = engine.tally.counts
     if not counts[SIZE]:
         return MoveSize.first(engine.molecule_centres.count)
     return MoveSize(counts[SIZE], int(counts[MOVES]), counts[ACCEPTED_MOVES])

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
@@ -44,8 +44,8 @@ class Langevin(ConstantTemperature):
     def scheme_for(self, scheme: Scheme) -> Scheme:
         return scheme.with_bath()
 
-    def flow(self, flow: Flow) -> Flow:
-        """Return a flow with the bath, or without it if there is no friction: then the scheme is followed alone."""
-        scheme = flow.scheme.without_bath() if self.friction == self.turning == 0 else flow.scheme
+    def method(self, method: IntegrationMethod) -> IntegrationMethod:
+        """Return a method with the bath, or without it if there is no friction: then the scheme is followed alone."""
+        scheme = method.scheme.without_bath() if self.friction == self.turning == 0 else method.scheme
         bath = OrnsteinUhlenbeck(self.temperature, self.friction, self.turning)
-        return replace(flow, scheme=scheme, bath=bath, counts_heat=self.counts_heat)
+        return replace(method, scheme=scheme, bath=bath, counts_heat=self.counts_heat)

@@ -9,7 +9,7 @@ import openmm
 
 from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_chances
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import BATH, Scheme
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.protocol import Clock, Engine
@@ -91,12 +91,12 @@ class Metropolis(ConstantTemperature):
             )
         return scheme
 
-    def flow(self, flow: Flow) -> Flow:
-        return replace(flow, updates_context=False, trial_steps=self.steps_per_trial)
+    def method(self, method: IntegrationMethod) -> IntegrationMethod:
+        return replace(method, updates_context=False, trial_steps=self.steps_per_trial)
 
-    def trial(self, flow: Flow) -> Trial:
+    def trial(self, method: IntegrationMethod) -> Trial:
         """Return the numbers of each trial; a program without this package draws its kinetic energy and decision."""
-        share, chances = self._share(flow), self._chances(flow)
+        share, chances = self._share(method), self._chances(method)
         return Trial(
             self.steps_per_trial, chances, share, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3)
         )
@@ -106,9 +106,9 @@ class Metropolis(ConstantTemperature):
         """Return kT in kJ/mol."""
         return GAS_CONSTANT * self.temperature
 
-    def _share(self, flow: Flow) -> float:
+    def _share(self, method: IntegrationMethod) -> float:
         """Return the factor that momenta keep in a trial."""
-        return 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * flow.step)
+        return 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * method.step)
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         for force in system.getForces():
@@ -126,13 +126,13 @@ class Metropolis(ConstantTemperature):
 
     def _step(self, engine: Engine) -> None:
         """Make a trial, and count it at once, so that an error does not find it counted in part."""
-        ledger, length = engine.ledger, self.steps_per_trial * engine.flow.step
+        tally, length = engine.tally, self.steps_per_trial * engine.method.step
         self._check_reversal(engine)
         clock = engine.clock
-        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self.trial(engine.flow))
-        made, accepted = ledger.counts[TRIALS] + 1, ledger.counts[ACCEPTED] + outcome.is_accepted
+        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self.trial(engine.method))
+        made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
-        ledger.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
+        tally.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
 
     # --- the choices of a trial ---
 
@@ -142,21 +142,21 @@ class Metropolis(ConstantTemperature):
         Where the centre of mass was stopped after the last trial, it is given a velocity before momenta are drawn, in
         part or all of them, and the kinetic energy that is over-relaxed has that of the centre too.
         """
-        ledger, flow = engine.ledger, engine.flow
+        tally, method = engine.tally, engine.method
         centre, mass = np.zeros(3), engine.moving.mass
         if engine.removes_momentum:
-            centre = math.sqrt(self._thermal / mass) * ledger.noise(stream=3).standard_normal(3)
+            centre = math.sqrt(self._thermal / mass) * tally.noise(stream=3).standard_normal(3)
         half = 0.5 * self._thermal
         before = (engine.kinetic_energy() + 0.5 * mass * float(centre @ centre)) / half
         freedoms = engine.degrees_of_freedom(conserved=False)
-        kinetic = half * over_relaxed(before, freedoms, ledger.noise(stream=5))
-        threshold = largest_error(ledger.seed, ledger.draws + 1)
-        return self.trial(flow)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
+        kinetic = half * over_relaxed(before, freedoms, tally.noise(stream=5))
+        threshold = largest_error(tally.seed, tally.draws + 1)
+        return self.trial(method)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
 
-    def _chances(self, flow: Flow) -> int:
+    def _chances(self, method: IntegrationMethod) -> int:
         """Return how many times a trajectory may go on."""
         if self.extra_chances is None:
-            return usual_chances(self.steps_per_trial * flow.step)
+            return usual_chances(self.steps_per_trial * method.step)
         return self.extra_chances
 
     # --- reversibility ---
@@ -167,7 +167,7 @@ class Metropolis(ConstantTemperature):
         Raises:
             openmm.OpenMMException: it does not come back.
         """
-        counts, step = engine.ledger.counts, engine.flow.step
+        counts, step = engine.tally.counts, engine.method.step
         if counts[CHECKED_STEP] == step:
             return
         refuse_energy(engine.potential_energy(), engine.clock)
@@ -176,7 +176,7 @@ class Metropolis(ConstantTemperature):
             if _moves(engine):
                 draw_start(engine, self._chosen(engine))
             # Later ends need not exist, for example where atoms leave a potential that ends.
-            for steps in (self.steps_per_trial * (1 + self._chances(engine.flow)), self.steps_per_trial):
+            for steps in (self.steps_per_trial * (1 + self._chances(engine.method)), self.steps_per_trial):
                 error = reversal_error(engine, steps)
                 if math.isfinite(error):
                     break
@@ -194,4 +194,4 @@ class Metropolis(ConstantTemperature):
 
 def _moves(engine: Engine) -> bool:
     """Return whether anything moves in a trial."""
-    return engine.flow.step > 0 and engine.degrees_of_freedom(conserved=False) > 0
+    return engine.method.step > 0 and engine.degrees_of_freedom(conserved=False) > 0

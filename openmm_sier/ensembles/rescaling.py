@@ -49,11 +49,11 @@ class VelocityRescaling(ConstantTemperature):
 
     def _scale(self, engine: Engine) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
-        kept = math.exp(-self.rate * self.every * engine.flow.step)
+        kept = math.exp(-self.rate * self.every * engine.method.step)
         motion = ThermalMotion.of(engine, engine.conserves_momentum(self.has_friction))
         if motion.freedoms > 0:
-            motion.scale(self._factor(motion.energy, motion.freedoms, kept, engine.ledger.noise()))
-        engine.ledger.draws += 1
+            motion.scale(self._factor(motion.energy, motion.freedoms, kept, engine.tally.noise()))
+        engine.tally.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:
         """Draw the factor on velocities, as an Ornstein-Uhlenbeck process of each would have it.

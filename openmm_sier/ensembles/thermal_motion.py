@@ -38,7 +38,7 @@ class ThermalMotion:
         return self.engine.kinetic_energy() - 0.5 * self.engine.moving.mass * float(self.centre @ self.centre)
 
     def scale(self, factor: float) -> None:
-        """Multiply its velocities by a factor. The energy that they gain is heat of the ledger."""
+        """Multiply its velocities by a factor. The energy that they gain is heat of the tally."""
         self.engine.scale_velocities(factor, self.centre)
 
     def scale_to(self, energy: float) -> None:

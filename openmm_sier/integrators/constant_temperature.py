@@ -61,11 +61,11 @@ class SIERThermostatIntegrator(SIERIntegrator):
         super().__init__(stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups, ensemble=thermostat)
 
     def _change_ensemble(self, **changes: Any) -> None:
-        self.binding.change(ensemble=replace(self.binding.ensemble, **changes))
+        self.impl.change(ensemble=replace(self.impl.ensemble, **changes))
 
     def getTemperature(self) -> unit.Quantity:
         """Return the temperature of the bath, a quantity in K."""
-        return self.binding.ensemble.temperature * unit.kelvin
+        return self.impl.ensemble.temperature * unit.kelvin
 
     def setTemperature(self, temp: Quantity) -> None:
         """Set the temperature of the bath, a quantity or a number in K."""
@@ -73,18 +73,18 @@ class SIERThermostatIntegrator(SIERIntegrator):
 
     def getPressure(self) -> unit.Quantity | None:
         """Return the pressure, a quantity in bar; None at constant volume."""
-        pressure = self.binding.ensemble.pressure
+        pressure = self.impl.ensemble.pressure
         return None if pressure is None else pressure * unit.bar
 
     def setPressure(self, pressure: Quantity) -> None:
         """Set the pressure, a quantity or a number in bar, of an integrator that was made with one."""
-        if self.binding.ensemble.pressure is None:
+        if self.impl.ensemble.pressure is None:
             raise ValueError("this integrator runs at constant volume: create it with a pressure")
         self._change_ensemble(pressure=quantity_to_float("pressure", pressure, unit.bar, "bar"))
 
     def getBarostatInterval(self) -> int | None:
         """Return the number of steps between attempts to change the volume; None at constant volume."""
-        return None if self.binding.ensemble.pressure is None else self.binding.ensemble.interval
+        return None if self.impl.ensemble.pressure is None else self.impl.ensemble.interval
 
     def setRandomNumberSeed(self, seed: int) -> None:
         """Set the seed of the noise for the next Context; as in OpenMM, 0 means a new one for every Context."""

@@ -8,7 +8,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.engines.protocol import Change
-from openmm_sier.integrators.binding import Binding
+from openmm_sier.integrators.impl import IntegratorImpl
 
 #: The parameters of OpenMM's method.
 GET_STATE = inspect.signature(openmm.Context.getState)
@@ -36,14 +36,14 @@ class SIERContext(openmm.Context):
     """
 
     @property
-    def binding(self) -> Binding:
+    def impl(self) -> IntegratorImpl:
         """Return the Python part of the integrator."""
-        return self.getIntegrator().binding
+        return self.getIntegrator().impl
 
     def reinitialize(self, preserveState: bool = False) -> None:
-        self.binding.store()
+        self.impl.store()
         super().reinitialize(preserveState)
-        self.binding.bind(self, keeps_ledger=preserveState)
+        self.impl.bind(self, keeps_tally=preserveState)
 
     # --- saved and loaded states ---
 
@@ -53,23 +53,23 @@ class SIERContext(openmm.Context):
         # The second name is deprecated.
         if not (arguments.get("integratorParameters") or arguments.get("getIntegratorParameters")):
             return super().getState(*args, **kwargs)
-        self.binding.store()
+        self.impl.store()
         state = super().getState(*args, **kwargs)
-        self.binding.changed(Change.HISTORY)
+        self.impl.changed(Change.HISTORY)
         return state
 
     def createCheckpoint(self) -> bytes:
-        self.binding.store()
+        self.impl.store()
         checkpoint = super().createCheckpoint()
-        self.binding.changed(Change.HISTORY)
+        self.impl.changed(Change.HISTORY)
         return checkpoint
 
     def loadCheckpoint(self, checkpoint: bytes) -> None:
         super().loadCheckpoint(checkpoint)
-        self.binding.take_over()
+        self.impl.take_over()
 
     def setState(self, state: openmm.State) -> None:
-        self.binding.take_over_state(functools.partial(self._set_state, state), _has_parameters(state))
+        self.impl.take_over_state(functools.partial(self._set_state, state), _has_parameters(state))
 
     def _set_state(self, state: openmm.State) -> None:
         """Set a State; of one of another kind of integrator, all but the parameters of the integrator."""
@@ -98,36 +98,36 @@ class SIERContext(openmm.Context):
 
     def setPositions(self, positions: Any) -> None:
         super().setPositions(positions)
-        self.binding.changed(Change.ATOMS)
+        self.impl.changed(Change.ATOMS)
 
     def setVelocities(self, velocities: Any) -> None:
         super().setVelocities(velocities)
-        self.binding.changed(Change.ATOMS)
+        self.impl.changed(Change.ATOMS)
 
     def setParameter(self, name: str, value: float) -> None:
         super().setParameter(name, value)
-        self.binding.changed()
+        self.impl.changed()
 
     def setTime(self, time: float | unit.Quantity) -> None:
         super().setTime(time)
-        self.binding.changed()
+        self.impl.changed()
 
     def setStepCount(self, count: int) -> None:
         super().setStepCount(count)
-        self.binding.changed()
+        self.impl.changed()
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
         super().setPeriodicBoxVectors(a, b, c)
-        self.binding.changed(Change.BOX)
+        self.impl.changed(Change.BOX)
 
     def setVelocitiesToTemperature(self, *args: Any) -> None:
-        self.binding.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)
+        self.impl.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)
 
     def applyConstraints(self, tol: float | unit.Quantity) -> None:
-        self.binding.satisfy(functools.partial(super().applyConstraints, tol), velocities=False)
+        self.impl.satisfy(functools.partial(super().applyConstraints, tol), velocities=False)
 
     def applyVelocityConstraints(self, tol: float | unit.Quantity) -> None:
-        self.binding.satisfy(functools.partial(super().applyVelocityConstraints, tol), velocities=True)
+        self.impl.satisfy(functools.partial(super().applyVelocityConstraints, tol), velocities=True)
 
 
 def _has_parameters(state: openmm.State) -> bool:

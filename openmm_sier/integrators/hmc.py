@@ -104,18 +104,18 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     def getStepsPerTrial(self) -> int:
         """Return the number of steps of the scheme in each trial."""
-        return self.binding.ensemble.steps_per_trial
+        return self.impl.ensemble.steps_per_trial
 
     def setStepsPerTrial(self, steps: int) -> None:
         """Set the number of steps in each trial, at least 1; the step of the scheme stays."""
-        before = self.binding.ensemble.steps_per_trial
+        before = self.impl.ensemble.steps_per_trial
         self._change_ensemble(steps_per_trial=steps)
-        if self.binding.ensemble.steps_per_trial > before:
+        if self.impl.ensemble.steps_per_trial > before:
             self._counts[CHECKED_STEP] = 0.0
 
     def getExtraChances(self) -> int | None:
         """Return the number of times that a trajectory may continue; None if it depends on the length of trials."""
-        return self.binding.ensemble.extra_chances
+        return self.impl.ensemble.extra_chances
 
     def setExtraChances(self, chances: int | None) -> None:
         """Set the number of times that a trajectory whose end would be rejected continues; None: the usual number."""
@@ -124,15 +124,15 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     def getSchemeStepSize(self) -> unit.Quantity:
         """Return the step of the scheme, a quantity in ps."""
-        return self.binding.settings.step * unit.picosecond
+        return self.impl.settings.step * unit.picosecond
 
     def setSchemeStepSize(self, size: Quantity) -> None:
         """Set the step of the scheme, a time quantity or a number in ps; the number of steps in a trial stays."""
-        self.binding.change(step=step_size(size))
+        self.impl.change(step=step_size(size))
 
     def getFriction(self) -> unit.Quantity:
         """Return the friction for partial draws of momenta, a quantity in 1/ps; infinite for complete draws."""
-        friction = self.binding.ensemble.friction
+        friction = self.impl.ensemble.friction
         return (math.inf if friction is None else friction) / unit.picosecond
 
     def setFriction(self, coeff: Quantity | None) -> None:
@@ -141,8 +141,8 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
 
     @property
     def _counts(self) -> dict[str, float]:
-        """Numbers of the ledger, by name."""
-        return self.binding.stored.ledger.counts
+        """Numbers of the tally, by name."""
+        return self.impl.stored.tally.counts
 
     @property
     def trials(self) -> int:

@@ -12,7 +12,7 @@ from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Change
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
-from openmm_sier.integrators.binding import Binding
+from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.settings import Settings, place_of
 from openmm_sier.integrators.storage import pickled, unpickled
 from openmm_sier.system import arguments
@@ -90,25 +90,25 @@ class SIERIntegrator(openmm.CustomIntegrator):
             ensemble=ConstantEnergy() if ensemble is None else ensemble,
         )
         super().__init__(given.step)
-        self.binding = Binding(self, given)
-        self.binding.declare()
+        self.impl = IntegratorImpl(self, given)
+        self.impl.declare()
 
     # --- what users ask ---
 
     @property
     def engine(self) -> str:
         """Return the name of the engine in use; before a Context is created, the one that was requested."""
-        return self.binding.engine_name
+        return self.impl.engine_name
 
     @property
     def substeps(self) -> int | None:
         """Return the requested number of steps in a drift; None leaves it to the engine."""
-        return self.binding.settings.substeps
+        return self.impl.settings.substeps
 
     @property
     def fastForceGroups(self) -> set[int]:
         """Return the force groups of the fast forces, which act within drifts."""
-        return set(arguments.groups_of(self.binding.flow().fast_groups))
+        return set(arguments.groups_of(self.impl.method().fast_groups))
 
     @property
     def program(self) -> Program:
@@ -117,29 +117,29 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             ValueError: OpenMM cannot execute an operator of the scheme in a CustomIntegrator.
         """
-        if self.binding.program.refusal:
-            raise ValueError(self.binding.program.refusal)
-        return self.binding.program
+        if self.impl.program.refusal:
+            raise ValueError(self.impl.program.refusal)
+        return self.impl.program
 
     @property
     def scheme(self) -> Scheme:
         """Return the splitting scheme."""
-        return self.binding.settings.scheme
+        return self.impl.settings.scheme
 
     @property
     def rotation(self) -> Rotation:
         """Return the free-rotation map."""
-        return self.binding.settings.rotation
+        return self.impl.settings.rotation
 
     @property
     def bodies(self) -> BodySet:
         """Return the rigid bodies of the integrator's Context."""
-        return self.binding.engine.bodies
+        return self.impl.engine.bodies
 
     @property
     def forceEvaluations(self) -> int:
         """Return the number of force evaluations since the Context was created."""
-        return self.binding.engine.evaluations
+        return self.impl.engine.evaluations
 
     @property
     def conservesMomentum(self) -> bool:
@@ -147,7 +147,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
         See `openmm_sier.system.temperature.MomentumConservation`.
         """
-        return self.binding.engine.conserves_momentum(self.binding.ensemble.has_friction)
+        return self.impl.engine.conserves_momentum(self.impl.ensemble.has_friction)
 
     @property
     def countedHeat(self) -> float:
@@ -155,18 +155,18 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
         NaN where the native engine does not count it; see `countsHeat` of `SIERLangevinIntegrator`.
         """
-        return self.binding.engine.heat()
+        return self.impl.engine.heat()
 
     def getStepSize(self) -> unit.Quantity:
         """Return the time by which `step(1)` advances the Context, a quantity in ps.
 
         OpenMM's own step may be a fraction of it.
         """
-        return self.binding.settings.step * self.binding.ensemble.steps * unit.picosecond
+        return self.impl.settings.step * self.impl.ensemble.steps * unit.picosecond
 
     def setStepSize(self, size: Quantity) -> None:
         """Set the time by which `step(1)` advances the Context, a time quantity or a number in ps."""
-        self.binding.change(step=arguments.step_size(size) / self.binding.ensemble.steps)
+        self.impl.change(step=arguments.step_size(size) / self.impl.ensemble.steps)
 
     def getBodyState(self) -> BodyState:
         """Return positions, attitudes and momenta of the bodies, up to date with the Context.
@@ -174,7 +174,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         Raises:
             RigidityError: the Context's positions do not form the bodies.
         """
-        return self.binding.engine.state()
+        return self.impl.engine.state()
 
     def getWholeStepState(self) -> BodyState:
         """Return the state at a whole step, at which energy minus heat is conserved within the error of the scheme.
@@ -182,7 +182,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         It is what `getBodyState` returns, except for SIER2 in a heat bath. There velocities lag half a kick behind, as
         with OpenMM's LangevinMiddleIntegrator, and this method advances them by a further force evaluation.
         """
-        engine = self.binding.engine
+        engine = self.impl.engine
         return engine.at_whole_step(engine.state())
 
     def step(self, steps: int) -> None:
@@ -196,7 +196,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
             RigidityError: positions set from outside do not form the bodies.
             openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
-        self.binding.step(arguments.whole_number("steps", steps))
+        self.impl.step(arguments.whole_number("steps", steps))
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all motion, a quantity in K.
@@ -216,7 +216,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         temperature of the points of other molecules. With SIER2 in a bath velocities are those just after the bath,
         whose temperatures have no error of the step.
         """
-        return self.binding.engine.temperatures(self.conservesMomentum).as_quantities()
+        return self.impl.engine.temperatures(self.conservesMomentum).as_quantities()
 
     def reported(self) -> dict[str, float]:
         """Return additional columns for `ConservationReporter`, by name."""
@@ -228,12 +228,12 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.binding.engine.changes |= Change.FORCES
+        self.impl.engine.changes |= Change.FORCES
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
         super().setIntegrationForceGroups(groups)
-        self.binding.groups_changed()
+        self.impl.groups_changed()
 
     # --- copies ---
 
@@ -246,5 +246,5 @@ class SIERIntegrator(openmm.CustomIntegrator):
         return self.__copy__()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        attributes = {name: value for name, value in vars(self).items() if name not in ("this", "binding")}
-        return unpickled, (pickled(self), type(self), self.binding.settings, attributes)
+        attributes = {name: value for name, value in vars(self).items() if name not in ("this", "impl")}
+        return unpickled, (pickled(self), type(self), self.impl.settings, attributes)

@@ -85,7 +85,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
 
     def getFriction(self) -> unit.Quantity:
         """Return the friction of the translation, a quantity in 1/ps."""
-        return self.binding.ensemble.friction / unit.picosecond
+        return self.impl.ensemble.friction / unit.picosecond
 
     def setFriction(self, coeff: Quantity) -> None:
         """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
@@ -93,7 +93,7 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
 
     def getRotationalFriction(self) -> unit.Quantity:
         """Return the friction of the rotation, a quantity in 1/ps."""
-        return self.binding.ensemble.turning / unit.picosecond
+        return self.impl.ensemble.turning / unit.picosecond
 
     def setRotationalFriction(self, coeff: Quantity) -> None:
         """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""

@@ -17,7 +17,7 @@ import openmm
 
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
@@ -98,14 +98,16 @@ class Settings:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
 
-    def flow(self, prepared: int = 0) -> Flow:
-        """Return the flow for an engine.
+    def method(self, prepared: int = 0) -> IntegrationMethod:
+        """Return the method for an engine.
 
         Args:
             prepared: the fast force groups of the System, a bit mask, for settings without fast groups.
         """
         fast_groups = prepared if self.fast_groups is None else self.fast_groups
-        return self.ensemble.flow(Flow(self.scheme, self.step, self.rotation, self.substeps, fast_groups))
+        return self.ensemble.method(
+            IntegrationMethod(self.scheme, self.step, self.rotation, self.substeps, fast_groups)
+        )
 
 
 # --- in OpenMM's integrator ---

@@ -14,7 +14,7 @@ from openmm import unit
 
 from openmm_sier.engines.native import installation, trials
 from openmm_sier.integrators import settings
-from openmm_sier.integrators.binding import Binding
+from openmm_sier.integrators.impl import IntegratorImpl
 
 
 def written(integrator: Any) -> openmm.CustomIntegrator:
@@ -22,18 +22,18 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
 
     Its program is right for any System, while that of a Context is for its System only.
     """
-    binding = integrator.binding
-    binding.store()
-    copied, program = installation.without_program(integrator), binding.general_program()
+    impl = integrator.impl
+    impl.store()
+    copied, program = installation.without_program(integrator), impl.general_program()
     installation.install(program, copied)
-    installation.set_trial(copied, binding.ensemble.trial(binding.flow()))
-    copied.setStepSize(binding.settings.step / (program.native_steps or 1))
+    installation.set_trial(copied, impl.ensemble.trial(impl.method()))
+    copied.setStepSize(impl.settings.step / (program.native_steps or 1))
     return copied
 
 
 def pickled(integrator: Any) -> str:
     """Return the XML for `unpickled`, without a program, which the integrator gets with a Context."""
-    integrator.binding.store()
+    integrator.impl.store()
     return openmm.XmlSerializer.serialize(installation.without_program(integrator))
 
 
@@ -72,7 +72,7 @@ def _give_class(plain: Any, cls: type, values: settings.Settings) -> None:
     """Turn a CustomIntegrator into a SIER integrator with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
     required = {installation.PARTS, *values.ensemble.counts}
-    if values.flow().trial_steps:
+    if values.method().trial_steps:
         required |= set(trials.GLOBALS)
     if missing := required - variables:
         raise settings.SettingsError(
@@ -83,8 +83,8 @@ def _give_class(plain: Any, cls: type, values: settings.Settings) -> None:
     step = plain.getStepSize().value_in_unit(unit.picosecond) * native_steps
     installation.uninstall(plain)
     plain.__class__ = cls
-    plain.binding = Binding(plain, values)
-    plain.binding.stored.load()
+    plain.impl = IntegratorImpl(plain, values)
+    plain.impl.stored.load()
     # The step may have been set without this package.
     same = math.isclose(step, values.step, rel_tol=1e-12)
-    plain.binding.change(step=values.step if same else step)
+    plain.impl.change(step=values.step if same else step)

@@ -227,7 +227,7 @@ def _context_for(context: openmm.Context, scheme: Scheme, substeps: int | None) 
     if (scheme, substeps) == (integrator.scheme, integrator.substeps):
         return context
     other = copy.copy(integrator)
-    other.binding.change(scheme=scheme, substeps=substeps)
+    other.impl.change(scheme=scheme, substeps=substeps)
     made = openmm.Context(context.getSystem(), other, *platform_of(context))
     state = context.getState(positions=True, velocities=True)
     made.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
@@ -369,7 +369,7 @@ def _try_length(context: openmm.Context, step: float, steps: int, samples: int) 
     before, begun, errors, energies = integrator.forceEvaluations, _seconds(context), [], []
     for _ in range(samples):
         errors.append(_trial(integrator))
-        energies.append(integrator.binding.engine.potential_energy())
+        energies.append(integrator.impl.engine.potential_energy())
     seconds = (_seconds(context) - begun) / samples
     forces = (integrator.forceEvaluations - before) / samples
     return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)), seconds)
@@ -393,7 +393,7 @@ def _script(integrator: SIERHMCIntegrator, best: SchemeFound, steps: int) -> str
         repr(scheme.name) if known else scheme.name,
         f"stepsPerTrial={steps}",
     ]
-    if (engine := integrator.binding.settings.engine) != "auto":
+    if (engine := integrator.impl.settings.engine) != "auto":
         words.append(f"engine={engine!r}")
     if best.substeps is not None:
         words.append(f"substeps={best.substeps}")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability.advice import StepError, StepWarning
@@ -24,38 +24,38 @@ class StepCheck:
         self,
         system: openmm.System,
         bodies: BodySet,
-        inner_step: Callable[[Flow, float], float] | None = None,
+        inner_step: Callable[[IntegrationMethod, float], float] | None = None,
         rigid: Sequence[Species] | None = None,
     ):
         """
         Args:
             system: openmm.System.
             bodies: all that move in it.
-            inner_step: gives the longest step of a flow within drifts, ps. Its second argument is the longest step at
-                which bonds are accurate, for flows that leave the number of substeps open. None: the number of the
-                flow, or one.
+            inner_step: gives the longest step of a method within drifts, ps. Its second argument is the longest step at
+                which bonds are accurate, for steps that leave the number of substeps open. None: the number of the
+                method, or one.
             rigid: the kinds of rigid body; None: those of `bodies`.
         """
         self._motions = Motions(system, bodies, bodies.species if rigid is None else rigid)
         self._is_isolated = not any(kind_of(force).sets for force in system.getForces())
         self._inner_step = inner_step or _with_substeps
         self._checked: tuple = ()
-        #: The last flow and groups, and the inner step for them.
-        self._known: tuple[Flow | None, int, float] = (None, 0, 0.0)
+        #: The last method and groups, and the inner step for them.
+        self._known: tuple[IntegrationMethod | None, int, float] = (None, 0, 0.0)
         self._warnings: set[str] = set()
 
-    def inner_step(self, flow: Flow, groups: int) -> float:
-        """Return the longest step of a flow within drifts, ps; `groups` are the integration force groups, a bit mask.
+    def inner_step(self, method: IntegrationMethod, groups: int) -> float:
+        """Return the longest step of a method within drifts, ps; `groups` are the integration force groups, a bit mask.
 
         Of bonds only the harmonic ones count: measured motions depend on positions, and a restart must find the same.
         """
         known_flow, known_groups, step = self._known
-        if known_flow is not flow or known_groups != groups:
-            bond = fastest(self._motions.harmonic, groups & flow.fast_groups)
+        if known_flow is not method or known_groups != groups:
+            bond = fastest(self._motions.harmonic, groups & method.fast_groups)
             step = self._inner_step(
-                flow, math.inf if bond is None else accurate_step(flow.scheme.within_drifts, bond.period)
+                method, math.inf if bond is None else accurate_step(method.scheme.within_drifts, bond.period)
             )
-            self._known = flow, groups, step
+            self._known = method, groups, step
         return step
 
     def longest_step(
@@ -84,13 +84,13 @@ class StepCheck:
         limits = [rule.limit(self._motions, conditions) for rule in rules]
         return min((limit.longest_step for limit in limits if limit is not None), default=math.inf)
 
-    def __call__(self, flow: Flow, groups: int, context: openmm.Context | None = None) -> None:
-        """Check a flow, once, by forces of integration force groups, a bit mask.
+    def __call__(self, method: IntegrationMethod, groups: int, context: openmm.Context | None = None) -> None:
+        """Check a method, once, by forces of integration force groups, a bit mask.
 
         Engines call it before the first step and not earlier: a Context may also be made for energies alone.
 
         Args:
-            flow: what will be followed.
+            method: what will be followed.
             groups: the integration force groups.
             context: where motions are measured; None before there are positions.
 
@@ -99,15 +99,15 @@ class StepCheck:
         """
         if context is not None and self._motions.measure(context):
             self._checked = ()
-        scheme = flow.scheme
-        temperature = ROOM_TEMPERATURE if flow.bath is None else flow.bath.temperature
-        checked = scheme, flow.step, flow.substeps, flow.fast_groups, groups, temperature
+        scheme = method.scheme
+        temperature = ROOM_TEMPERATURE if method.bath is None else method.bath.temperature
+        checked = scheme, method.step, method.substeps, method.fast_groups, groups, temperature
         if checked == self._checked:
             return
-        slow, fast = groups & ~flow.fast_groups, groups & flow.fast_groups
-        conserves_energy = flow.constant_energy and self._is_isolated
-        step = Conditions(scheme, slow, fast, temperature, conserves_energy), flow.step
-        inner_step = Conditions(scheme.within_drifts, fast, is_inner=True), self.inner_step(flow, groups)
+        slow, fast = groups & ~method.fast_groups, groups & method.fast_groups
+        conserves_energy = method.constant_energy and self._is_isolated
+        step = Conditions(scheme, slow, fast, temperature, conserves_energy), method.step
+        inner_step = Conditions(scheme.within_drifts, fast, is_inner=True), self.inner_step(method, groups)
         for rule in RULES:
             conditions, h = inner_step if rule.judges_inner_step else step
             limit = rule.limit(self._motions, conditions)
@@ -126,6 +126,6 @@ class StepCheck:
             warn(StepWarning(verdict.message))
 
 
-def _with_substeps(flow: Flow, _: float) -> float:
-    """Return the longest step of a flow within drifts, ps, with the number of substeps that it names, or one."""
-    return flow.step * flow.scheme.inner_fraction(flow.substeps or 1)
+def _with_substeps(method: IntegrationMethod, _: float) -> float:
+    """Return the longest step of a method within drifts, ps, with the number of substeps that it names, or one."""
+    return method.step * method.scheme.inner_fraction(method.substeps or 1)

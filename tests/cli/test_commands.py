@@ -104,10 +104,10 @@ def test_the_command_has_all_ensembles_that_scripts_have(box):
             options["thermostat"] = thermostat
         beginning = NewRun(options)
         integrator = SimulatedSystem(beginning.settings, beginning.sources).integrator(beginning.settings)
-        results.add(type(integrator.binding.ensemble))
+        results.add(type(integrator.impl.ensemble))
         if ensemble != "nve":
-            assert integrator.binding.ensemble.temperature == 297
-            assert integrator.binding.ensemble.pressure == (1 if ensemble == "npt" else None)
+            assert integrator.impl.ensemble.temperature == 297
+            assert integrator.impl.ensemble.pressure == (1 if ensemble == "npt" else None)
     assert results == set(ensembles.ENSEMBLES.values())
 
 

@@ -20,10 +20,10 @@ from openmm_sier.dynamics.constrained import (
     steps_with_bath,
 )
 from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
-from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.operators import CachedForces, drift, stepper
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G, SIER4P
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import KAHAN_LI, Points, cage, chains, ring, rotor
 from tests.support.flexible_systems import system_of
@@ -170,15 +170,15 @@ def test_projected_noise_is_thermal():
     system = cage()
     constraints, bodies = system.constraints(), system.bodies
     start = system.start(np.random.default_rng(1))
-    ledger = Ledger(3)
-    bath = constrained_bath(OrnsteinUhlenbeck(300.0, 5.0, 5.0).operator(bodies, ledger), constraints, ledger)
+    tally = Tally(3)
+    bath = constrained_bath(OrnsteinUhlenbeck(300.0, 5.0, 5.0).operator(bodies, tally), constraints, tally)
     state, samples = start, []
     kinetic = [sum(bodies.kinetic_energies(start))]
     for _ in range(4000):
         state = bath(state, 0.3)
         samples.append((state.p / np.sqrt(system.masses)).ravel())
         kinetic.append(sum(bodies.kinetic_energies(state)))
-    assert ledger.heat == pytest.approx(kinetic[-1] - kinetic[0], abs=1e-9)
+    assert tally.heat == pytest.approx(kinetic[-1] - kinetic[0], abs=1e-9)
     values = np.linalg.eigvalsh(np.cov(np.array(samples).T) / (GAS_CONSTANT * 300.0))
     rank = constraints.rank(start.q)
     assert len(values) - rank == 18 - 10

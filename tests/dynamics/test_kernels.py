@@ -15,7 +15,7 @@ STEPS = """
 import numpy as np
 from openmm_sier.dynamics import operators
 from openmm_sier.dynamics.constrained import constrained_operators
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import cage, many, rotor
@@ -24,7 +24,7 @@ from tests.support.steps import constant_torques, every_kind, with_a_fast_body
 bodies, state, forces = every_kind(np.random.default_rng(1), each=2)
 state = with_a_fast_body(bodies, state)
 state = operators.stepper(SIER4G, operators.body_operators(bodies, constant_torques(bodies, forces)), 0.004)(state)
-state = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, Ledger(5))(state, 0.05)
+state = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, Tally(5))(state, 0.05)
 atoms = np.zeros_like(forces)
 arrays = [state.q, state.p, state.A, state.L, bodies.move(state, atoms)]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from openmm_sier.dynamics import operators, rotation, threads
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support import molecules
 from tests.support.steps import every_kind, with_a_fast_body
@@ -26,9 +26,9 @@ def test_threads_give_the_same_bits(request, rng):
     state, flow = with_a_fast_body(bodies, state), operators.drift(bodies)
 
     def bathed():
-        ledger = Ledger(1)
-        after = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, ledger)(state, 0.05)
-        return after.p, after.L, ledger.heat
+        tally = Tally(1)
+        after = OrnsteinUhlenbeck(300.0, 3.0, 7.0).operator(bodies, tally)(state, 0.05)
+        return after.p, after.L, tally.heat
 
     def atoms():
         empty = np.zeros_like(forces)

@@ -300,7 +300,7 @@ def test_contexts_are_freed(cluster):
     context = context_at(system, integrator, point, steps=1)
     gc.disable()
     try:
-        engine = integrator.binding.engine
+        engine = integrator.impl.engine
         del context
         with pytest.raises(ReferenceError):
             engine._context.getTime()
@@ -360,7 +360,7 @@ def test_another_thread_is_refused(cluster, monkeypatch):
         thread.join(60)
 
     with monkeypatch.context() as patched:
-        patched.setattr(integrator.binding.watch, "begin", begin)
+        patched.setattr(integrator.impl.watch, "begin", begin)
         integrator.step(1)
     assert said == ["Another thread is stepping this Context: give each thread a Context of its own"]
     integrator.step(1)

@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.ledger import Ledger
 from openmm_sier.dynamics.schemes import BATH
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.faults import Fault, lines_run
 from tests.support.matrices import representatives
@@ -98,9 +98,9 @@ class Replay:
         self.bodies = world.bodies
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
         self._forces = operators.CachedForces(self._compute)
-        self.ledger = Ledger(SEED)
+        self.tally = Tally(SEED)
         self._operators = operators.body_operators(self.bodies, self._forces)
-        self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION).operator(self.bodies, self.ledger)
+        self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION).operator(self.bodies, self.tally)
         self.steps, self.time = 0, 0.0
         self.state = BodyState(*4 * [np.zeros(0)])
         self.read_positions(world.positions, 0 * world.positions)
@@ -133,17 +133,17 @@ class Replay:
                 total, mass = self.state.p.sum(axis=1), self.bodies.masses.sum()
                 p = self.state.p - self.bodies.masses * (total / mass)[:, None]
                 self.state = replace(self.state, p=p)
-                self.ledger.heat -= 0.5 * float(total @ total) / mass
+                self.tally.heat -= 0.5 * float(total @ total) / mass
             self.state = operators.stepper(self.scheme, self._operators, self.h)(self.state)
             self.steps += 1
             self.time += self.h
 
     def save(self):
-        return self.state, self.ledger.mark(), self.steps, self.time, self._context.getParameter("strength")
+        return self.state, self.tally.mark(), self.steps, self.time, self._context.getParameter("strength")
 
     def load(self, saved, draws):
         self.state, mark, self.steps, self.time, strength = saved
-        self.ledger.heat, self.ledger.draws = mark.heat, draws
+        self.tally.heat, self.tally.draws = mark.heat, draws
         self.set_strength(strength)
 
 
@@ -257,7 +257,7 @@ class Calls(RuleBasedStateMachine):
         if fresh:
             self.bind(copy.deepcopy(self.integrator))
         elif way == "state":  # Noise is not used twice in a Context.
-            draws = max(draws, self.replay.ledger.draws)
+            draws = max(draws, self.replay.tally.draws)
         if way == "checkpoint":
             self.context.loadCheckpoint(blob)
         else:
@@ -304,8 +304,8 @@ class Calls(RuleBasedStateMachine):
     def phase_point_is_that_of_the_replay(self):
         state = self.integrator.getBodyState()
         self.compare(atoms_at(self.integrator.bodies, state), self.replay.atoms())
-        assert self.integrator.binding.stored.ledger.draws == self.replay.ledger.draws
-        assert self.integrator.countedHeat == pytest.approx(self.replay.ledger.heat, abs=1e-8)
+        assert self.integrator.impl.stored.tally.draws == self.replay.tally.draws
+        assert self.integrator.countedHeat == pytest.approx(self.replay.tally.heat, abs=1e-8)
 
     def atoms_are_those_of_the_replay(self):
         """Only after a step: before it velocities may be what no rigid body has."""

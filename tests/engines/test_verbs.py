@@ -19,7 +19,7 @@ def engine(cluster, name):
     _, system, point = cluster
     integrator = SIERIntegrator(0.001, "SIER2", engine=name)
     context = context_at(system, integrator, point, steps=3)
-    return integrator.binding.engine, context
+    return integrator.impl.engine, context
 
 
 def test_energy_of_changed_velocities_is_heat(engine):
@@ -31,14 +31,14 @@ def test_energy_of_changed_velocities_is_heat(engine):
         lambda: engine.draw_momenta(2.5, 0.6),
     )
     for change in changes:
-        before, heat = energies(context)[1], engine.ledger.heat
+        before, heat = energies(context)[1], engine.tally.heat
         assert engine.kinetic_energy() == pytest.approx(before, abs=ROUNDING)
         change()
         engine.publish()
         # OpenMM adds the energies of atoms, whose velocities its solvers constrain to 1e-9.
-        assert energies(context)[1] - before == pytest.approx(engine.ledger.heat - heat, abs=1e-6)
-        assert abs(engine.ledger.heat - heat) > 0.1
-    assert engine.ledger.draws == 1
+        assert energies(context)[1] - before == pytest.approx(engine.tally.heat - heat, abs=1e-6)
+        assert abs(engine.tally.heat - heat) > 0.1
+    assert engine.tally.draws == 1
 
 
 def test_velocities_about_the_centre_leave_it(engine):
@@ -51,7 +51,7 @@ def test_velocities_about_the_centre_leave_it(engine):
 
 def test_a_saved_state_comes_back_to_the_bit(engine):
     engine, context = engine
-    saved, before, heat = engine.save(), phase_point(context), engine.ledger.heat
+    saved, before, heat = engine.save(), phase_point(context), engine.tally.heat
     engine.shift_velocities(np.ones(3))
     engine.propagate(4)
     engine.publish()
@@ -59,7 +59,7 @@ def test_a_saved_state_comes_back_to_the_bit(engine):
     engine.restore(saved)
     engine.publish()
     assert all(np.array_equal(*pair) for pair in zip(phase_point(context), before, strict=True))
-    assert engine.ledger.heat == heat
+    assert engine.tally.heat == heat
     assert context.getStepCount() == engine.clock.steps == 3
 
 
@@ -77,7 +77,7 @@ def test_a_reversed_trajectory_comes_back(engine):
 
 def test_a_transaction_that_fails_leaves_no_trace(engine):
     engine, context = engine
-    before, draws = phase_point(context), engine.ledger.draws
+    before, draws = phase_point(context), engine.tally.draws
 
     def failing():
         with engine.transaction():
@@ -89,6 +89,6 @@ def test_a_transaction_that_fails_leaves_no_trace(engine):
         failing()
     engine.publish()
     assert all(np.array_equal(*pair) for pair in zip(phase_point(context), before, strict=True))
-    assert engine.ledger.draws == draws
+    assert engine.tally.draws == draws
     # The next step depends only on the contents of the Context.
     assert Change.HISTORY in engine.changes

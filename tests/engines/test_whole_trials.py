@@ -51,7 +51,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
             context.loadCheckpoint(saved)  # noqa: B023
             monkeypatch.setattr(metropolis, "largest_error", lambda *_: largest)
             integrator.setExtraChances(chances)
-            integrator.binding.stored.ledger.counts[metropolis.CHECKED_STEP] = integrator.getSchemeStepSize()._value
+            integrator.impl.stored.tally.counts[metropolis.CHECKED_STEP] = integrator.getSchemeStepSize()._value
             forces = integrator.forceEvaluations
             integrator.step(1)
             return integrator.accepted - accepted, (integrator.forceEvaluations - forces) // 6  # noqa: B023
@@ -141,7 +141,7 @@ def test_ends_with_broken_constraints_are_rejected(monkeypatch, name, box):
     monkeypatch.setattr(metropolis, "largest_error", lambda *_: 1e15)
     integrator = seeded(SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, engine="native", extraChances=0), 5)
     context = context_at(spinning.system(box), integrator, (spinning.POSITIONS, 0 * spinning.POSITIONS), name)
-    assert integrator.binding.engine.makes_trials is (box is None)
+    assert integrator.impl.engine.makes_trials is (box is None)
     assert 3 < spinning.rejected(context, 60) < 50
 
 

@@ -206,13 +206,13 @@ def test_a_restart_continues_with_the_size_of_moves(tmp_path, monkeypatch, engin
     load = after_ten_steps(whole, way, tmp_path / "saved")
     continued = simulation_of(None, system, moved_every_step(engine), point=(positions, 0 * positions))
     getattr(continued, load)(str(tmp_path / "saved"))
-    at_restart = whole.integrator.binding.stored.ledger.counts[SIZE]
+    at_restart = whole.integrator.impl.stored.tally.counts[SIZE]
     assert at_restart < LARGEST_SIZE
     for steps in (1, 19):
         whole.step(steps)
         continued.step(steps)
         assert_same(everything(continued.context), everything(whole.context))
-    assert whole.integrator.binding.stored.ledger.counts[SIZE] != at_restart
+    assert whole.integrator.impl.stored.tally.counts[SIZE] != at_restart
 
 
 @both_engines
@@ -222,18 +222,18 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     context = context_at(system, integrator, (positions, 0 * positions))
     context.setVelocitiesToTemperature(297.0, 1)
     integrator.step(9)
-    before, propagate = everything(context), integrator.binding.engine.propagate
+    before, propagate = everything(context), integrator.impl.engine.propagate
 
     def failing(steps):
         raise KeyboardInterrupt
 
-    integrator.binding.engine.propagate = failing
+    integrator.impl.engine.propagate = failing
     with pytest.raises(KeyboardInterrupt):
         integrator.step(1)
     assert_same(everything(context), before)
-    integrator.binding.engine.propagate = propagate
+    integrator.impl.engine.propagate = propagate
     integrator.step(1)
-    assert integrator.binding.stored.ledger.counts[MOVES] == 10
+    assert integrator.impl.stored.tally.counts[MOVES] == 10
 
 
 @both_engines
@@ -343,7 +343,7 @@ def test_an_error_that_is_not_about_the_box(box, monkeypatch):
     def scale(factor):
         raise openmm.OpenMMException("Something else.")
 
-    monkeypatch.setattr(result.binding.engine, "scale", scale)
+    monkeypatch.setattr(result.impl.engine, "scale", scale)
     with pytest.raises(openmm.OpenMMException, match=r"nm\^3: Something else\. The Context is left at the last"):
         result.step(1)
     assert context.getStepCount() == 0

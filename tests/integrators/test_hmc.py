@@ -245,7 +245,7 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
     freedoms, result = (10 if at_rest else 13), []
     for _ in range(1000):
         integrator.step(1)
-        result.append(2 * integrator.binding.engine.kinetic_energy() / KT)
+        result.append(2 * integrator.impl.engine.kinetic_energy() / KT)
     assert stats.kstest(result[::20], stats.chi2(freedoms).cdf).pvalue > 1e-3
     assert np.mean(result) == pytest.approx(freedoms, rel=4 * math.sqrt(2 / freedoms / 1000))
     opposite = stats.spearmanr(result[1:], result[:-1]).statistic
@@ -381,7 +381,7 @@ def test_a_native_trial_reads_no_atoms(cluster, monkeypatch, at_rest):
     integrator = sampler(0.010, engine="native", substeps=2, extraChances=0)
     _context = context_at(system, integrator, cluster[1], steps=5)
     # The watch for runaways reads velocities now and then.
-    monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
+    monkeypatch.setattr(integrator.impl.watch, "look", lambda *_: None)
     requests, accepted = states_asked(monkeypatch), integrator.accepted
     for _ in range(30):
         integrator.step(1)
@@ -451,7 +451,7 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
         integrator = SIERIntegrator(0.002, scheme)
         # Kept: an integrator's Context must live as long as it is asked.
         context = context_at(system, integrator, point, steps=0)
-        results[scheme.name] = metropolis.reversal_error(integrator.binding.engine, 10)
+        results[scheme.name] = metropolis.reversal_error(integrator.impl.engine, 10)
         integrator.step(1)
         assert context.getStepCount() == 1
     # Rounding of 1e-16 nm in twenty steps, which water hardly magnifies in 0.04 ps.

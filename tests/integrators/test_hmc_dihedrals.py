@@ -53,7 +53,7 @@ def test_the_energy_with_the_last_force_has_that_of_the_fast_forces(dipeptide, m
     monkeypatch.setattr(metropolis, "largest_error", lambda *_: math.inf)
     integrator.step(5)
     assert integrator.fastForceGroups
-    kept = integrator.binding.engine.potential_energy()
+    kept = integrator.impl.engine.potential_energy()
     # Sums of a few hundred terms in another order.
     assert kept == pytest.approx(context.getState(energy=True).getPotentialEnergy()._value, rel=1e-12)
 

@@ -162,8 +162,8 @@ def test_barostats_need_no_velocities(box, barostat):
         context = context_at(system, integrator, point)
         volumes.append(context.getState().getPeriodicBoxVolume()._value)
         integrator.step(0)
-        assert integrator.binding.engine.updates.are_of_barostats
-        integrator.binding.engine.updates.are_of_barostats = alone
+        assert integrator.impl.engine.updates.are_of_barostats
+        integrator.impl.engine.updates.are_of_barostats = alone
         integrator.step(60)
         ends.append(phase_point(context))
         volumes.append(context.getState().getPeriodicBoxVolume()._value)

@@ -75,8 +75,8 @@ class OnlyForBodies(OrnsteinUhlenbeck):
 
 
 class WithoutExpression(Langevin):
-    def flow(self, flow):
-        return replace(super().flow(flow), bath=OnlyForBodies(self.temperature, self.friction, self.turning))
+    def method(self, method):
+        return replace(super().method(method), bath=OnlyForBodies(self.temperature, self.friction, self.turning))
 
 
 def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(cluster):

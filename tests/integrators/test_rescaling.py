@@ -117,7 +117,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     result = integrator(every=1)
     context = context_at(system, result, point, steps=1)
     before = everything(context)
-    engine = result.binding.engine
+    engine = result.impl.engine
     propagate = engine.propagate
 
     def failing(steps):

@@ -111,7 +111,7 @@ def test_xml_gives_back_the_integrator(make):
         back = way(original)
         assert type(back) is type(original)
         # Bodies that are given as such are compared below.
-        settings = (it.binding.settings for it in (back, original))
+        settings = (it.impl.settings for it in (back, original))
         assert len({replace(each, bodies=None) for each in settings}) == 1
         for name in ("IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"):
             assert getattr(back, f"get{name}")() == getattr(original, f"get{name}")()
@@ -154,13 +154,13 @@ def test_a_copy_has_no_program_before_it_has_a_system(cluster, monkeypatch):
 
 def test_settled_bodies_come_back_to_the_bit(cluster):
     bodies = RigidBodies.from_system(cluster[1], cluster[0])
-    back = deserialize(serialize(SIERIntegrator(0.001, "SIER2", bodies=bodies))).binding.settings.bodies
+    back = deserialize(serialize(SIERIntegrator(0.001, "SIER2", bodies=bodies))).impl.settings.bodies
     assert back.n_particles == bodies.n_particles
     for one, two in zip(back.species, bodies.species, strict=True):
         for name in ("atoms", "masses", "sites", "moments"):
             assert np.array_equal(getattr(one, name), getattr(two, name))
     # Copies in one process also know the names of residues, for messages.
-    assert copy.deepcopy(SIERIntegrator(0.001, "SIER2", bodies=bodies)).binding.settings.bodies is bodies
+    assert copy.deepcopy(SIERIntegrator(0.001, "SIER2", bodies=bodies)).impl.settings.bodies is bodies
 
 
 def test_a_run_from_xml_files_is_the_run(tmp_path, cluster):
@@ -279,7 +279,7 @@ def test_xml_of_another_version(monkeypatch):
 PRESSURE = {"pressure": None, "interval": 1}
 LANGEVIN = PRESSURE | {"name": "Langevin", "temperature": 1.0, "friction": 1.0, "rotational_friction": None}
 LANGEVIN |= {"counts_heat": None}
-SCHEME = settings.as_json(SIERIntegrator(0.001, "SIER2").binding.settings)["scheme"]
+SCHEME = settings.as_json(SIERIntegrator(0.001, "SIER2").impl.settings)["scheme"]
 BODY = {
     "atoms": [[0, 1]],
     "masses": [1.0, 1.0],
@@ -355,7 +355,7 @@ WRONG = {
 def test_wrong_values_in_xml_are_refused_by_field_and_import_nothing(field):
     for value in WRONG[field]:
         plain = openmm.CustomIntegrator(0.001)
-        values = settings.as_json(SIERIntegrator(0.001, "SIER2").binding.settings) | {field: value}
+        values = settings.as_json(SIERIntegrator(0.001, "SIER2").impl.settings) | {field: value}
         settings.store_text(plain, json.dumps(values))
         imported = set(sys.modules)
         with pytest.raises(openmm.OpenMMException) as refused:

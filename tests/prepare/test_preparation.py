@@ -310,7 +310,7 @@ def test_what_an_integrator_holds_survives_the_new_program(peptide, prepared):
     assert context.getIntegrator() is integrator
     assert integrator.fastForceGroups == {FAST}
     assert integrator.getStepSize()._value == 0.005
-    assert openmm.CustomIntegrator.getStepSize(integrator)._value == 0.005 / integrator.binding.native_steps
+    assert openmm.CustomIntegrator.getStepSize(integrator)._value == 0.005 / integrator.impl.native_steps
     assert integrator.getConstraintTolerance() == 1e-7
     assert integrator.getRandomNumberSeed() == 17
     assert integrator.getIntegrationForceGroups() == 0b11

@@ -8,7 +8,7 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2, RigidBodies
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.stability.advice import StepError, StepWarning
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system.forces import FORCES
@@ -136,7 +136,7 @@ def judged(force):
     context = plain_context(system, POSITIONS)
     with warnings.catch_warnings():
         warnings.simplefilter("error", StepWarning)
-        StepCheck(system, RigidBodies.from_system(system))(Flow(SIER2, STEP), 1, context)
+        StepCheck(system, RigidBodies.from_system(system))(IntegrationMethod(SIER2, STEP), 1, context)
 
 
 def test_every_class_is_in_one_of_the_tables():

@@ -36,9 +36,9 @@ def made(system, integrator, silently=True):
     context = openmm.Context(system, integrator, platform())
     if silently:
         with silence():
-            integrator.binding.check_step()
+            integrator.impl.check_step()
     else:
-        integrator.binding.check_step()
+        integrator.impl.check_step()
     return context
 
 

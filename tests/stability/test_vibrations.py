@@ -19,7 +19,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     prepare_system,
 )
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.stability import advice
@@ -98,13 +98,13 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
     assert check.longest_step(scheme, 1, 1) == min(slow, fast)
 
     def within(step):
-        return Flow(scheme, step, substeps=100, fast_groups=1)
+        return IntegrationMethod(scheme, step, substeps=100, fast_groups=1)
 
     with silence():
-        check(Flow(scheme, 0.999 * slow), 1)
+        check(IntegrationMethod(scheme, 0.999 * slow), 1)
         check(within(0.999 * fast), 1)
     with pytest.warns(UserWarning, match="is long"):
-        check(Flow(scheme, 1.001 * slow), 1)
+        check(IntegrationMethod(scheme, 1.001 * slow), 1)
     with pytest.warns(UserWarning, match="is long for the bond"):
         check(within(1.001 * fast), 1)
 
@@ -264,7 +264,7 @@ def test_a_remedy_is_one_that_helps(kind, prepared):
         begins = SLOW if begins == SLOW else ""
     integrator = SIERIntegrator(0.03, SIER4G, bodies=bodies, substeps=20)
     context = openmm.Context(system, integrator, platform())
-    judge = integrator.binding.check_step
+    judge = integrator.impl.check_step
     if x is not None:
         context.setPositions(x)
         judge = partial(integrator.step, 1)
@@ -346,7 +346,7 @@ def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, in
     contexts = [context_at(system, first, (positions, 0 * positions), steps=1)]
     contexts.append(context_at(system, again := copy.copy(first), (positions, 0 * positions), steps=1))
     for each in (first, again):
-        assert each.binding.engine.inner_step(each.binding.flow()) == pytest.approx(inner / 1000)
+        assert each.impl.engine.inner_step(each.impl.method()) == pytest.approx(inner / 1000)
         assert each.substeps is None
     shorter = make(0.001)
     contexts.append(context_at(system, shorter, (positions, 0 * positions)))
@@ -394,7 +394,7 @@ def test_steps_in_the_window_are_refused():
     check = StepCheck(system, RigidBodies.from_system(system))
 
     def checked(step):
-        check(Flow(SIER4G, step * period, substeps=100, fast_groups=1), 3)
+        check(IntegrationMethod(SIER4G, step * period, substeps=100, fast_groups=1), 3)
 
     with silence():
         checked(0.999 * RESONANCE)
@@ -412,9 +412,9 @@ def test_every_kind_of_warning_is_given_once(flexible):
     check = StepCheck(system, RigidBodies.from_system(system))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check(Flow(SIER4G, 0.0035), 1)
-        check(Flow(SIER4G, 0.0036), 1)
-        check(Flow(SIER4G, 0.58 * PERIOD, substeps=100, fast_groups=1), 1)
+        check(IntegrationMethod(SIER4G, 0.0035), 1)
+        check(IntegrationMethod(SIER4G, 0.0036), 1)
+        check(IntegrationMethod(SIER4G, 0.58 * PERIOD, substeps=100, fast_groups=1), 1)
     assert ["more than twice" in str(each.message) for each in caught] == [False, True]
 
 

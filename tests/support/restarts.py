@@ -18,14 +18,14 @@ def simulation_of(topology, system, integrator, name="Reference", point=None):
 
 def everything(context):
     """Positions, velocities, box, time, step count and what bath, moves and trials count."""
-    ledger = context.getIntegrator().binding.stored.ledger
+    tally = context.getIntegrator().impl.stored.tally
     return (
         *phase_point(context),
         *clock_and_box(context),
-        ledger.heat,
-        ledger.draws,
-        ledger.seed,
-        *ledger.counts.values(),
+        tally.heat,
+        tally.draws,
+        tally.seed,
+        *tally.counts.values(),
     )
 
 

@@ -36,7 +36,7 @@ def broken(positions):
 def rejected(context, trials):
     """The number of trials that are rejected, each of which leaves the start; no sample is off the constraint."""
     integrator, count = context.getIntegrator(), 0
-    integrator.binding.stored.ledger.counts[metropolis.CHECKED_STEP] = STEP
+    integrator.impl.stored.tally.counts[metropolis.CHECKED_STEP] = STEP
     for _ in range(trials):
         start, accepted = phase_point(context)[0], integrator.accepted
         integrator.step(1)

@@ -64,6 +64,6 @@ def test_an_unknown_force_acts(monkeypatch):
     context = openmm.Context(assembled([1.0], field("x", [0])), integrator, platform())
     context.setPositions([[0, 0, 0]])
     integrator.step(1)
-    updates = integrator.binding.engine.updates
+    updates = integrator.impl.engine.updates
     assert updates.act
     assert not updates.are_of_barostats

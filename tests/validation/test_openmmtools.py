@@ -76,7 +76,7 @@ def test_the_cache_gives_what_it_is_asked_for(box):
         results = [contexts.get_context(state, INTEGRATORS[name]()) for name in (before, asked)]
         assert results[0][0] is not results[1][0], (before, asked)
         for name, (context, integrator) in zip((before, asked), results, strict=True):
-            assert integrator.binding.settings == INTEGRATORS[name]().binding.settings, (before, asked)
+            assert integrator.impl.settings == INTEGRATORS[name]().impl.settings, (before, asked)
             assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
 
 

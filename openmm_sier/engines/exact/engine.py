@@ -18,10 +18,10 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger, Mark
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import CachedForces, Stepper
 from openmm_sier.dynamics.stages import KICK
+from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
@@ -53,18 +53,18 @@ class ExactEngine(Engine):
     name = "exact"
     repeats_noise = True
 
-    def __init__(self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None):
+    def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None):
         """
         Args:
             context: openmm.Context, which has the integrator.
-            flow: the scheme that will be executed.
-            ledger: of the integrator.
+            method: the scheme that will be executed.
+            tally: of the integrator.
             bodies: the rigid bodies; None: those that the constraints form.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says.
         """
-        super().__init__(context, flow, ledger)
+        super().__init__(context, method, tally)
         system = context.getSystem()
         self.moving = bodies_of(system, bodies)
         checks.refuse_constrained_lines(system, self.moving)
@@ -91,8 +91,8 @@ class ExactEngine(Engine):
         self._last: tuple[BodyState, BodyState] | None = None
 
     def _new_motion(self) -> Motion:
-        fast = self._groups & self.flow.fast_groups
-        return Motion(self._context, self.moving, self._in_kicks, self.flow.rotation, fast, self.ledger)
+        fast = self._groups & self.method.fast_groups
+        return Motion(self._context, self.moving, self._in_kicks, self.method.rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -142,7 +142,7 @@ class ExactEngine(Engine):
         if is_other:
             self.forces.velocities[:] = now.velocities
         self._take_environment(now)
-        self.forces.select(self._groups, self.flow.fast_groups)
+        self.forces.select(self._groups, self.method.fast_groups)
         if self._remembers_list and (moved or Change.HISTORY in self.changes):
             neighbour_list.forget(self._context)
             self._forget_forces()
@@ -185,16 +185,16 @@ class ExactEngine(Engine):
     # --- steps ---
 
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
-        flow = self.flow
+        method = self.method
         if self._stepper is None:
-            self._stepper = self.motion.stepper(flow, self.inner_step(flow))
-        ends_with_kick = flow.scheme.stages[-1].operator == KICK
+            self._stepper = self.motion.stepper(method, self.inner_step(method))
+        ends_with_kick = method.scheme.stages[-1].operator == KICK
         for remaining in range(steps, 0, -1):
             if wants_energy and remaining == 1 and ends_with_kick:
                 # The last force of the step is that at its end.
                 forces = self.forces
-                forces.take_energy(with_evaluation=forces.evaluations + flow.scheme.force_evaluations)
-            if flow.updates_context and self.updates.act:
+                forces.take_energy(with_evaluation=forces.evaluations + method.scheme.force_evaluations)
+            if method.updates_context and self.updates.act:
                 with self.transaction():
                     self._complete(self._stepper, self._updated())
             else:
@@ -204,16 +204,16 @@ class ExactEngine(Engine):
 
     def _complete(self, stepper: Stepper, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
-        flow, (time, steps), ledger = self.flow, self.clock, self.ledger
-        mark = Mark(ledger.heat, ledger.draws)
+        method, (time, steps), tally = self.method, self.clock, self.tally
+        mark = Mark(tally.heat, tally.draws)
         self.forces.step = steps + 1
         try:
-            if flow.updates_context and self.updates.removers and self.updates.stops_centre(steps):
+            if method.updates_context and self.updates.removers and self.updates.stops_centre(steps):
                 point = self._stopped(point)
             point = stepper(point)
-            self._point, self.clock = point, Clock(time + flow.step, steps + 1)
+            self._point, self.clock = point, Clock(time + method.step, steps + 1)
         except BaseException as error:
-            ledger.go_back(mark)
+            tally.go_back(mark)
             if isinstance(error, NotFiniteError):
                 raise blown_up(error, steps + 1) from None
             if isinstance(error, ConstraintError):
@@ -222,13 +222,13 @@ class ExactEngine(Engine):
                     "Context is left at the last completed step."
                 ) from error
             raise
-        thermal = self.motion.after_bath if flow.scheme.bath_divides_drift else None
+        thermal = self.motion.after_bath if method.scheme.bath_divides_drift else None
         self._last = None if thermal is None else (point, thermal)
 
     def _stopped(self, point: BodyState) -> BodyState:
         """Return a phase point without the motion of the centre of mass, whose energy is counted as heat."""
         velocity = self.moving.centre_velocity(point.p)
-        self.ledger.heat += self.moving.energy_of_shift(velocity, -velocity)
+        self.tally.heat += self.moving.energy_of_shift(velocity, -velocity)
         return self.moving.shifted(point, -velocity)
 
     def _updated(self) -> BodyState:
@@ -242,9 +242,9 @@ class ExactEngine(Engine):
     def _with_new_atoms(self) -> BodyState:
         self.publish()
         before = Snapshot.of(self._context)
-        self.updates.let_act(self.flow.step)
+        self.updates.let_act(self.method.step)
         # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
-        openmm.Context.setTime(self._context, self.clock.time + self.flow.step)
+        openmm.Context.setTime(self._context, self.clock.time + self.method.step)
         bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
         moved = not np.array_equal(now.positions, before.positions)
         q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
@@ -261,7 +261,7 @@ class ExactEngine(Engine):
         bodies, point = self.moving, self.point
         self.forces.place(point.q, point.A)
         before = self._box()
-        self.updates.let_act(self.flow.step)
+        self.updates.let_act(self.method.step)
         if self._box() == before:
             return point
         now = Snapshot.of(self._context)
@@ -325,8 +325,8 @@ class ExactEngine(Engine):
     def save(self) -> SavedState:
         # OpenMM's barostats also move atoms of no body.
         atoms = self.forces.positions.copy() if self.updates.act else None
-        ledger = self.ledger
-        return SavedState(self.point, self.clock, self._box(), ledger.mark(), dict(ledger.counts), atoms)
+        tally = self.tally
+        return SavedState(self.point, self.clock, self._box(), tally.mark(), dict(tally.counts), atoms)
 
     def restore(self, saved: SavedState, reverse: bool = False) -> None:
         if saved.more is not None:
@@ -337,7 +337,7 @@ class ExactEngine(Engine):
         point = saved.point
         self._point = replace(point, p=-point.p, L=-point.L) if reverse else point
         self.clock = saved.clock
-        self.ledger.go_back(saved.mark)
+        self.tally.go_back(saved.mark)
 
     def _box(self) -> Any:
         """Return the periodic box vectors, nm."""
@@ -373,7 +373,7 @@ class ExactEngine(Engine):
     def draw_momenta(self, thermal: float, share: float) -> None:
         friction = -math.log(share) if share else math.inf
         bath = OrnsteinUhlenbeck(thermal / GAS_CONSTANT, friction, friction)
-        operator = bath_operator(bath, self.moving, self.ledger)
+        operator = bath_operator(bath, self.moving, self.tally)
         self._change(lambda point: operator(point, 1.0))
 
     def scale(self, factor: float) -> None:
@@ -384,7 +384,7 @@ class ExactEngine(Engine):
 
     @property
     def momentum_lag(self) -> float:
-        return self.flow.scheme.momentum_lag
+        return self.method.scheme.momentum_lag
 
     def state(self) -> BodyState:
         if self.changes:
@@ -401,4 +401,4 @@ class ExactEngine(Engine):
         return sum(degrees_of_freedom(self.moving, conserved))
 
     def heat(self) -> float:
-        return self.ledger.heat
+        return self.tally.heat

@@ -9,11 +9,11 @@ import openmm
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
@@ -44,7 +44,7 @@ class Motion:
         forces: CachedForces,
         rotation: Rotation,
         fast_groups: int,
-        ledger: Ledger,
+        tally: Tally,
     ):
         """
         Args:
@@ -53,13 +53,13 @@ class Motion:
             forces: forces on them in the kicks.
             rotation: free-rotation map.
             fast_groups: bit mask of the force groups that act within drifts.
-            ledger: counts what a bath does.
+            tally: counts what a bath does.
 
         Raises:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something that is in no body.
         """
         self._bodies = bodies
-        self._ledger = ledger
+        self._ledger = tally
         self._rotation = rotation
         self._groups = _flexible_points(bodies)
         fast = _fast_forces(context.getSystem(), bodies, fast_groups)
@@ -73,18 +73,18 @@ class Motion:
             self._outer = operators.body_operators(bodies, forces, rotation)
         self.after_bath: BodyState | None = None
 
-    def stepper(self, flow: Flow, longest: float) -> operators.Stepper:
-        """Return what makes a step of a flow, with inner steps of up to `longest`, ps."""
-        return operators.stepper(flow.scheme, self._operators(flow, longest), flow.step)
+    def stepper(self, method: IntegrationMethod, longest: float) -> operators.Stepper:
+        """Return what makes a step of a method, with inner steps of up to `longest`, ps."""
+        return operators.stepper(method.scheme, self._operators(method, longest), method.step)
 
-    def _operators(self, flow: Flow, longest: float) -> dict[str, Operator]:
-        """Return the operators that execute a flow, by name."""
+    def _operators(self, method: IntegrationMethod, longest: float) -> dict[str, Operator]:
+        """Return the operators that execute a method, by name."""
         found = dict(self._outer)
-        if flow.bath is not None:
-            bath = constrained.bath_operator(flow.bath, self._bodies, self._ledger)
+        if method.bath is not None:
+            bath = constrained.bath_operator(method.bath, self._bodies, self._ledger)
             found[BATH] = partial(self._remembered, bath)
         if self.fast is not None and self.solute is not None and longest:
-            found |= self._nested_drifts(self.solute.bodies, self.fast, flow.scheme, longest)
+            found |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
         return found
 
     def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
@@ -161,16 +161,20 @@ def _flexible_points(bodies: BodySet) -> np.ndarray:
     return groups
 
 
-def inner_step(flow: Flow, borne: float) -> float:
-    """Return the length of the inner steps in the longest drift of a flow, ps.
+def inner_step(method: IntegrationMethod, accurate: float) -> float:
+    """Return the length of the inner steps in the longest drift of a method, ps.
 
-    Without `Flow.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` ask for, or more where the
-    bonds bear only shorter steps, up to `borne`.
+    Without `IntegrationMethod.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` require, or
+    more where bonds are accurate only up to shorter steps.
+
+    Args:
+        method: of the steps.
+        accurate: longest step at which bonds are accurate, ps.
     """
-    scheme, h = flow.scheme, flow.step
-    if flow.substeps is not None:
-        return h * scheme.inner_fraction(flow.substeps)
+    scheme, h = method.scheme, method.step
+    if method.substeps is not None:
+        return h * scheme.inner_fraction(method.substeps)
     if scheme.bath_divides_drift:
-        return h / constrained.steps_with_bath(h, min(LONGEST_WITH_BATH, borne))
+        return h / constrained.steps_with_bath(h, min(LONGEST_WITH_BATH, accurate))
     longest = h * scheme.longest_drift
-    return longest / constrained.inner_steps(longest, min(LONGEST_INNER_STEP, borne))
+    return longest / constrained.inner_steps(longest, min(LONGEST_INNER_STEP, accurate))

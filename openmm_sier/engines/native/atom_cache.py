@@ -1,7 +1,7 @@
 """Positions, velocities and box of a Context, each read when it is needed and cached until something moves the atoms.
 
 To read the velocities of 24,000 atoms from a GPU takes 0.4 ms, and to write them as long. Ensembles ask for them
-several times between two flows, and change them several times.
+several times between two steps, and change them several times.
 """
 
 # Without this, annotations would import numpy.random, which is slow.

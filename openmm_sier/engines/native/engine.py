@@ -9,8 +9,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.interrupts import act_on_pending
@@ -59,21 +59,21 @@ class NativeEngine(Engine):
     name = "native"
 
     def __init__(
-        self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+        self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None, program: Program
     ) -> None:
         """
         Args:
             context: openmm.Context, which has the integrator.
-            flow: the scheme that will be executed.
-            ledger: of the integrator.
+            method: the scheme that will be executed.
+            tally: of the integrator.
             bodies: the rigid bodies; None: those that the constraints form.
-            program: what OpenMM executes, which is written for the flow.
+            program: what OpenMM executes, which is written for the method.
 
         Raises:
             openmm.OpenMMException: the integrator needs what only the exact engine has, such as bodies that are not
                 rigid by constraints, or the System has a Force that does not work with divided steps.
         """
-        super().__init__(context, flow, ledger)
+        super().__init__(context, method, tally)
         system, integrator = context.getSystem(), context.getIntegrator()
         self._program = program
         self._refuse_system(system, bodies)
@@ -105,10 +105,10 @@ class NativeEngine(Engine):
         Raises:
             openmm.OpenMMException: the message says what that is, and the remedy.
         """
-        refusals.refuse(self.flow, bodies, self._program, system)
+        refusals.refuse(self.method, bodies, self._program, system)
         # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
-        refusals.refuse_fast_forces(system, groups_of(self.flow.fast_groups), self._groups)
-        refuse_other_slow_groups(self._program, system, self._groups, self.flow.fast_groups)
+        refusals.refuse_fast_forces(system, groups_of(self.method.fast_groups), self._groups)
+        refuse_other_slow_groups(self._program, system, self._groups, self.method.fast_groups)
 
     @property
     def clock(self) -> Clock:
@@ -170,7 +170,7 @@ class NativeEngine(Engine):
         self._atoms.forget()
 
     def _set_bath(self) -> None:
-        set_bath(self._integrator, self.flow.bath)
+        set_bath(self._integrator, self.method.bath)
 
     def select_groups(self) -> None:
         """Make the Context again: OpenMM fixes the groups when it reads the program."""
@@ -179,7 +179,7 @@ class NativeEngine(Engine):
     # --- steps ---
 
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
-        if self.flow.step == 0:
+        if self.method.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
             time, count = self.clock
             self.clock = Clock(time, count + steps)
@@ -187,7 +187,7 @@ class NativeEngine(Engine):
         if not steps:
             return
         if not self._has_force:
-            self.evaluations += int(self.flow.scheme.reuses_force)
+            self.evaluations += int(self.method.scheme.reuses_force)
             self._has_force = True
         self._potential = None
         self._atoms.forget()
@@ -213,8 +213,8 @@ class NativeEngine(Engine):
             made = self._context.getStepCount() - start.steps
             self._count(made)
             # On the CPU and Reference platforms OpenMM's own clock takes the step that the Context was created with.
-            if self.flow.step != self._step_at_first:
-                self.clock = Clock(start.time + made * self.flow.step, start.steps + made)
+            if self.method.step != self._step_at_first:
+                self.clock = Clock(start.time + made * self.method.step, start.steps + made)
         return count
 
     def _divided_step(self, _: int) -> int:
@@ -225,7 +225,7 @@ class NativeEngine(Engine):
         finally:
             # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
             made = int(self._context.getStepCount() == clock.steps + parts)
-            self.clock = Clock(clock.time + made * self.flow.step, clock.steps + made)
+            self.clock = Clock(clock.time + made * self.method.step, clock.steps + made)
             self._count(made)
         return 1
 
@@ -256,7 +256,7 @@ class NativeEngine(Engine):
     def _count(self, steps: int) -> None:
         """Count completed steps."""
         self._follows_bath = self._follows_bath or steps > 0
-        self.evaluations += steps * self.flow.scheme.force_evaluations
+        self.evaluations += steps * self.method.scheme.force_evaluations
 
     def make_trial(self, trial: Trial) -> Outcome:
         return trajectories.make_trial(self, trial)
@@ -274,8 +274,8 @@ class NativeEngine(Engine):
     # --- the phase point: the atoms as OpenMM has them ---
 
     def save(self) -> SavedState:
-        atoms, ledger = self._atoms, self.ledger
-        return SavedState(atoms.both, self.clock, atoms.box, ledger.mark(), dict(ledger.counts), self._potential)
+        atoms, tally = self._atoms, self.tally
+        return SavedState(atoms.both, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
 
     def restore(self, saved: SavedState, reverse: bool = False) -> None:
         positions, velocities = saved.point
@@ -286,7 +286,7 @@ class NativeEngine(Engine):
         self._follows_bath = False
         self.clock = saved.clock
         self._potential = saved.more
-        self.ledger.go_back(saved.mark)
+        self.tally.go_back(saved.mark)
 
     def _write_velocities(self, velocities: np.ndarray) -> None:
         self._atoms.write_velocities(velocities)
@@ -323,12 +323,12 @@ class NativeEngine(Engine):
     def draw_momenta(self, thermal: float, share: float) -> None:
         """Draw velocities, of which the old ones stay a share; constraints leave the new ones canonical."""
         before = self.kinetic_energy()
-        self._atoms.refresh_velocities(share, thermal, self.ledger.noise())
+        self._atoms.refresh_velocities(share, thermal, self.tally.noise())
         if len(self._constraints.pairs):
             self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
         self._velocities_changed()
-        self.ledger.heat += self.kinetic_energy() - before
-        self.ledger.draws += 1
+        self.tally.heat += self.kinetic_energy() - before
+        self.tally.draws += 1
 
     def scale(self, factor: float) -> None:
         atoms, owners = self._atoms, self.moving.owners
@@ -368,7 +368,7 @@ class NativeEngine(Engine):
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
         has_followed = self._follows_bath and Change.ATOMS not in self.changes
-        if has_followed and self.flow.scheme.bath_divides_drift and self.flow.fast_groups:
+        if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None
 
@@ -379,7 +379,7 @@ class NativeEngine(Engine):
         """Return the energy from baths and moves, kJ/mol; NaN where the program does not count it."""
         if not self._program.counts_heat:
             return math.nan
-        heat = self.ledger.heat
+        heat = self.tally.heat
         if WORK in self._program.vectors:
             heat += float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
         return heat

@@ -8,7 +8,7 @@ from functools import partial
 import openmm
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.program import FRICTION, NEVER, THERMAL
@@ -48,9 +48,9 @@ OWN = {
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
-def all_vectors(flow: Flow) -> tuple[str, ...]:
-    """Return the names of the per-atom variables of both engines for a flow."""
-    return (*ALL_VECTORS, *TRIAL_VECTORS) if flow.trial_steps else ALL_VECTORS
+def all_vectors(method: IntegrationMethod) -> tuple[str, ...]:
+    """Return the names of the per-atom variables of both engines for a method."""
+    return (*ALL_VECTORS, *TRIAL_VECTORS) if method.trial_steps else ALL_VECTORS
 
 
 def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:

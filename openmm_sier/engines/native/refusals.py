@@ -7,7 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.program import Program
@@ -16,13 +16,13 @@ from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.forces import kind_of
 
 
-def refuse(flow: Flow, bodies: BodySet | None, program: Program, system: openmm.System) -> None:
-    """Refuse what only the exact engine can do; the program is that of the flow.
+def refuse(method: IntegrationMethod, bodies: BodySet | None, program: Program, system: openmm.System) -> None:
+    """Refuse what only the exact engine can do; the program is that of the method.
 
     Raises:
         openmm.OpenMMException: the message says what that is, and the remedy.
     """
-    reason = why_not(flow, program) or _unheld_bodies(bodies, system)
+    reason = why_not(method, program) or _unheld_bodies(bodies, system)
     if reason is not None:
         raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
     if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
@@ -34,13 +34,13 @@ def refuse(flow: Flow, bodies: BodySet | None, program: Program, system: openmm.
         checks.refuse_scaled_atoms(system)
 
 
-def why_not(flow: Flow, program: Program) -> str | None:
-    """Tell why a program cannot follow a flow with any System, and the remedy; None if it can."""
+def why_not(method: IntegrationMethod, program: Program) -> str | None:
+    """Tell why a program cannot follow a method with any System, and the remedy; None if it can."""
     if program.refusal:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
-    if flow.rotation is not exact:
+    if method.rotation is not exact:
         return "has only the exact free-rotation map: leave out `rotation`"
-    if flow.bath is not None and flow.bath.rotational_friction != flow.bath.friction:
+    if method.bath is not None and method.bath.rotational_friction != method.bath.friction:
         return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
 

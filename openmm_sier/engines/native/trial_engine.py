@@ -6,8 +6,8 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.engine import NativeEngine
@@ -27,7 +27,7 @@ class TrialEngine(NativeEngine):
     makes_trials = True
 
     def __init__(
-        self, context: openmm.Context, flow: Flow, ledger: Ledger, bodies: BodySet | None, program: Program
+        self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None, program: Program
     ) -> None:
         """
         Raises:
@@ -35,7 +35,7 @@ class TrialEngine(NativeEngine):
                 program was written, on which virtual sites stay behind.
         """
         self._kinetic: float | None = None
-        super().__init__(context, flow, ledger, bodies, program)
+        super().__init__(context, method, tally, bodies, program)
         name = context.getPlatform().getName()
         if self._has_sites and name in ("CPU", "Reference"):
             raise openmm.OpenMMException(
@@ -48,16 +48,16 @@ class TrialEngine(NativeEngine):
             # Nothing moves.
             return super().make_trial(trial)
         before, clock = self.kinetic_energy(), self.clock
-        self.ledger.draws += 2
+        self.tally.draws += 2
         try:
             numbers = self._executed(trial)
         except openmm.OpenMMException as error:
-            self.ledger.heat += trial.kinetic - before
+            self.tally.heat += trial.kinetic - before
             if not isinstance(error, TrajectoryError):
                 raise
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
-        self.ledger.heat += trial.kinetic - before - numbers.stopped
+        self.tally.heat += trial.kinetic - before - numbers.stopped
         if not math.isfinite(numbers.start):
             self.clock = clock
             refuse_energy(numbers.start, clock)
@@ -66,7 +66,7 @@ class TrialEngine(NativeEngine):
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
-        if not steps or self.flow.step == 0:
+        if not steps or self.method.step == 0:
             super().propagate(steps, wants_energy)
             return
         start = self.clock
@@ -75,12 +75,12 @@ class TrialEngine(NativeEngine):
             raise TrajectoryError(
                 "The energy at the end of a trajectory is not finite, or constraints are broken there"
             )
-        self.clock = Clock(start.time + steps * self.flow.step, start.steps + steps)
+        self.clock = Clock(start.time + steps * self.method.step, start.steps + steps)
         act_on_pending()
 
     def _executed(self, trial: Trial) -> Numbers:
         """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
-        scheme = self.flow.scheme
+        scheme = self.method.scheme
         self.evaluations += int(scheme.reuses_force and not self._has_force)
         self._potential = None
         self._atoms.forget()

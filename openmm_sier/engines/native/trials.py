@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines.native.constrained_start import NOT_CONVERGED
 from openmm_sier.engines.native.program import THERMAL
 from openmm_sier.engines.program import (
@@ -318,16 +318,16 @@ def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarra
 # --- where trials are native ---
 
 
-def why_not(flow: Flow, system: openmm.System, places_sites: bool, checks_positions: bool) -> str | None:
+def why_not(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> str | None:
     """Tell why a trial cannot be one native step in a System; None if it can. Its steps are native in any case.
 
     Args:
-        flow: of the trials.
+        method: of the trials.
         system: openmm.System.
         places_sites: whether the platform places virtual sites within a native step.
         checks_positions: whether positions must be looked at before each force.
     """
-    if not flow.trial_steps:
+    if not method.trial_steps:
         return "no trials are made"
     if checks_positions:
         return "the Reference platform computes forces of PME at positions that are not finite"

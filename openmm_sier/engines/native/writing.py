@@ -4,7 +4,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.dynamics.flow import Flow
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines.native.program import write
 from openmm_sier.engines.native.trials import stopped_mass, why_not
 from openmm_sier.engines.program import Program, Trials
@@ -13,40 +13,42 @@ from openmm_sier.system.forces import kind_of
 from openmm_sier.system.solver_trial import may_not_converge
 
 
-def general_program(flow: Flow) -> Program:
-    """Return a program that follows a flow in any System; one without parts if OpenMM cannot execute the flow.
+def general_program(method: IntegrationMethod) -> Program:
+    """Return a program that executes a method in any System; one without parts if OpenMM cannot execute the method.
 
-    Where the flow is followed in trials, it makes whole trials by itself. On the CPU and Reference platforms these are
-    right only in a System without virtual sites.
+    A method of trials becomes a program of whole trials. On the CPU and Reference platforms these are right only in a
+    System without virtual sites.
     """
-    if flow.trial_steps:
-        return _written(flow, divides_step=False, trials=Trials(steps_alone=flow.trial_steps))
-    return _written(flow)
+    if method.trial_steps:
+        return _written(method, divides_step=False, trials=Trials(steps_alone=method.trial_steps))
+    return _written(method)
 
 
-def program_for(flow: Flow, system: openmm.System, groups: int, on_gpu: bool, checks_positions: bool) -> Program:
-    """Return the program that follows a flow in a System, and costs least there.
+def program_for(
+    method: IntegrationMethod, system: openmm.System, groups: int, on_gpu: bool, checks_positions: bool
+) -> Program:
+    """Return the program that follows a method in a System, and costs least there.
 
     Args:
-        flow: what to follow.
+        method: what to follow.
         system: openmm.System.
         groups: the integration force groups, a bit mask.
-        on_gpu: whether a platform for GPUs executes it: then heat of a bath is not counted where the flow leaves that
+        on_gpu: whether a platform for GPUs executes it: then heat of a bath is not counted where the method leaves that
             open, and virtual sites follow their atoms within a native step.
         checks_positions: whether the engine looks at positions before each force.
 
     Returns:
-        A program, or one without parts if OpenMM cannot execute the flow.
+        A program, or one without parts if OpenMM cannot execute the method.
     """
-    slow = slow_groups(system, groups, flow.fast_groups)
+    slow = slow_groups(system, groups, method.fast_groups)
     has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    in_trials = why_not(flow, system, on_gpu, checks_positions) is None
+    in_trials = why_not(method, system, on_gpu, checks_positions) is None
     return _written(
-        flow,
+        method,
         # By its name the force of a group is right only if no other slow force acts.
-        slow_group=slow[0] if flow.fast_groups and len(slow) == 1 else None,
+        slow_group=slow[0] if method.fast_groups and len(slow) == 1 else None,
         divides_step=not in_trials and (has_virtual_sites or checks_positions),
-        counts_heat=not on_gpu if flow.counts_heat is None else flow.counts_heat,
+        counts_heat=not on_gpu if method.counts_heat is None else method.counts_heat,
         trials=Trials(stopped_mass(system), checks_constraints=may_not_converge(system)) if in_trials else None,
     )
 
@@ -60,20 +62,20 @@ def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> 
     return platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
 
 
-def _written(flow: Flow, trials: Trials | None = None, **choices: Any) -> Program:
+def _written(method: IntegrationMethod, trials: Trials | None = None, **choices: Any) -> Program:
     """Write a program by `program.write`, or one without parts that says why not."""
-    fast = groups_of(flow.fast_groups)
-    substeps = flow.substeps
-    if flow.trial_steps:
+    fast = groups_of(method.fast_groups)
+    substeps = method.substeps
+    if method.trial_steps:
         # A step of RATTLE is reversible and keeps the volume of phase space, whatever its error.
         choices["inner_substeps"] = 1
         if substeps is None and not fast:
             substeps = 1
     try:
-        program = write(flow.scheme, substeps, fast, flow.updates_context, flow.bath, **choices)
+        program = write(method.scheme, substeps, fast, method.updates_context, method.bath, **choices)
         return program._replace(trials=trials)
     except ValueError as error:
-        return Program(flow.scheme.name, (), str(error))
+        return Program(method.scheme.name, (), str(error))
 
 
 def slow_groups(system: openmm.System, groups: int, fast_groups: int) -> tuple[int, ...]:

@@ -18,10 +18,10 @@ class Mark(NamedTuple):
     draws: int
 
 
-class Ledger:
+class Tally:
     """Heat and random numbers of a run, and counts of its ensemble.
 
-    Operators and ensembles update the ledger as they act. Undoing their actions includes restoring an earlier mark.
+    Operators and ensembles update the tally as they act. Undoing their actions includes restoring an earlier mark.
 
     Attributes:
         heat: energy from baths and moves, as opposed to forces, kJ/mol.

@@ -9,7 +9,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 
 
 @dataclass(frozen=True)
-class Flow:
+class IntegrationMethod:
     """Describe what an engine follows: a splitting scheme with all that its operators need.
 
     Attributes:

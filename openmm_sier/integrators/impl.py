@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import openmm
 
-from openmm_sier.dynamics.flow import Flow
-from openmm_sier.dynamics.ledger import Ledger
+from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.stages import BATH
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.choice import is_on_host, make_engine, usual_platform
 from openmm_sier.engines.native import installation
@@ -23,7 +23,7 @@ from openmm_sier.engines.native.writing import general_program, needs_finite_pos
 from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Change, Engine
-from openmm_sier.engines.variables import StoredLedger
+from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
@@ -33,7 +33,7 @@ from openmm_sier.system.unconstrained_angles import warn_about_unconstrained_ang
 from openmm_sier.system.user_warnings import warn
 
 
-class Binding:
+class IntegratorImpl:
     """The Python part of a SIER integrator, through its whole life.
 
     A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
@@ -63,10 +63,10 @@ class Binding:
         self._prepared_groups = 0
         #: Whether trials need virtual sites placed within them, which OpenMM alone does not do on every platform.
         self._needs_sites = False
-        self._flow: Flow | None = None
+        self._method: IntegrationMethod | None = None
         self.program = self.general_program()
         self._computations = integrator.getNumComputations()
-        self.stored = StoredLedger(integrator, Ledger(counts=integrator_settings.ensemble.counts))
+        self.stored = StoredTally(integrator, Tally(counts=integrator_settings.ensemble.counts))
         self._engine: Engine | None = None
         self._context: Callable[[], openmm.Context | None] = lambda: None
         self._stepping = RLock()
@@ -109,14 +109,14 @@ class Binding:
         integrator = self._integrator
         for name in self.stored.names:
             integrator.addGlobalVariable(name, 0)
-        installation.declare(integrator, bool(self.flow().trial_steps))
+        installation.declare(integrator, bool(self.method().trial_steps))
         integrator.setConstraintTolerance(TOLERANCE)
         self.change()
 
     def change(self, **changes: Any) -> None:
         """Replace settings, by the names of their fields."""
         self.settings = replace(self.settings, **changes)
-        self._flow = None
+        self._method = None
         #: The length of a step of the integrator, ps, and the temperature of the ensemble, K; 0 without one.
         self._duration = self.settings.step * self.ensemble.steps
         self._temperature = getattr(self.ensemble, "temperature", 0.0)
@@ -131,29 +131,29 @@ class Binding:
         """Return the number of OpenMM steps in one step of the scheme."""
         return self.program.native_steps or 1 if self._computations else 1
 
-    def flow(self) -> Flow:
+    def method(self) -> IntegrationMethod:
         """Return what an engine is to follow now, the same object until settings change."""
-        if self._flow is None:
-            self._flow = self.settings.flow(self._prepared_groups)
-        return self._flow
+        if self._method is None:
+            self._method = self.settings.method(self._prepared_groups)
+        return self._method
 
-    def _whole_flow(self) -> Flow:
-        """Return the flow with the bath of its scheme, which a friction that is set later needs."""
-        return replace(self.flow(), scheme=self.settings.scheme)
+    def _whole_method(self) -> IntegrationMethod:
+        """Return the method with the bath of its scheme, which a friction that is set later needs."""
+        return replace(self.method(), scheme=self.settings.scheme)
 
     def general_program(self) -> Program:
         """Return a program that is right in any System."""
-        return general_program(self._whole_flow())
+        return general_program(self._whole_method())
 
     def _set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        flow = self.flow()
+        method = self.method()
         does_less = self.ensemble.needs_package or self.settings.bodies is not None or self._needs_sites
         # A State that was written on another platform may have those of another program.
         self._integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
-        installation.set_bath(self._integrator, flow.bath)
-        installation.set_trial(self._integrator, self.ensemble.trial(flow))
-        installation.guard(self._integrator, does_less or why_not(flow, self.program) is not None)
+        installation.set_bath(self._integrator, method.bath)
+        installation.set_trial(self._integrator, self.ensemble.trial(method))
+        installation.guard(self._integrator, does_less or why_not(method, self.program) is not None)
         self.changed()
 
     def store(self) -> None:
@@ -192,14 +192,14 @@ class Binding:
         refuse_other_bodies(system, self.settings.bodies)
         if self.settings.fast_groups is None:
             self._prepared_groups = find_fast_groups(system, self.settings.bodies)
-            self._flow = None
+            self._method = None
         has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-        self._needs_sites = has_sites and bool(self.flow().trial_steps)
+        self._needs_sites = has_sites and bool(self.method().trial_steps)
         self._write_program(system, platform)
         if self.settings.scheme.without_bath().order >= 4:
             warn_about_pme(system, self.settings.scheme.name)
-        self.stored.ledger.clear()
-        self.stored.ledger.seed = 0
+        self.stored.tally.clear()
+        self.stored.tally.seed = 0
         self.stored.write()
 
     def _write_program(self, system: openmm.System, platform: openmm.Platform | None) -> None:
@@ -211,33 +211,33 @@ class Binding:
         on_gpu = not is_on_host(platform)
         groups = integrator.getIntegrationForceGroups()
         checks_positions = requested == "native" and needs_finite_positions(system, platform)
-        flow = self._whole_flow()
+        method = self._whole_method()
         if (not on_gpu and requested != "native") or requested == "exact":
             # The exact engine decides on trials in Python.
-            flow = replace(flow, trial_steps=0)
-        self.program = program_for(flow, system, groups, on_gpu, checks_positions)
+            method = replace(method, trial_steps=0)
+        self.program = program_for(method, system, groups, on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
         is_lean = on_gpu and requested != "exact"
-        vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_flow())
+        vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_method())
         installation.install(self.program, integrator, vectors)
         self._computations = integrator.getNumComputations()
         self.change()
 
-    def bind(self, context: openmm.Context, keeps_ledger: bool = True) -> None:
+    def bind(self, context: openmm.Context, keeps_tally: bool = True) -> None:
         """Choose and make the engine of a Context that was created or reinitialized with the integrator.
 
         Args:
             context: openmm.Context, which the integrator belongs to.
-            keeps_ledger: whether heat, draws and what the ensemble counts go on. OpenMM clears the per-atom variables
+            keeps_tally: whether heat, draws and what the ensemble counts go on. OpenMM clears the per-atom variables
                 of a Context that is reinitialized without its state, but not the global ones.
 
         Raises:
             RigidityError, openmm.OpenMMException: the System is refused, as the message says. There is no
                 engine then: if a Context is reinitialized, the old System's bodies must not remain.
         """
-        ledger = self.stored.ledger
-        if not keeps_ledger:
-            ledger.clear()
+        tally = self.stored.tally
+        if not keeps_tally:
+            tally.clear()
         system = context.getSystem()
         checks.warn_about_moving_frozen_atoms(system)
         warn_about_unconstrained_angles(system)
@@ -247,12 +247,12 @@ class Binding:
         self._has_warned_of_temperatures = False
         self.watch = RunawayWatch(system)
         bodies, requested = self.settings.bodies, self.settings.engine
-        engine = make_engine(requested, context, self.flow(), ledger, bodies, self.program)
+        engine = make_engine(requested, context, self.method(), tally, bodies, self.program)
         self.ensemble.check(system, engine)
         self._engine = engine
         # A Context that was reinitialized with its state keeps its seed.
-        if self.ensemble.is_random and not ledger.seed:
-            ledger.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
+        if self.ensemble.is_random and not tally.seed:
+            tally.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
         self._set_program_variables()
         bound_systems.add(context)
 
@@ -305,7 +305,7 @@ class Binding:
         context = self._context()
         self._compare_temperatures(context, self._temperature)
         self.watch.begin(context)
-        engine.begin(self.flow())
+        engine.begin(self.method())
 
     def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:
         """Warn, once, of a bath and a barostat of OpenMM at two temperatures, when steps are made with them."""
@@ -320,7 +320,7 @@ class Binding:
         Raises:
             openmm.OpenMMException: the step is too long.
         """
-        self.engine.check_step(self.flow(), self._integrator.getIntegrationForceGroups())
+        self.engine.check_step(self.method(), self._integrator.getIntegrationForceGroups())
 
     # --- changes by users ---
 
@@ -370,7 +370,7 @@ class Binding:
         integrator = self._integrator
         if WORK in installation.vectors_of(integrator):
             work = np.array(integrator.getPerDofVariableByName(WORK))
-            self.stored.ledger.heat += float(work.sum())
+            self.stored.tally.heat += float(work.sum())
             integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
         self._set_program_variables()
         self.changed(Change.VARIABLES | Change.ATOMS)
@@ -385,8 +385,8 @@ class Binding:
             has_parameters: whether the State has those of an integrator. Then it is said, once, where noise goes on
                 differently than in the run that wrote the State.
         """
-        ledger = self.stored.ledger
-        seed, draws = ledger.seed, ledger.draws
+        tally = self.stored.tally
+        seed, draws = tally.seed, tally.draws
         self.store()
         try:
             set_state()
@@ -394,11 +394,11 @@ class Binding:
             # OpenMM sets a State in parts.
             self.changed(Change.BOX | Change.ATOMS)
         self.take_over()
-        ledger.seed = seed
-        ledger.draws = max(draws, ledger.draws)
+        tally.seed = seed
+        tally.draws = max(draws, tally.draws)
         engine = self._engine
         is_lost = has_parameters and engine is not None and not engine.repeats_noise
-        has_noise = engine is not None and (engine.makes_trials or BATH in self.flow().scheme.operators)
+        has_noise = engine is not None and (engine.makes_trials or BATH in self.method().scheme.operators)
         if is_lost and has_noise and not self._has_warned_of_noise:
             self._has_warned_of_noise = True
             warn(

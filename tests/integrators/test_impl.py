@@ -47,7 +47,7 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
         if name.startswith("Context_set") or (name.startswith("CustomIntegrator_") and "Variable" in name):
             monkeypatch.setattr(openmm.openmm._openmm, name, noted(name))
     # The watch for runaways reads velocities now and then.
-    monkeypatch.setattr(integrator.binding.watch, "look", lambda *_: None)
+    monkeypatch.setattr(integrator.impl.watch, "look", lambda *_: None)
     integrator.step(10)
     assert not any(kinds & (openmm.State.Positions | openmm.State.Velocities) for kinds in requests)
     assert called.count("Context_setVelocities") == written
