@@ -1,4 +1,4 @@
-"""A splitting scheme with all that its operators need, as an engine follows it."""
+"""Integration methods: a splitting scheme with its step and all that its operators need."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from openmm_sier.dynamics.thermostat import Thermostat
 
 @dataclass(frozen=True)
 class IntegrationMethod:
-    """Describe what an engine follows: a splitting scheme with all that its operators need.
+    """A splitting scheme with its step and all that its operators need, which an engine executes.
 
     Attributes:
         scheme: the scheme.
@@ -18,11 +18,11 @@ class IntegrationMethod:
         rotation: free-rotation map.
         substeps: number of steps into which a drift is divided; None leaves it to the engine.
         fast_groups: bit mask of the force groups that act within drifts.
-        bath: executes the scheme's bath; None for a scheme without one.
+        bath: the heat bath; None for a scheme without one.
         constant_energy: whether the energy is to be conserved, so that steps that make it drift draw a warning.
         updates_context: whether Forces that change velocities, positions or the box act before each step.
         counts_heat: whether the heat of the bath is counted; None leaves it to the engine.
-        trial_steps: number of steps of each trial of hybrid Monte Carlo; 0 where it is not followed in trials.
+        trial_steps: number of steps of each trial of hybrid Monte Carlo; 0 without trials.
     """
 
     scheme: Scheme

@@ -49,6 +49,6 @@ class Tally:
         """Return the present heat and draws."""
         return Mark(self.heat, self.draws)
 
-    def go_back(self, mark: Mark) -> None:
+    def restore(self, mark: Mark) -> None:
         """Restore heat and draws of a mark."""
         self.heat, self.draws = mark

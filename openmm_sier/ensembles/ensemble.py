@@ -78,7 +78,7 @@ class Ensemble:
         return scheme
 
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
-        """Return what the engine is to follow, from a method at constant energy."""
+        """Return the method with the bath of the ensemble, or whatever else it changes."""
         return method
 
     def trial(self, method: IntegrationMethod) -> Trial | None:

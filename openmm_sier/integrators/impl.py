@@ -38,14 +38,14 @@ class IntegratorImpl:
 
     A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
     is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step` advances it.
-    `SIERContext` and `hooks` tell what users change in the Context, by the methods at the end of the class: a call of
-    `step` reads and checks nothing unless there was such a change since the last one. `store` writes what checkpoints,
-    States and XML carry. `change` replaces settings at any time.
+    `SIERContext` and `hooks` record by `changed` what users change in the Context: a call of `step` reads and checks
+    nothing unless there was such a change since the last one. `store` writes the variables that checkpoints, States and
+    XML carry. `change` replaces settings at any time.
 
     Attributes:
-        settings: all that the integrator was asked for.
-        program: what OpenMM executes for the native engine.
-        stored: heat, random numbers and counts, in variables that travel in checkpoints.
+        settings: the arguments of the integrator.
+        program: the program of the native engine, which OpenMM executes.
+        stored: heat, random numbers and counts, in variables that checkpoints carry.
         watch: stops runs that have become too hot; there is none before `bind`.
     """
 
@@ -132,7 +132,7 @@ class IntegratorImpl:
         return self.program.native_steps or 1 if self._computations else 1
 
     def method(self) -> IntegrationMethod:
-        """Return what an engine is to follow now, the same object until settings change."""
+        """Return the method of the present settings, the same object until they change."""
         if self._method is None:
             self._method = self.settings.method(self._prepared_groups)
         return self._method

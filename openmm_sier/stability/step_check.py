@@ -90,7 +90,7 @@ class StepCheck:
         Engines call it before the first step and not earlier: a Context may also be made for energies alone.
 
         Args:
-            method: what will be followed.
+            method: the method of the steps.
             groups: the integration force groups.
             context: where motions are measured; None before there are positions.
 

@@ -213,7 +213,7 @@ class ExactEngine(Engine):
             point = stepper(point)
             self._point, self.clock = point, Clock(time + method.step, steps + 1)
         except BaseException as error:
-            tally.go_back(mark)
+            tally.restore(mark)
             if isinstance(error, NotFiniteError):
                 raise blown_up(error, steps + 1) from None
             if isinstance(error, ConstraintError):
@@ -337,7 +337,7 @@ class ExactEngine(Engine):
         point = saved.point
         self._point = replace(point, p=-point.p, L=-point.L) if reverse else point
         self.clock = saved.clock
-        self.tally.go_back(saved.mark)
+        self.tally.restore(saved.mark)
 
     def _box(self) -> Any:
         """Return the periodic box vectors, nm."""

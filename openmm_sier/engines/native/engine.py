@@ -286,7 +286,7 @@ class NativeEngine(Engine):
         self._follows_bath = False
         self.clock = saved.clock
         self._potential = saved.more
-        self.tally.go_back(saved.mark)
+        self.tally.restore(saved.mark)
 
     def _write_velocities(self, velocities: np.ndarray) -> None:
         self._atoms.write_velocities(velocities)
