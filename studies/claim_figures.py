@@ -16,6 +16,9 @@ USUAL, IN_A_BATH = 1e3 * (SIER4G.constant_energy_step or 0), 1e3 * (SIER2.heavy_
 #: The method of SIER2 in a bath in the study of heat baths.
 OWN_BATH = f"SIER2, {IN_A_BATH:g} fs"
 
+#: The same in the study of speed, and OpenMM's integrator there.
+OWN_ON_A_CPU, MIDDLE_ON_A_CPU = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle"
+
 
 def gains_of_large_boxes(record: Record) -> Mapping[str, float]:
     gains = record.tables["gains"]
@@ -79,10 +82,8 @@ def equipartition(record: Record) -> Mapping[str, float]:
 
 def speeds_in_a_bath(record: Record) -> Mapping[str, float]:
     rows = record.tables["speeds"]
-    name = f"SIER2 in a bath, {IN_A_BATH:g} fs"
-    water = rows[(rows["name"] == name) & rows["box"].str.startswith("water")]["over_middle"]
-    solute = {box: one(rows, name=name, box=box)["over_middle"] for box in ("peptide", "dhfr")}
-    return {"least": water.min(), "most": water.max(), **solute}
+    water = rows[(rows["name"] == OWN_ON_A_CPU) & rows["box"].str.startswith("water")]["over_middle"]
+    return {**solutes_on_a_cpu(record), "least": water.min()}
 
 
 def _over_middle(record: Record, box: str, method: str) -> float:
@@ -90,9 +91,8 @@ def _over_middle(record: Record, box: str, method: str) -> float:
 
 
 def solutes_on_a_cpu(record: Record) -> Mapping[str, float]:
-    sier2, middle = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle, 5 fs"
-    gains = {box: _over_middle(record, box, sier2) for box in ("dhfr", "peptide")}
-    return gains | {"rival": max(_over_middle(record, box, middle) for box in gains)}
+    gains = {box: _over_middle(record, box, OWN_ON_A_CPU) for box in ("dhfr", "peptide")}
+    return gains | {"rival": max(_over_middle(record, box, f"{MIDDLE_ON_A_CPU}, 5 fs") for box in gains)}
 
 
 def _on_a_gpu(record: Record, box: str, method: str) -> float:
@@ -115,6 +115,11 @@ def water_on_a_cpu(record: Record) -> Mapping[str, float]:
         one(rows, box="tip3p-512", at="1 bar", method=method) for method in (OWN_BATH, "LangevinMiddle, 9 fs")
     )
     return {"own": sier2["over"], "middle": middle["over"]}
+
+
+def longer_steps_in_water(record: Record) -> Mapping[str, float]:
+    """Of LangevinMiddle at 10 fs."""
+    return {"longer": _over_middle(record, "water-512", f"{MIDDLE_ON_A_CPU}, 10 fs")}
 
 
 def water_on_a_gpu(record: Record) -> Mapping[str, float]:

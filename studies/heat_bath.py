@@ -110,7 +110,7 @@ METHODS = {
         *(MIDDLE.at(step, detail=", light") for step in (2, 4)),
         *(MIDDLE.at(step, hydrogens=3.0) for step in (4, 5)),
         *(middle_in_rigid_water(step) for step in (9, 10)),
-        *(several_steps(step) for step in (8, 9, 10)),
+        several_steps(8),
         *(own(step, hydrogens=None, detail=", light") for step in (4, 5, 6)),
         *(own(step) for step in (8, 9, 10, 11)),
         *(own(9, hydrogens=mass, detail=f", hydrogens of {mass:g}") for mass in (2.0, 3.0, 4.5)),

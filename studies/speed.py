@@ -17,7 +17,7 @@ import copy
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -115,12 +115,17 @@ def contestants(has_solute: bool) -> list[Contestant]:
     methods = [VERLET.of_openmm().at(step) for step in (1, 2)]
     methods += [of_scheme(each).at(step, prepared=True) for each, step in ((SIER2, 2), (SIER2P3, longer), (SIER4G, 4))]
     methods += [middle.at(step, hydrogens=3.0) for step in (2, 4, 5)]
-    if has_solute:
-        methods += [several_steps(step).of_openmm() for step in (8, 9, 10)]
-    else:
+    methods.append(several_steps(8).of_openmm())
+    if not has_solute:
         methods += [middle_in_rigid_water(step).of_openmm() for step in (9, 10)]
         methods.append(bath(SIER2P3, 18))
     return [*methods, *(bath(SIER2, step) for step in (8, 9, 10))]
+
+
+def compared(has_solute: bool, names: Sequence[str]) -> dict[str, Contestant]:
+    """Return those that are named, and the two that ratios are taken over, by name; all where none is named."""
+    wanted = {*names, REFERENCE, BATH_REFERENCE}
+    return {each.name: each for each in contestants(has_solute) if not names or each.name in wanted}
 
 
 class Turn(NamedTuple):
@@ -133,10 +138,7 @@ class Turn(NamedTuple):
 
 def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
     """Return a row for each method in one box, from a phase point."""
-    wanted = {*settings.methods, REFERENCE, BATH_REFERENCE}
-    methods = {
-        method.name: method for method in contestants(box.has_solute) if not settings.methods or method.name in wanted
-    }
+    methods = compared(box.has_solute, settings.methods)
     contexts = {name: _context(method, box, state, settings) for name, method in methods.items()}
     evaluations = _evaluations(contexts[REFERENCE], settings.turn)
     actions: dict[str, Callable[[], Turn]] = {

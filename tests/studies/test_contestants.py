@@ -32,6 +32,12 @@ def test_solutes_do_not():
     assert boxes.is_water(SYSTEMS / "tip3p-512.pdb")
 
 
+def test_some_speeds_can_be_measured_alone():
+    names = speed.compared(False, ["OpenMM LangevinMiddle, 10 fs"])
+    assert list(names) == ["OpenMM Verlet, 2 fs", "OpenMM LangevinMiddle, 4 fs", "OpenMM LangevinMiddle, 10 fs"]
+    assert len(speed.compared(True, ())) == len(speed.contestants(True))
+
+
 @pytest.mark.parametrize("name", heat_bath.METHODS)
 def test_every_one_can_be_made(name):
     method = heat_bath.METHODS[name]
