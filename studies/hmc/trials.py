@@ -52,7 +52,13 @@ COLUMNS = {
 
 
 def _contestant(
-    scheme: Scheme, step: float, steps: int, friction: float | None, mass: float | None, chances: int | None = None
+    scheme: Scheme,
+    step: float,
+    steps: int,
+    friction: float | None,
+    mass: float | None,
+    chances: int | None = None,
+    engine: str = "auto",
 ) -> Contestant:
     """Return trials whose name has what they differ by."""
     detail = f" x {steps}"
@@ -62,7 +68,9 @@ def _contestant(
         detail += ", light"
     if chances is not None:
         detail += f", {chances} extra chances"
-    method = methods.trials(scheme, steps, frictionCoeff=friction, extraChances=chances)
+    if engine != "auto":
+        detail += f", {engine}"
+    method = methods.trials(scheme, steps, frictionCoeff=friction, extraChances=chances, engine=engine)
     return method.at(step, hydrogens=mass, prepared=True, detail=detail, steps=steps)
 
 
@@ -70,11 +78,12 @@ def _contestant(
 HEAVY = 4.0
 
 #: By scheme, step in fs, steps of a trial, friction in 1/ps, None where momenta are drawn anew, mass of hydrogens, None
-#: where they keep theirs, and extra chances, None for the usual number.
+#: where they keep theirs, extra chances, None for the usual number, and the engine.
 TRIALS = (
     *(_contestant(SIER2V2, 9, 8, friction, HEAVY) for friction in (1.0, 2.0, 4.0, None)),
     *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY) for steps in (4, 16)),
     *(_contestant(SIER2V2, 9, steps, 1.0, HEAVY, chances) for steps, chances in ((8, 5), (12, 2), (16, 2))),
+    _contestant(SIER2V2, 9, 8, 1.0, HEAVY, engine="native"),
     _contestant(SIER2V2, 9, 17, None, HEAVY),
     _contestant(SIER2V2, 10, 7, 1.0, HEAVY),
     _contestant(SIER2V2, 12, 6, 1.0, HEAVY),
