@@ -4,11 +4,11 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
+from openmm_sier import SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.engines.native import program as native_program
-from openmm_sier.engines.program import CONSTRAIN_V
+from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X
 from tests.support.systems import assembled, field
 from tests.support.waters import context_at, phase_point
 
@@ -34,6 +34,14 @@ def test_drifts_of_trials_are_single_steps_of_rattle(groups):
     drifts = [line for line in [*lines, *(inner for line in lines for inner in line.inner)] if line.title == "drift"]
     # Two in the step or, with fast forces, in the inner step of each of its two drifts.
     assert [len(line.lengths) for line in drifts] == [1] * (4 if groups else 2)
+
+
+@pytest.mark.parametrize("groups", [set(), {1}], ids=["free drifts", "fast forces"])
+def test_positions_change_only_where_they_are_constrained_next(groups):
+    """A bath in the middle of a drift would otherwise take a kernel of its own."""
+    program = SIERLangevinIntegrator(300, 5, 0.009, fastForceGroups=groups).program
+    targets = [statement.target for statement in program.statements]
+    assert targets.count("x") == targets.count(CONSTRAIN_X) > 0
 
 
 def test_program_prints_as_the_algorithm():
