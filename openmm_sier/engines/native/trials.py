@@ -133,6 +133,7 @@ def ending_of(program: Program, checks_constraints: bool) -> list[Executed | str
 
 
 def _with_energies(program: Program, statements: list[Executed]) -> list[Executed | str]:
+    """Return statements of an end with the name of each energy before the first force of the same group."""
     ending: list[Executed | str] = [*statements]
     for energy in energies(program):
         force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
