@@ -73,7 +73,7 @@ INNER = (
     "Program",
     "RigidBodies",
     "Sites",
-    "SolverTrial",
+    "SolverTest",
     "Species",
     "StepCheck",
     "StoredTally",

@@ -23,7 +23,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.engines.protocol import Change
+from openmm_sier.engines.protocol import Changes
 from openmm_sier.integrators.context import SIERContext
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -101,7 +101,7 @@ def _refuse_compound(integrator: openmm.Integrator) -> None:
 def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
-        context.impl.changed(Change.FORCES)
+        context.impl.changed(Changes.FORCES)
 
 
 def _keep_bodies(

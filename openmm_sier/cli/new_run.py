@@ -77,7 +77,7 @@ class NewRun(Beginning):
         """
         settings = self.settings
         started = simulated.context_of(simulated.integrator(settings.stand_in))
-        started.getIntegrator().impl.check_step()
+        started.getIntegrator().impl.refuse_long_step()
         positions, minimize = simulated.box.positions, settings.minimize
         if self._origin is not None:
             particles = simulated.box.system.getNumParticles()

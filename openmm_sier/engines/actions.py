@@ -10,17 +10,17 @@ from openmm import unit
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.start_checks import refuse_hopeless_start
 from openmm_sier.system.cut_molecules import refuse_cut_molecules
-from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.solver_test import SolverTest
 
 
 class Actions:
-    """Let OpenMM draw velocities, satisfy constraints and minimize the energy, or refuse constraints that it cannot.
+    """Actions of OpenMM in a Context: drawn velocities, constraints, minimization. Constraints may be refused.
 
     An engine that can satisfy them itself has a subclass. In each method `by_openmm` calls the method of OpenMM that
     the user called.
     """
 
-    def __init__(self, context: openmm.Context, trial: SolverTrial):
+    def __init__(self, context: openmm.Context, trial: SolverTest):
         """
         Args:
             context: weak proxy of an openmm.Context, which owns its integrator and so this object.

@@ -91,7 +91,7 @@ class Line(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """Describe trials of hybrid Monte Carlo, each of which is one native step.
+    """Trials of hybrid Monte Carlo, each of which is one native step.
 
     Attributes:
         stopped_mass: mass of the atoms whose centre is stopped after each trial, Da; 0 where it is not.

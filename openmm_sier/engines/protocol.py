@@ -23,7 +23,7 @@ from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
-from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation, Temperatures
 
 
@@ -38,7 +38,7 @@ class Clock(NamedTuple):
     steps: int
 
 
-class SavedState(NamedTuple):
+class RollbackState(NamedTuple):
     """The state that `Engine.restore` brings back.
 
     Attributes:
@@ -58,7 +58,7 @@ class SavedState(NamedTuple):
     more: Any = None
 
 
-class Change(Flag):
+class Changes(Flag):
     """Kinds of change since the last step.
 
     Attributes:
@@ -92,7 +92,7 @@ class Engine(ABC):
         tally: heat, random numbers and counts.
         changes: changes since the last step. While there are none, steps read nothing from the Context.
         moving: the bodies of the phase point: rigid and point bodies, or the massive atoms alone.
-        check_step: the check of the length of steps.
+        step_check: the check of the length of steps.
         evaluations: number of force evaluations so far.
         clock: time and step count; ensembles set it where a step of the integrator is not one of the scheme.
     """
@@ -101,7 +101,7 @@ class Engine(ABC):
     repeats_noise: ClassVar[bool] = False
     makes_trials: ClassVar[bool] = False
     moving: BodySet
-    check_step: StepCheck
+    step_check: StepCheck
     evaluations: int = 0
     clock: Clock = Clock(0.0, 0)
 
@@ -118,7 +118,7 @@ class Engine(ABC):
         self._integrator = weakref.proxy(context.getIntegrator())
         self.method = method
         self.tally = tally
-        self.changes = Change.ATOMS
+        self.changes = Changes.ATOMS
         #: Of the System; None before they are needed, and after its Forces have changed.
         self._bonds: Bonds | None = None
 
@@ -181,17 +181,17 @@ class Engine(ABC):
         """
         self.method = method
         self.synchronize()
-        self.check_step(method, self._groups, self._context)
-        self.changes = Change.NONE
+        self.step_check(method, self._groups, self._context)
+        self.changes = Changes.NONE
 
     # --- the phase point ---
 
     @abstractmethod
-    def save(self) -> SavedState:
+    def save(self) -> RollbackState:
         """Return all that `restore` brings back."""
 
     @abstractmethod
-    def restore(self, saved: SavedState, reverse: bool = False) -> None:
+    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
         """Bring back a state, with reversed momenta if `reverse`; counts of the ensemble stay."""
 
     @contextmanager
@@ -207,7 +207,7 @@ class Engine(ABC):
             yield
         except BaseException:
             if not (keeps_completed and self.clock.steps > before.clock.steps):
-                self.changes |= Change.HISTORY
+                self.changes |= Changes.HISTORY
                 self.restore(before)
                 self.tally.counts = before.counts
             raise
@@ -325,7 +325,7 @@ class Engine(ABC):
 
     def inner_step(self, method: IntegrationMethod) -> float:
         """Return the longest step of a method within drifts, ps."""
-        return self.check_step.inner_step(method, self._groups)
+        return self.step_check.inner_step(method, self._groups)
 
     @cached_property
     def _momentum(self) -> MomentumConservation:
@@ -352,9 +352,9 @@ class Engine(ABC):
         """Return the actions that users ask of OpenMM in the Context."""
 
     @cached_property
-    def solver_trial(self) -> SolverTrial:
+    def solver_test(self) -> SolverTest:
         """The constraints of the System that OpenMM's solvers cannot satisfy."""
-        return SolverTrial(self._context.getSystem())
+        return SolverTest(self._context.getSystem())
 
     def refuse_cut_molecules(self, now: Snapshot) -> None:
         """Refuse positions at which the periodic boundary cuts a molecule.

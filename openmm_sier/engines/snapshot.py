@@ -31,7 +31,7 @@ def holds_doubles(context: openmm.Context) -> bool:
 
 
 class Environment(NamedTuple):
-    """Hold what forces depend on besides positions: periodic box vectors, nm, and parameters by name."""
+    """Variables besides positions on which forces depend: periodic box vectors, nm, and parameters by name."""
 
     box: Sequence[openmm.Vec3]
     parameters: dict[str, float]
@@ -43,7 +43,7 @@ class Environment(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """Hold positions, velocities, clock, box and parameters of a Context.
+    """Positions, velocities, clock, box and parameters of a Context.
 
     Attributes:
         positions, velocities: (N, 3), nm and nm/ps.

@@ -11,7 +11,7 @@ TRIALS, ACCEPTED, ERROR = (PREFIX + name for name in ("trials", "accepted", "err
 
 
 class Trial(NamedTuple):
-    """Hold the choices of one trial.
+    """Choices of one trial.
 
     Attributes:
         steps: number of steps of the scheme to each end of the trajectory.
@@ -34,7 +34,7 @@ class Trial(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Hold the result of one trial.
+    """Result of one trial.
 
     Attributes:
         energy: potential energy of the start, kJ/mol.

@@ -26,7 +26,7 @@ UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
 class Move(NamedTuple):
-    """Describe what an ensemble does between steps.
+    """A move of an ensemble between steps.
 
     Attributes:
         every: interval. The move comes before each step whose number, from 1, is a multiple of this, so that
@@ -40,7 +40,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Say what happens between the steps of a scheme: this base class adds nothing.
+    """Rules for the time between the steps of a scheme: this base class adds nothing.
 
     A subclass has moves, which act between steps, or another way to advance by a step, or both.
 
@@ -123,7 +123,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ConstantEnergy(Ensemble):
-    """Add nothing to the method, so that the energy is constant."""
+    """The ensemble of constant energy, which adds nothing to the method."""
 
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
         return replace(method, constant_energy=True)

@@ -10,7 +10,7 @@ from openmm_sier.engines.protocol import Engine
 
 @dataclass(frozen=True)
 class ThermalMotion:
-    """Hold the kinetic energy of the motion that is heat, and change it.
+    """The motion that is heat, whose kinetic energy can be changed.
 
     Where the total momentum is conserved, the motion of the centre of mass is no heat and stays as it is.
 

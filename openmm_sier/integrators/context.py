@@ -7,7 +7,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.protocol import Change
+from openmm_sier.engines.protocol import Changes
 from openmm_sier.integrators.impl import IntegratorImpl
 
 #: The parameters of OpenMM's method.
@@ -55,13 +55,13 @@ class SIERContext(openmm.Context):
             return super().getState(*args, **kwargs)
         self.impl.store()
         state = super().getState(*args, **kwargs)
-        self.impl.changed(Change.HISTORY)
+        self.impl.changed(Changes.HISTORY)
         return state
 
     def createCheckpoint(self) -> bytes:
         self.impl.store()
         checkpoint = super().createCheckpoint()
-        self.impl.changed(Change.HISTORY)
+        self.impl.changed(Changes.HISTORY)
         return checkpoint
 
     def loadCheckpoint(self, checkpoint: bytes) -> None:
@@ -98,11 +98,11 @@ class SIERContext(openmm.Context):
 
     def setPositions(self, positions: Any) -> None:
         super().setPositions(positions)
-        self.impl.changed(Change.ATOMS)
+        self.impl.changed(Changes.ATOMS)
 
     def setVelocities(self, velocities: Any) -> None:
         super().setVelocities(velocities)
-        self.impl.changed(Change.ATOMS)
+        self.impl.changed(Changes.ATOMS)
 
     def setParameter(self, name: str, value: float) -> None:
         super().setParameter(name, value)
@@ -118,7 +118,7 @@ class SIERContext(openmm.Context):
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
         super().setPeriodicBoxVectors(a, b, c)
-        self.impl.changed(Change.BOX)
+        self.impl.changed(Changes.BOX)
 
     def setVelocitiesToTemperature(self, *args: Any) -> None:
         self.impl.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)

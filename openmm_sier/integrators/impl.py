@@ -22,7 +22,7 @@ from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
 from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
-from openmm_sier.engines.protocol import Change, Engine
+from openmm_sier.engines.protocol import Changes, Engine
 from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
@@ -289,7 +289,7 @@ class IntegratorImpl:
             try:
                 yield engine
             except BaseException:
-                engine.changes |= Change.SETTINGS
+                engine.changes |= Changes.SETTINGS
                 engine.recover()
                 raise
         finally:
@@ -314,22 +314,22 @@ class IntegratorImpl:
         self._compared_temperature = bath
         self._has_warned_of_temperatures = checks.warn_about_other_temperatures(context, bath)
 
-    def check_step(self) -> None:
+    def refuse_long_step(self) -> None:
         """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
 
         Raises:
             openmm.OpenMMException: the step is too long.
         """
-        self.engine.check_step(self.method(), self._integrator.getIntegrationForceGroups())
+        self.engine.step_check(self.method(), self._integrator.getIntegrationForceGroups())
 
     # --- changes by users ---
 
-    def changed(self, change: Change = Change.SETTINGS) -> None:
+    def changed(self, change: Changes = Changes.SETTINGS) -> None:
         """Record a change of some kind, which the next step takes over."""
         if self._engine is None:
             return
         self._engine.changes |= change
-        if Change.ATOMS in change:
+        if Changes.ATOMS in change:
             self.watch.forget()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
@@ -338,12 +338,12 @@ class IntegratorImpl:
             by_openmm()
         else:
             self._engine.actions.draw_velocities(by_openmm, temperature, seed)
-        self.changed(Change.ATOMS)
+        self.changed(Changes.ATOMS)
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
         """Minimize the energy, see `Actions.minimize`, and warn of bodies that still overlap."""
         self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
-        self.changed(Change.ATOMS)
+        self.changed(Changes.ATOMS)
         warn_about_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
@@ -354,7 +354,7 @@ class IntegratorImpl:
             self._engine.actions.satisfy_velocities(by_openmm)
         else:
             self._engine.actions.satisfy_positions(by_openmm)
-        self.changed(Change.ATOMS)
+        self.changed(Changes.ATOMS)
 
     def groups_changed(self) -> None:
         """Take over other integration force groups."""
@@ -373,7 +373,7 @@ class IntegratorImpl:
             self.stored.tally.heat += float(work.sum())
             integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
         self._set_program_variables()
-        self.changed(Change.VARIABLES | Change.ATOMS)
+        self.changed(Changes.VARIABLES | Changes.ATOMS)
 
     def take_over_state(self, set_state: Callable[[], None], has_parameters: bool) -> None:
         """Call a function that sets a State, and take over what the State holds, except its seed and its used noise.
@@ -392,7 +392,7 @@ class IntegratorImpl:
             set_state()
         finally:
             # OpenMM sets a State in parts.
-            self.changed(Change.BOX | Change.ATOMS)
+            self.changed(Changes.BOX | Changes.ATOMS)
         self.take_over()
         tally.seed = seed
         tally.draws = max(draws, tally.draws)

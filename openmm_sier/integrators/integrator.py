@@ -10,7 +10,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.protocol import Change
+from openmm_sier.engines.protocol import Changes
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.settings import Settings, place_of
@@ -228,7 +228,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.impl.engine.changes |= Change.FORCES
+        self.impl.engine.changes |= Changes.FORCES
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""

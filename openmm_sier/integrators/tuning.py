@@ -134,7 +134,7 @@ def tune(
 
 
 class _Start(NamedTuple):
-    """Hold what the integrator had.
+    """Settings that the integrator had before.
 
     Attributes:
         step: ps.
@@ -158,7 +158,7 @@ class _Start(NamedTuple):
 
 
 class _Choice(NamedTuple):
-    """Hold what trials are made with.
+    """Settings of trials.
 
     Attributes:
         scheme: the scheme.

@@ -110,7 +110,7 @@ class LengthFound(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """Hold what `tune` found; print it as tables.
+    """Results of `tune`; print them as tables.
 
     Attributes:
         scheme: the cheapest.

@@ -20,7 +20,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Rigi
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
-from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, temperatures
 
 #: Constraint tolerance; SETTLE is not more accurate than 1e-8.
@@ -122,7 +122,7 @@ def make_integrator(
     Raises:
         openmm.OpenMMException: OpenMM cannot satisfy the System's constraints.
     """
-    SolverTrial(system).refuse(lambda: positions)
+    SolverTest(system).refuse(lambda: positions)
     system = openmm.XmlSerializer.clone(system)
     integrator: Any = (
         OpenMMVerletIntegrator(step)

@@ -22,7 +22,7 @@ from openmm_sier.system.arguments import Positions, checked_positions, checked_s
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
 from openmm_sier.system.second_context import reference_context
-from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.solver_test import SolverTest
 
 #: Maximum number of atoms between which all constraints are independent.
 MOST_HELD = 4
@@ -300,7 +300,7 @@ def _is_solved(species: Species) -> bool:
         model.addParticle(mass)
     for i, j in combinations(range(len(species.masses)), 2):
         model.addConstraint(i, j, float(np.linalg.norm(species.sites[:, i] - species.sites[:, j])))
-    return not SolverTrial(model).unsolved(lambda: species.sites.T)
+    return not SolverTest(model).unsolved(lambda: species.sites.T)
 
 
 def _virtual_sites(system: openmm.System, bodies: dynamics.BodySet) -> dict[int, list[int]]:

@@ -18,7 +18,11 @@ from openmm_sier.system.user_warnings import warn
 
 
 class StepCheck:
-    """Refuse steps that are too long for bonds, librations and spins; warn of those at which energies are wrong."""
+    """Limits of steps by bonds, librations and spins.
+
+    A call refuses a step that is too long, or warns of one at which energies are wrong. `inner_step` and `longest_step`
+    give steps that are short enough.
+    """
 
     def __init__(
         self,
@@ -49,8 +53,8 @@ class StepCheck:
 
         Of bonds only the harmonic ones count: measured motions depend on positions, and a restart must find the same.
         """
-        known_flow, known_groups, step = self._known
-        if known_flow is not method or known_groups != groups:
+        known_method, known_groups, step = self._known
+        if known_method is not method or known_groups != groups:
             bond = fastest(self._motions.harmonic, groups & method.fast_groups)
             step = self._inner_step(
                 method, math.inf if bond is None else accurate_step(method.scheme.within_drifts, bond.period)

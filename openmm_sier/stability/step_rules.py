@@ -118,98 +118,101 @@ class Rule(NamedTuple):
     is_estimate: bool = False
 
 
-def _vibrations(motions: Motions, step: Conditions) -> Limit | None:
+def _vibrations(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step by the fastest vibration in kicks: its energies must be right within a tenth.
 
     A step at which it is unstable is refused.
     """
-    vibration = fastest(motions.vibrations, step.groups)
+    vibration = fastest(motions.vibrations, conditions.groups)
     if vibration is None:
         return None
-    accurate, stable = accurate_step(step.scheme, vibration.period), _unstable_step(step.scheme, vibration.period)
+    accurate = accurate_step(conditions.scheme, vibration.period)
+    stable = _unstable_step(conditions.scheme, vibration.period)
 
     def verdict(h: float) -> Verdict:
         shorter = advice.PREPARE if vibration.can_be_fast else advice.SHORTER_STEP
         finding = (
             f"{motions.describe(vibration)} is not constrained and has a period of {femtoseconds(vibration.period)}. "
-            f"{step.scheme.name} is accurate up to {femtoseconds(accurate)}, and unstable from "
+            f"{conditions.scheme.name} is accurate up to {femtoseconds(accurate)}, and unstable from "
             f"{femtoseconds(stable)} on"
         )
-        remedies = advice.MORE_SUBSTEPS if step.is_inner else shorter, *motions.ways_to_hold(vibration)
-        return _judged(step.describe(h), h >= stable, finding, *remedies)
+        remedies = advice.MORE_SUBSTEPS if conditions.is_inner else shorter, *motions.ways_to_hold(vibration)
+        return _judged(conditions.describe(h), h >= stable, finding, *remedies)
 
     return Limit(accurate, verdict)
 
 
-def _unknown_forces(motions: Motions, step: Conditions) -> Limit | None:
+def _unknown_forces(motions: Motions, conditions: Conditions) -> Limit | None:
     """Report Forces whose stiffness is unknown where the fastest bonds would be inaccurate."""
-    unknown = [name for group, name in motions.unknown if step.groups >> group & 1]
+    unknown = [name for group, name in motions.unknown if conditions.groups >> group & 1]
     if not unknown:
         return None
 
     def verdict(h: float) -> Verdict:
         finding = (
-            f"{step.describe(h)} cannot be judged, since the stiffness of {', '.join(unknown)} is not known. Compare a "
-            "run with half the step: if the energy error shrinks, or the temperature is too high, the step is too long"
+            f"{conditions.describe(h)} cannot be judged, since the stiffness of {', '.join(unknown)} is not known. "
+            "Compare a run with half the step: if the energy error shrinks, or the temperature is too high, the step "
+            "is too long"
         )
         return Verdict(advice.message(finding, advice.CHECK_FORCES))
 
-    return Limit(accurate_step(step.scheme, FASTEST_BOND), verdict)
+    return Limit(accurate_step(conditions.scheme, FASTEST_BOND), verdict)
 
 
-def _librations(motions: Motions, step: Conditions) -> Limit | None:
+def _librations(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step by the fastest libration, whose frequency is an estimate.
 
     A step beyond `HOPELESS` times the stability limit is refused.
     """
-    libration = fastest(motions.librations, step.groups)
+    libration = fastest(motions.librations, conditions.groups)
     if libration is None:
         return None
-    accurate, stable = accurate_step(step.scheme, libration.period), _unstable_step(step.scheme, libration.period)
+    accurate = accurate_step(conditions.scheme, libration.period)
+    stable = _unstable_step(conditions.scheme, libration.period)
 
     def verdict(h: float) -> Verdict:
         body = motions.body_of(libration)
         finding = (
             f"{motions.bodies.describe(body)} and similar bodies can swing among other molecules with a period of "
-            f"{femtoseconds(libration.period)}. {step.scheme.name} is accurate up to {femtoseconds(accurate)}; with "
-            f"steps of about {femtoseconds(max(accurate, HEATING * stable))} or more, liquids heat up"
+            f"{femtoseconds(libration.period)}. {conditions.scheme.name} is accurate up to {femtoseconds(accurate)}; "
+            f"with steps of about {femtoseconds(max(accurate, HEATING * stable))} or more, liquids heat up"
         )
         remedies = [advice.SHORTER_STEP]
         if motions.remedies.has_hydrogen(tuple(motions.bodies.atoms_of(body).tolist()), advice.LIGHT):
             remedies.append(advice.HEAVIER)
         if h >= SLIP:
             remedies.append(advice.in_femtoseconds(h))
-        return _judged(step.describe(h), h >= HOPELESS * stable, finding, *remedies)
+        return _judged(conditions.describe(h), h >= HOPELESS * stable, finding, *remedies)
 
     return Limit(accurate, verdict)
 
 
-def _spins(motions: Motions, step: Conditions) -> Limit | None:
+def _spins(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step by the angle that the slimmest bodies turn in it; a step of `HALF_TURN` is refused."""
     spin = motions.spin
-    if spin is None or not step.groups & spin.groups or not step.temperature:
+    if spin is None or not conditions.groups & spin.groups or not conditions.temperature:
         return None
-    rate = spin.rate(step.temperature)
-    accurate = step.scheme.accuracy_limit / (FAST_SPIN * rate)
+    rate = spin.rate(conditions.temperature)
+    accurate = conditions.scheme.accuracy_limit / (FAST_SPIN * rate)
 
     def verdict(h: float) -> Verdict:
         finding = (
             f"{spin.name} and similar bodies have a moment of inertia of only {spin.moment:.2g} dalton nm^2 about one "
-            f"axis. At {step.temperature:g} K they turn about it by {h * rate:.2g} radians from one kick to the next. "
-            f"{step.scheme.name} is accurate up to {1000 * accurate:.2g} fs"
+            f"axis. At {conditions.temperature:g} K they turn about it by {h * rate:.2g} radians from one kick to the "
+            f"next. {conditions.scheme.name} is accurate up to {1000 * accurate:.2g} fs"
         )
-        return _judged(step.describe(h), h * rate >= HALF_TURN, finding, advice.SHORTER_STEP, advice.STRAIGHTEN)
+        return _judged(conditions.describe(h), h * rate >= HALF_TURN, finding, advice.SHORTER_STEP, advice.STRAIGHTEN)
 
     return Limit(accurate, verdict)
 
 
-def _resonances(motions: Motions, step: Conditions) -> Limit | None:
+def _resonances(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step by the fastest vibration within drifts: kicks excite it that come twice a period.
 
     A step is refused in the window of instability, beyond `DESTROYED` periods, or with a bath in its drift beyond half
     a period of a bond to hydrogen, where averages are wrong.
     """
-    vibration = fastest(motions.vibrations, step.fast_groups)
+    vibration = fastest(motions.vibrations, conditions.fast_groups)
     if vibration is None:
         return None
     longest = RESONANCE * vibration.period
@@ -218,32 +221,32 @@ def _resonances(motions: Motions, step: Conditions) -> Limit | None:
         has_light_hydrogen = motions.remedies.has_hydrogen(vibration.atoms, advice.LIGHT)
         # Heavy hydrogens make the bonds of the atoms that they are bonded to faster.
         heavier = [advice.HEAVIER] if has_light_hydrogen else []
-        stretch = _stretches(motions, step)
+        stretch = _stretches(motions, conditions)
         acceptable = longest if stretch is None else min(longest, stretch.longest_step)
         remedies = [advice.up_to(acceptable), *heavier, *motions.ways_to_hold(vibration)]
         finding = (
             f"for {motions.describe(vibration)}: its period is {femtoseconds(vibration.period)}, and slow forces must "
             "act more than twice in each period"
         )
-        averages_are_wrong = step.scheme.bath_divides_drift and motions.moves_like_hydrogen(vibration)
+        averages_are_wrong = conditions.scheme.bath_divides_drift and motions.moves_like_hydrogen(vibration)
         refused = vibration.period / 2 if averages_are_wrong else DESTROYED * vibration.period
         if h >= refused or _is_resonant(h, vibration):
-            too_long = f"{step.describe(h)} is too long {finding}"
+            too_long = f"{conditions.describe(h)} is too long {finding}"
             remark = "More inner steps do not help"
             return Verdict(advice.message(too_long, *remedies, remark=remark), is_refused=True)
-        return Verdict(advice.message(f"{step.describe(h)} is long {finding}", *remedies))
+        return Verdict(advice.message(f"{conditions.describe(h)} is long {finding}", *remedies))
 
     return Limit(longest, verdict)
 
 
-def _stretches(motions: Motions, step: Conditions) -> Limit | None:
+def _stretches(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step of a scheme with a bath in its drift by the mean length of bonds to hydrogen.
 
     A constant force in kicks every h, with a spring that is integrated exactly, changes the mean length of a bond by
     x/tan(x) of the correct amount, x = pi h/T with the period T: averages shift, at the right temperature.
     """
-    hydrogen = motions.fastest_hydrogen(step.fast_groups)
-    if hydrogen is None or not step.scheme.bath_divides_drift:
+    hydrogen = motions.fastest_hydrogen(conditions.fast_groups)
+    if hydrogen is None or not conditions.scheme.bath_divides_drift:
         return None
     longest = STRETCHED / math.pi * hydrogen.period
 
@@ -260,14 +263,14 @@ def _stretches(motions: Motions, step: Conditions) -> Limit | None:
     return Limit(longest, verdict)
 
 
-def _energy(motions: Motions, step: Conditions) -> Limit | None:
+def _energy(motions: Motions, conditions: Conditions) -> Limit | None:
     """Limit the step at constant energy, so that the energy hardly walks at random over a run.
 
     A scheme of fourth order whose step resonates with a harmonic of the librations gives and takes energy at random.
     Schemes of second order have no limit, since their energy oscillates further than it walks.
     """
-    libration, usual = fastest(motions.librations, step.groups), step.scheme.constant_energy_step
-    if libration is None or usual is None or step.scheme.order < 4 or not step.conserves_energy:
+    libration, usual = fastest(motions.librations, conditions.groups), conditions.scheme.constant_energy_step
+    if libration is None or usual is None or conditions.scheme.order < 4 or not conditions.conserves_energy:
         return None
     period, good = libration.period, usual * libration.period / WATER
 
@@ -275,7 +278,8 @@ def _energy(motions: Motions, step: Conditions) -> Limit | None:
         error = min(1.0, AT_USUAL_STEP * math.exp(RESONANCE_DECAY * period * (1 / good - 1 / h)))
         finding = (
             f"With steps of {femtoseconds(h)} the total energy wanders: its error rms(H)/rms(V) over a whole run is "
-            f"about {_percent(error)}, and {_percent(AT_USUAL_STEP)} with {step.scheme.name} at {femtoseconds(good)}"
+            f"about {_percent(error)}, and {_percent(AT_USUAL_STEP)} with {conditions.scheme.name} at "
+            f"{femtoseconds(good)}"
         )
         longer = "Longer steps are for a heat bath or hybrid Monte Carlo"
         return Verdict(advice.message(finding, advice.up_to(good), remark=longer))

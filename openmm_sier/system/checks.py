@@ -11,7 +11,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.solver_trial import LINE_REMEDY
+from openmm_sier.system.solver_test import LINE_REMEDY
 from openmm_sier.system.user_warnings import warn
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.engines.protocol import Change
+from openmm_sier.engines.protocol import Changes
 from tests.support.waters import context_at, energies, phase_point
 
 pytestmark = pytest.mark.parametrize("name", ["exact", "native"])
@@ -91,4 +91,4 @@ def test_a_transaction_that_fails_leaves_no_trace(engine):
     assert all(np.array_equal(*pair) for pair in zip(phase_point(context), before, strict=True))
     assert engine.tally.draws == draws
     # The next step depends only on the contents of the Context.
-    assert Change.HISTORY in engine.changes
+    assert Changes.HISTORY in engine.changes

@@ -107,7 +107,7 @@ def test_the_step_at_the_cutoff_is_smaller(kind):
 def judged(system, integrator):
     """A Context, whose step is judged as before the first step."""
     context = openmm.Context(system, integrator, platform())
-    integrator.impl.check_step()
+    integrator.impl.refuse_long_step()
     return context
 
 

@@ -190,7 +190,7 @@ def test_a_force_whose_bonds_many_overlaps_hide_is_named():
     x = np.array(x)
     context = context_at(system, integrator, (x, 0 * x))
     with pytest.warns(UserWarning, match="A step of 1 fs cannot be judged, since the stiffness of CustomBondForce"):
-        integrator.impl.engine.check_step(integrator.impl.method(), 1, context)
+        integrator.impl.engine.step_check(integrator.impl.method(), 1, context)
 
 
 def test_many_equal_bonds_have_the_period_of_one():

@@ -36,9 +36,9 @@ def made(system, integrator, silently=True):
     context = openmm.Context(system, integrator, platform())
     if silently:
         with silence():
-            integrator.impl.check_step()
+            integrator.impl.refuse_long_step()
     else:
-        integrator.impl.check_step()
+        integrator.impl.refuse_long_step()
     return context
 
 

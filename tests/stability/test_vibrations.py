@@ -264,7 +264,7 @@ def test_a_remedy_is_one_that_helps(kind, prepared):
         begins = SLOW if begins == SLOW else ""
     integrator = SIERIntegrator(0.03, SIER4G, bodies=bodies, substeps=20)
     context = openmm.Context(system, integrator, platform())
-    judge = integrator.impl.check_step
+    judge = integrator.impl.refuse_long_step
     if x is not None:
         context.setPositions(x)
         judge = partial(integrator.step, 1)

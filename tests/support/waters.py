@@ -127,7 +127,7 @@ def context_at(system, integrator, point, name="Reference", steps=None):
 def judged(system, integrator):
     """A Context whose step has been judged, as its first step would be."""
     context = openmm.Context(system, integrator, platform())
-    integrator.impl.check_step()
+    integrator.impl.refuse_long_step()
     return context
 
 

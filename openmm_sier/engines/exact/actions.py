@@ -32,7 +32,7 @@ class BodyActions(Actions):
     """
 
     def __init__(self, context: openmm.Context, engine: ExactEngine):
-        super().__init__(context, engine.solver_trial)
+        super().__init__(context, engine.solver_test)
         # The engine holds this.
         self._engine = weakref.proxy(engine)
 

@@ -31,7 +31,7 @@ from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Change, Clock, Engine, SavedState, TrajectoryError
+from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
 from openmm_sier.engines.snapshot import Environment, Snapshot, box_of, holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import STATE_VARIABLES
@@ -69,7 +69,7 @@ class ExactEngine(Engine):
         self.moving = bodies_of(system, bodies)
         checks.refuse_constrained_lines(system, self.moving)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
-        self.check_step = StepCheck(system, self.moving, inner_step)
+        self.step_check = StepCheck(system, self.moving, inner_step)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
         self._in_kicks = CachedForces(self.forces.in_kicks)
@@ -121,18 +121,18 @@ class ExactEngine(Engine):
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now, point, are_set = Snapshot.of(self._context), self._point, Change.ATOMS in self.changes
+        now, point, are_set = Snapshot.of(self._context), self._point, Changes.ATOMS in self.changes
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
-        if Change.FORCES in self.changes:
+        if Changes.FORCES in self.changes:
             self._bonds = None
         if moved:
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._point_of(now, moved)
-        if Change.FORCES in self.changes:
+        if Changes.FORCES in self.changes:
             self.motion = self._new_motion()
             self._forget_forces()
         self._point = point
@@ -143,12 +143,12 @@ class ExactEngine(Engine):
             self.forces.velocities[:] = now.velocities
         self._take_environment(now)
         self.forces.select(self._groups, self.method.fast_groups)
-        if self._remembers_list and (moved or Change.HISTORY in self.changes):
+        if self._remembers_list and (moved or Changes.HISTORY in self.changes):
             neighbour_list.forget(self._context)
             self._forget_forces()
         self._stepper = None
         # The record of changes is cleared last, so that an interrupted synchronization is repeated.
-        self.changes = Change.SETTINGS
+        self.changes = Changes.SETTINGS
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
@@ -157,7 +157,7 @@ class ExactEngine(Engine):
     def _point_of(self, now: Snapshot, moved: bool) -> BodyState:
         """Return the phase point of bodies that moved, or whose velocities were changed."""
         bodies, point = self.moving, self._point
-        is_own = self._is_unstored and Change.VARIABLES not in self.changes
+        is_own = self._is_unstored and Changes.VARIABLES not in self.changes
         stored = point if is_own else stored_point(self._context, self._packing)
         agreed = None if stored is None else agreeing(bodies, stored, now, moved)
         if agreed is not None:
@@ -180,7 +180,7 @@ class ExactEngine(Engine):
         self.motion.follow(self._context)
 
     def select_groups(self) -> None:
-        self.changes |= Change.FORCES
+        self.changes |= Changes.FORCES
 
     # --- steps ---
 
@@ -299,7 +299,7 @@ class ExactEngine(Engine):
 
     def store(self) -> None:
         """Write the phase point to the per-atom variables."""
-        if not self._is_unstored or Change.VARIABLES in self.changes:
+        if not self._is_unstored or Changes.VARIABLES in self.changes:
             return
         for name, values in zip(STATE_VARIABLES, self._packing.pack(self.point), strict=True):
             self._integrator.setPerDofVariableByName(name, values)
@@ -322,13 +322,13 @@ class ExactEngine(Engine):
         """Replace the phase point by the result of an operation on it; arrays that both share stay as they are."""
         self._point = operation(self.point)
 
-    def save(self) -> SavedState:
+    def save(self) -> RollbackState:
         # OpenMM's barostats also move atoms of no body.
         atoms = self.forces.positions.copy() if self.updates.act else None
         tally = self.tally
-        return SavedState(self.point, self.clock, self._box(), tally.mark(), dict(tally.counts), atoms)
+        return RollbackState(self.point, self.clock, self._box(), tally.mark(), dict(tally.counts), atoms)
 
-    def restore(self, saved: SavedState, reverse: bool = False) -> None:
+    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
         if saved.more is not None:
             self.forces.positions[:] = saved.more
             self.forces.forget_place()

@@ -59,7 +59,7 @@ class Motion:
             SoluteError: a fast force is not a bonded force, or one of its terms acts on something that is in no body.
         """
         self._bodies = bodies
-        self._ledger = tally
+        self._tally = tally
         self._rotation = rotation
         self._groups = _flexible_points(bodies)
         fast = _fast_forces(context.getSystem(), bodies, fast_groups)
@@ -81,7 +81,7 @@ class Motion:
         """Return the operators that execute a method, by name."""
         found = dict(self._outer)
         if method.bath is not None:
-            bath = constrained.bath_operator(method.bath, self._bodies, self._ledger)
+            bath = constrained.bath_operator(method.bath, self._bodies, self._tally)
             found[BATH] = partial(self._remembered, bath)
         if self.fast is not None and self.solute is not None and longest:
             found |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)

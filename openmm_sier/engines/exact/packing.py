@@ -9,7 +9,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState
 
 
 class Packing:
-    """Pack the phase point of bodies into three vectors for each atom, and unpack it.
+    """Phase points of bodies as three vectors for each atom.
 
     Attributes:
         bodies: the bodies.

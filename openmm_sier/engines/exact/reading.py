@@ -62,7 +62,7 @@ def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodySta
 
 
 class Fitting:
-    """Fit bodies to atoms, and warn once of bodies that are moved onto their constraints."""
+    """Fit of bodies to atoms, which warns once of bodies that are moved onto their constraints."""
 
     def __init__(self) -> None:
         self._told_of_misfit = False

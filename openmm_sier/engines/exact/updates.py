@@ -10,7 +10,7 @@ from openmm_sier.system.forces import kind_of
 
 
 class SystemUpdates:
-    """Let the Forces of a System act that change positions, velocities or the box between steps.
+    """Forces of a System that change positions, velocities or the box between steps.
 
     Attributes:
         act: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.

@@ -23,7 +23,7 @@ KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 
 
 class AtomCache:
-    """Read positions, velocities and box of a Context, and write positions and velocities.
+    """Positions, velocities and box of a Context, read when needed; positions and velocities can be written.
 
     Arrays are read-only. They are kept until `forget`, without which nobody may move atoms, and velocities are not
     written before `publish` or `forget`.

@@ -21,7 +21,7 @@ from openmm_sier.engines.native.installation import guard, set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK, Program
-from openmm_sier.engines.protocol import Change, Clock, Engine, SavedState, TrajectoryError
+from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial
@@ -82,7 +82,7 @@ class NativeEngine(Engine):
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         fraction = program.inner_fraction
-        self.check_step = StepCheck(
+        self.step_check = StepCheck(
             system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
         )
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
@@ -121,7 +121,7 @@ class NativeEngine(Engine):
 
     @cached_property
     def actions(self) -> Actions:
-        return Actions(self._context, self.solver_trial)
+        return Actions(self._context, self.solver_test)
 
     # --- changes by users ---
 
@@ -130,26 +130,26 @@ class NativeEngine(Engine):
         self._set_bath()
         # A program that does less than what was asked for runs here, since this engine does the rest.
         guard(self._integrator, False)
-        if Change.ATOMS in changes:
+        if Changes.ATOMS in changes:
             self._atoms.forget()
             self._follows_bath = False
-        if Change.BOX in changes:
+        if Changes.BOX in changes:
             self._atoms.forget()
             # OpenMM takes the forces of the last step for valid if only the box was changed. To set velocities, though
             # they are the same, makes it compute them.
             openmm.Context.setVelocities(self._context, self._atoms.velocities)
             self._has_force = False
-        if Change.FORCES in changes:
+        if Changes.FORCES in changes:
             self._bonds = None
             # OpenMM itself considers no force valid after that.
             self._potential = None
-        if changes & (Change.ATOMS | Change.HISTORY):
+        if changes & (Changes.ATOMS | Changes.HISTORY):
             self._check_start()
         if self._potential is not None:
             state = openmm.Context.getState(self._context, parameters=True)
             if Environment.of(state) != self._potential.environment:
                 self._potential = None
-        self.changes = Change.SETTINGS
+        self.changes = Changes.SETTINGS
 
     def _check_start(self) -> None:
         """Check atoms that were moved, and let the next steps depend only on the contents of the Context."""
@@ -162,7 +162,7 @@ class NativeEngine(Engine):
         if self._remembers_list:
             neighbour_list.forget(self._context)
         if len(self._constraints.pairs):
-            self.solver_trial.refuse(lambda: now.positions)
+            self.solver_test.refuse(lambda: now.positions)
             satisfy_constraints(self._context, self._constraints, self._integrator.getConstraintTolerance())
         if self._has_sites:
             # OpenMM places them at the end of a step, and the first needs forces before that.
@@ -273,11 +273,11 @@ class NativeEngine(Engine):
 
     # --- the phase point: the atoms as OpenMM has them ---
 
-    def save(self) -> SavedState:
+    def save(self) -> RollbackState:
         atoms, tally = self._atoms, self.tally
-        return SavedState(atoms.both, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
+        return RollbackState(atoms.both, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
 
-    def restore(self, saved: SavedState, reverse: bool = False) -> None:
+    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
         positions, velocities = saved.point
         if saved.box != self._atoms.box:
             self._atoms.write_box(saved.box)
@@ -367,7 +367,7 @@ class NativeEngine(Engine):
 
     def _velocities_after_bath(self) -> np.ndarray | None:
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
-        has_followed = self._follows_bath and Change.ATOMS not in self.changes
+        has_followed = self._follows_bath and Changes.ATOMS not in self.changes
         if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
             return np.array(self._integrator.getPerDofVariableByName(V0))
         return None

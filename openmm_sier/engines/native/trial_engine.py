@@ -19,7 +19,7 @@ from openmm_sier.engines.trials import Outcome, Trial
 
 
 class TrialEngine(NativeEngine):
-    """Make trials, each of them one native step, so that no atom is read or written between two of them.
+    """An engine whose trials are native steps, so that no atom is read or written between two of them.
 
     The kinetic energy of the end of a trial is known until velocities are changed.
     """

@@ -148,7 +148,7 @@ def _with_energies(program: Program, statements: list[Executed]) -> list[Execute
 
 
 class Writer:
-    """Add the computations of trials to an openmm.CustomIntegrator, which has their variables."""
+    """Writer of the computations of trials in an openmm.CustomIntegrator, which has their variables."""
 
     def __init__(
         self,
@@ -277,7 +277,7 @@ class Writer:
 
 
 class Numbers(NamedTuple):
-    """Hold the numbers that a program leaves after a trial; see the global variables of this module."""
+    """Numbers that a program leaves after a trial; see the global variables of this module."""
 
     start: float
     first_error: float

@@ -10,7 +10,7 @@ from openmm_sier.engines.native.trials import stopped_mass, why_not
 from openmm_sier.engines.program import Program, Trials
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.solver_trial import may_not_converge
+from openmm_sier.system.solver_test import may_not_converge
 
 
 def general_program(method: IntegrationMethod) -> Program:

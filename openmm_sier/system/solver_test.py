@@ -59,7 +59,7 @@ def may_not_converge(system: openmm.System) -> bool:
     return not (edges == np.roll(edges, 1, axis=1)).any(axis=1).all()
 
 
-class SolverTrial:
+class SolverTest:
     """Trial of the constraints of a System that form rings; OpenMM can always solve trees, such as HBonds."""
 
     def __init__(self, system: openmm.System):

@@ -5,7 +5,7 @@ import openmm
 import pytest
 from openmm import app
 
-from openmm_sier.system.solver_trial import SolverTrial
+from openmm_sier.system.solver_test import SolverTest
 from tests.support.constrained_molecules import ConstrainedMolecule, benzene, complete, formate, methane, triangle
 from tests.support.molecules import TETRAHEDRON
 from tests.support.peptides import capped_alanine_box, forcefield
@@ -51,7 +51,7 @@ UNSOLVED = {
 
 
 def trial(molecule, *forces):
-    return SolverTrial(assembled(molecule.masses, *forces, constraints=molecule.constraints()))
+    return SolverTest(assembled(molecule.masses, *forces, constraints=molecule.constraints()))
 
 
 def unsolved(molecule, *forces):
@@ -94,7 +94,7 @@ def test_one_molecule_among_many():
     masses = [mass for molecule in molecules for mass in molecule.masses]
     constraints = [row for i, molecule in enumerate(molecules) for row in molecule.constraints(3 * i)]
     places = np.concatenate([molecule.places for molecule in molecules])
-    assert SolverTrial(assembled(masses, constraints=constraints)).unsolved(lambda: places) == (15, 16, 17)
+    assert SolverTest(assembled(masses, constraints=constraints)).unsolved(lambda: places) == (15, 16, 17)
 
 
 def test_frozen_atoms_have_no_constraints():
@@ -104,8 +104,8 @@ def test_frozen_atoms_have_no_constraints():
 def test_usual_systems():
     for model in ("tip3p", "tip4pew", "tip5p", "spce"):
         _, positions, system = cluster_system(3, model)
-        assert not SolverTrial(system).unsolved(lambda positions=positions: positions)
+        assert not SolverTest(system).unsolved(lambda positions=positions: positions)
     topology, positions = capped_alanine_box(waters=3)
     for constraints in (app.HBonds, app.AllBonds, app.HAngles):
         system = forcefield().createSystem(topology, constraints=constraints)
-        assert not SolverTrial(system).unsolved(lambda: positions)
+        assert not SolverTest(system).unsolved(lambda: positions)
