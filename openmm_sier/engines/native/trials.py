@@ -195,12 +195,14 @@ class Writer:
         to.addComputePerDof("v", f"{SHARE}*{old} + sqrt((1 - {SHARE}*{SHARE})*{THERMAL}/m)*gaussian")
         to.addConstrainVelocities()
         to.addComputeSum(START_KINETIC, KINETIC_ENERGY)
+        if not self._trials.steps_alone:
+            to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
+        # OpenMM computes this with the velocities, in one kernel.
+        to.addComputePerDof(START_V, "v")
         if self._trials.steps_alone:
             to.addComputeGlobal(THRESHOLD, "-log(uniform)")
         else:
-            to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
             to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
-        to.addComputePerDof(START_V, "v")
         self._energy_of(START)
 
     def _energy_of(self, name: str) -> None:
