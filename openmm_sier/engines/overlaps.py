@@ -56,8 +56,8 @@ def _stiffness(context: openmm.Context, bodies: BodySet) -> np.ndarray:
     displaced[moved] += shifts[owners]
 
     def forces() -> np.ndarray:
-        found = openmm.Context.getState(context, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)[moved]
-        return np.stack([np.bincount(owners, column, bodies.n) for column in found.T], axis=1)
+        forces = openmm.Context.getState(context, forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)[moved]
+        return np.stack([np.bincount(owners, column, bodies.n) for column in forces.T], axis=1)
 
     with interrupts.deferred():
         before = forces()

@@ -110,17 +110,17 @@ def tune(
         raise ValueError("the integrator's step must be above zero, got 0")
     bill = _Bill(integrator.forceEvaluations)
     try:
-        found = [
+        candidates = [
             _try_scheme(context, _Choice.of(scheme, integrator, start), start.time, acceptance, trials, bill)
             for scheme in compared
         ]
-        best = _cheapest(found)
+        best = _cheapest(candidates)
         others = [_Choice(best.scheme, number, best.step) for number in divisions]
-        found += [_try_scheme(context, other, start.time, acceptance, trials, bill) for other in others]
-        best = _cheapest(found)
+        candidates += [_try_scheme(context, other, start.time, acceptance, trials, bill) for other in others]
+        best = _cheapest(candidates)
         of_lengths = _compare_lengths(context, best, start, samples, counts, bill)
         steps = _best_length(of_lengths).steps
-        own = next((each for each in found if each.is_of(integrator.scheme, integrator.substeps)), None)
+        own = next((each for each in candidates if each.is_of(integrator.scheme, integrator.substeps)), None)
         if own is not None:
             _set(integrator, own.step, steps if own is best else max(1, round(best.step * steps / own.step)))
     except BaseException:
@@ -130,7 +130,7 @@ def tune(
     integrator.resetStatistics()
     script = _script(integrator, best, steps)
     forces, is_set = bill.total(integrator), best is own
-    return Tuning(best.scheme, best.step, steps, tuple(found), of_lengths, forces, script, is_set, best.substeps)
+    return Tuning(best.scheme, best.step, steps, tuple(candidates), of_lengths, forces, script, is_set, best.substeps)
 
 
 class _Start(NamedTuple):
@@ -284,8 +284,8 @@ def _try_scheme(
     return SchemeFound(scheme, step, expected, seconds / expected, tuple(tried), substeps=substeps)
 
 
-def _cheapest(found: Sequence[SchemeFound]) -> SchemeFound:
-    best = min(found, key=lambda each: each.seconds)
+def _cheapest(candidates: Sequence[SchemeFound]) -> SchemeFound:
+    best = min(candidates, key=lambda each: each.seconds)
     if best.refused:
         raise openmm.OpenMMException(best.refused)
     return best
@@ -307,13 +307,13 @@ def _find_step(
     longest, refusal, step = math.inf, None, min(first, most)
     for _ in range(ATTEMPTS):
         try:
-            found = _try_step(context, step, max(1, round(time / step)), trials)
+            attempt = _try_step(context, step, max(1, round(time / step)), trials)
         except openmm.OpenMMException as error:
             # For example, the step is too long for a bond.
-            found, refusal, longest = StepFound(step, math.inf, 0.0), error, step
-        tried.append(found)
+            attempt, refusal, longest = StepFound(step, math.inf, 0.0), error, step
+        tried.append(attempt)
         # Of errors that are all zero, a longer step is tried.
-        factor = (spread_at(wanted) / found.spread) ** (1 / order) if found.spread else LONGER
+        factor = (spread_at(wanted) / attempt.spread) ** (1 / order) if attempt.spread else LONGER
         following = min(step * min(LONGER, max(SHORTER, factor)), 0.9 * longest, most)
         if abs(following / step - 1) < SETTLED:
             return tried, following if refusal is None else step
@@ -351,16 +351,16 @@ def _compare_lengths(
     if counts is None:
         counts = [max(1, round(factor * start.time / best.step)) for factor in LENGTHS]
     tried_in = _context_for(context, best.scheme, best.substeps)
-    found = []
+    lengths = []
     for steps in sorted(set(counts)):
         several = max(FEWEST, round(samples * start.time / (best.step * steps)))
         try:
-            found.append(_try_length(tried_in, best.step, steps, several))
+            lengths.append(_try_length(tried_in, best.step, steps, several))
         except openmm.OpenMMException as error:
-            found.append(LengthFound(steps, refused=" ".join(str(error).split())))
+            lengths.append(LengthFound(steps, refused=" ".join(str(error).split())))
     if tried_in is not context:
         bill.add(tried_in.getIntegrator())
-    return tuple(found)
+    return tuple(lengths)
 
 
 def _try_length(context: openmm.Context, step: float, steps: int, samples: int) -> LengthFound:
@@ -375,9 +375,9 @@ def _try_length(context: openmm.Context, step: float, steps: int, samples: int) 
     return LengthFound(steps, _chances(errors), forces, inefficiency_and_error(np.array(energies)), seconds)
 
 
-def _best_length(found: Sequence[LengthFound]) -> LengthFound:
+def _best_length(lengths: Sequence[LengthFound]) -> LengthFound:
     """Return the cheapest; of those without an error, or refused, only if no other is."""
-    best = min(found, key=lambda each: (each.refused != "", math.isnan(each.duration[1]), np.nansum(each.duration)))
+    best = min(lengths, key=lambda each: (each.refused != "", math.isnan(each.duration[1]), np.nansum(each.duration)))
     if best.refused:
         raise openmm.OpenMMException(best.refused)
     return best

@@ -91,19 +91,19 @@ class BodyForces:
     def energy(self, state: BodyState) -> float:
         """Return the potential energy at a state, kJ/mol, of all groups that move the bodies."""
         q, A = state.q, state.A
-        found = next((kept for kept in self._energies if kept[0] is q and kept[1] is A), None)
-        if found is None:
+        entry = next((cached for cached in self._energies if cached[0] is q and cached[1] is A), None)
+        if entry is None:
             self.place(q, A)
-            found = (q, A, self._energy_of(self._groups))
-        self._keep_energy(found)
-        return found[2]
+            entry = (q, A, self._energy_of(self._groups))
+        self._keep_energy(entry)
+        return entry[2]
 
     def _energy_of(self, groups: int) -> float:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
         return _potential(openmm.Context.getState(self._context, energy=True, groups=groups))
 
-    def _keep_energy(self, found: tuple[np.ndarray, np.ndarray, float]) -> None:
-        self._energies = [*(kept for kept in self._energies if kept is not found), found][-2:]
+    def _keep_energy(self, entry: tuple[np.ndarray, np.ndarray, float]) -> None:
+        self._energies = [*(cached for cached in self._energies if cached is not entry), entry][-2:]
 
     def take_energy(self, with_evaluation: int) -> None:
         """Compute the energy too with the evaluation of this number, for a tenth of what it costs alone."""
@@ -117,13 +117,13 @@ class BodyForces:
         self.evaluations += 1
         self.place(q, A)
         if self.evaluations == self._with_energy:
-            found = openmm.Context.getState(self._context, forces=True, energy=True, groups=groups)
+            state = openmm.Context.getState(self._context, forces=True, energy=True, groups=groups)
             others = self._groups & ~groups
-            self._keep_energy((q, A, _potential(found) + (self._energy_of(others) if others else 0.0)))
+            self._keep_energy((q, A, _potential(state) + (self._energy_of(others) if others else 0.0)))
         else:
-            found = openmm.Context.getState(self._context, forces=True, groups=groups)
+            state = openmm.Context.getState(self._context, forces=True, groups=groups)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
-        found._getVectorAsNumpy(openmm.State.Forces, self._vectors)
+        state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         try:
             return self.bodies.forces_and_torques(self._vectors, A)
         except NotFiniteError as error:

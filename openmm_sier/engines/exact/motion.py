@@ -79,13 +79,13 @@ class Motion:
 
     def _operators(self, method: IntegrationMethod, longest: float) -> dict[str, Operator]:
         """Return the operators that execute a method, by name."""
-        found = dict(self._outer)
+        by_name = dict(self._outer)
         if method.bath is not None:
             bath = constrained.bath_operator(method.bath, self._bodies, self._tally)
-            found[BATH] = partial(self._remembered, bath)
+            by_name[BATH] = partial(self._remembered, bath)
         if self.fast is not None and self.solute is not None and longest:
-            found |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
-        return found
+            by_name |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
+        return by_name
 
     def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
         """Let a bath act, and leave what it made as `after_bath`."""

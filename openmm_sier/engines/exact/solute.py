@@ -27,13 +27,13 @@ def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarra
         SoluteError: a Force of the groups is not a bonded force, or one of its terms acts on a particle that moves with
             no body.
     """
-    found, wanted = [], frozenset(groups)
+    copies, chosen_groups = [], frozenset(groups)
     for force in system.getForces():
-        if force.getForceGroup() in wanted and kind_of(force).exerts_forces:
+        if force.getForceGroup() in chosen_groups and kind_of(force).exerts_forces:
             terms = _checked_terms(force, owner, moving)
             if len(terms):
-                found.append(with_working_terms(force, owner))
-    return found
+                copies.append(with_working_terms(force, owner))
+    return copies
 
 
 def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> np.ndarray:

@@ -99,8 +99,8 @@ class AtomCache:
     @property
     def both(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities, by one request where neither is known."""
-        found = self._vectors(POSITIONS, VELOCITIES)
-        return found[POSITIONS], found[VELOCITIES]
+        vectors = self._vectors(POSITIONS, VELOCITIES)
+        return vectors[POSITIONS], vectors[VELOCITIES]
 
     def _vectors(self, *names: str) -> dict[str, np.ndarray]:
         missing = [name for name in names if name not in self._cached]

@@ -89,11 +89,11 @@ def refuse_other_slow_groups(program: Program, system: openmm.System, groups: in
     Raises:
         openmm.OpenMMException: somebody changed the groups after the program was written.
     """
-    named, found = program.slow_group, slow_groups(system, groups, fast_groups)
-    if named is not None and found != (named,):
+    group, present = program.slow_group, slow_groups(system, groups, fast_groups)
+    if group is not None and present != (group,):
         raise openmm.OpenMMException(
-            f"Force groups have changed since the Context was made: its slow forces were in force group {named}, and "
-            f"are now in {found or 'none'}. Set force groups before the Context is made, or take engine='exact'"
+            f"Force groups have changed since the Context was made: its slow forces were in force group {group}, and "
+            f"are now in {present or 'none'}. Set force groups before the Context is made, or take engine='exact'"
         )
 
 
