@@ -31,8 +31,10 @@ class ForceKind(NamedTuple):
     """Properties of a class of Forces. The defaults are those of most classes of OpenMM.
 
     Attributes:
-        acts_on: "terms" of a few listed atoms; "pairs" of all its particles, or functions of these; "particles" one by
-            one; the "whole", as a function of many atoms; or "nothing", if it exerts no forces.
+        acts_on: "terms" of a few listed atoms or of donors and acceptors, to which particles of frames can be added;
+            "pairs" of all its particles, or functions of these, and the "whole", a function of many atoms: both need
+            parameters for each particle, so that copies with frames refuse unknown ones; "particles" one by one, so
+            that a lone body feels a torque and momentum is not conserved; or "nothing", if it exerts no forces.
         stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
             expressions and collective variables of few atoms; or "unknown".
         terms: XML form of the terms of a bonded Force, which can be fast; None for other Forces.
