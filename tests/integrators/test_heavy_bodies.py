@@ -7,7 +7,7 @@ import openmm
 import pytest
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.analysis.observables import energy_error
 from openmm_sier.system.mobilities import mobilities
 from tests.support.cages import cage
@@ -64,7 +64,8 @@ def liquid(kind):
 @pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "expected"), [("hexafluorobenzene", 49), ("cage of carbon", 288)])
 def test_steps_grow_as_the_root_of_the_smallest_effective_mass(kind, expected):
-    system, positions, bodies = liquid(kind)
+    system, positions, rigid = liquid(kind)
+    bodies = RigidBodies.from_system(system, rigid=rigid, positions=positions)
     bath = seeded(SIERLangevinIntegrator(300, 10, 0.002, bodies=bodies), 1)
     context = context_at(system, bath, (positions, 0 * positions), "CPU")
     openmm.LocalEnergyMinimizer.minimize(context, 10, 100)

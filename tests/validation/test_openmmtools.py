@@ -10,6 +10,7 @@ import pytest
 from openmm import unit
 
 from openmm_sier import SIER2, SIER4G, SIER4P, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier.integrators.settings import as_json
 from tests.support.seeded import seeded
 from tests.support.waters import array, droplet, periodic_system, platform, settled
 
@@ -76,7 +77,8 @@ def test_the_cache_gives_what_it_is_asked_for(box):
         results = [contexts.get_context(state, INTEGRATORS[name]()) for name in (before, asked)]
         assert results[0][0] is not results[1][0], (before, asked)
         for name, (context, integrator) in zip((before, asked), results, strict=True):
-            assert integrator.impl.settings == INTEGRATORS[name]().impl.settings, (before, asked)
+            settings, expected = (as_json(each.impl.settings) for each in (integrator, INTEGRATORS[name]()))
+            assert settings == expected, (before, asked)
             assert contexts.get_context(state, INTEGRATORS[name]())[0] is context, (before, asked)
 
 
@@ -116,7 +118,7 @@ class LangevinMove(mcmc.BaseIntegratorMove):
     """Rigid-body Langevin dynamics as a move; it keeps the temperatures that it finds by that of the state, in K."""
 
     #: Of the class, since samplers copy their moves.
-    results: ClassVar[dict[int, list[float]]] = {}
+    temperatures: ClassVar[dict[int, list[float]]] = {}
 
     def _get_integrator(self, thermodynamic_state):
         return langevin(thermodynamic_state.temperature / KELVIN, scheme=SIER4G)
@@ -127,7 +129,7 @@ class LangevinMove(mcmc.BaseIntegratorMove):
         assert integrator.scheme == SIER4G.with_bath()
         assert integrator.getTemperature() == thermodynamic_state.temperature
         temperature = integrator.computeSystemTemperature() / KELVIN
-        self.found.setdefault(round(thermodynamic_state.temperature / KELVIN), []).append(temperature)
+        self.temperatures.setdefault(round(thermodynamic_state.temperature / KELVIN), []).append(temperature)
 
 
 class ConstantEnergyMove(mcmc.IntegratorMove):
@@ -173,7 +175,7 @@ def test_replica_exchange(drop, tmp_path):
     An iteration of 0.1 ps leaves exp(-2 * 20/ps * 0.1 ps) = 2 % of a kinetic energy. The mean of 125 of them with 48
     degrees of freedom has an error of T sqrt(2/48/125) = 1.8 %, 5 to 6 K, and another place in the ladder is 50 K away.
     """
-    LangevinMove.found.clear()
+    LangevinMove.temperatures.clear()
     sampler = multistate.ReplicaExchangeSampler(
         mcmc_moves=LangevinMove(n_steps=STEPS),
         number_of_iterations=ITERATIONS,
@@ -191,8 +193,8 @@ def test_replica_exchange(drop, tmp_path):
     # Every replica has changed its place. Of nearly harmonic forces on 48 degrees of freedom half of the exchanges is
     # accepted, so that those at the ends of the ladder stay with a probability of (3/4)^130 = 6e-17.
     assert all(len(set(column)) > 1 for column in visited.T)
-    assert sorted(LangevinMove.found) == list(LADDER)
-    for kelvin, values in LangevinMove.found.items():
+    assert sorted(LangevinMove.temperatures) == list(LADDER)
+    for kelvin, values in LangevinMove.temperatures.items():
         assert len(values) == ITERATIONS
         # Six and a half standard errors, since machines round differently and each has its own trajectory; the first
         # iterations are left out, in which velocities of 297 K are forgotten.
