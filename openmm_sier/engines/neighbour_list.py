@@ -17,7 +17,7 @@ FAR = 1000.0
 
 
 def is_remembered(context: openmm.Context) -> bool:
-    """Tell whether the neighbour list is all that forces depend on besides the state of the Context."""
+    """Return whether the neighbour list is all that forces depend on besides the state of the Context."""
     platform = context.getPlatform()
     if platform.getName() != "CPU" or platform.getPropertyValue(context, "Threads") != "1":
         return False

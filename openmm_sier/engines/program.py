@@ -36,12 +36,12 @@ class Statement(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Tell whether it changes the forces."""
+        """Return whether it changes the forces."""
         return self.target in ("x", CONSTRAIN_X)
 
     @property
     def needs_force(self) -> bool:
-        """Tell whether it uses forces that may act on virtual sites; forces of single groups do not."""
+        """Return whether it uses forces that may act on virtual sites; forces of single groups do not."""
         return "f/m" in self.expression
 
     def __str__(self) -> str:

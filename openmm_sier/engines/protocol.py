@@ -82,7 +82,8 @@ class Changes(Flag):
 class Engine(ABC):
     """The motion of the bodies of one Context.
 
-    Abstract methods are those of each engine. The others are built from them, and no engine replaces them.
+    Abstract methods are those of each engine. The others are built from them, and no engine replaces them. Attributes
+    may be properties of an engine.
 
     Attributes:
         name: by which users ask for the engine.

@@ -38,7 +38,7 @@ class Langevin(ConstantTemperature):
 
     @property
     def has_friction(self) -> bool:
-        """Tell whether translation has friction; that of rotation alone leaves the total momentum as it is."""
+        """Return whether translation has friction; that of rotation alone leaves the total momentum as it is."""
         return self.friction > 0
 
     def scheme_for(self, scheme: Scheme) -> Scheme:

@@ -120,7 +120,6 @@ class IntegratorImpl:
         #: The length of a step of the integrator, ps, and the temperature of the ensemble, K; 0 without one.
         self._duration = self.settings.step * self.ensemble.steps
         self._temperature = getattr(self.ensemble, "temperature", 0.0)
-        self.changed()
         integrator = self._integrator
         openmm.CustomIntegrator.setStepSize(integrator, self.settings.step / self.native_steps)
         settings.store(integrator, self.settings)

@@ -143,7 +143,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
 
     @property
     def conservesMomentum(self) -> bool:
-        """Tell whether the total momentum is conserved, so that three degrees of freedom hold no heat.
+        """Return whether the total momentum is conserved, so that three degrees of freedom hold no heat.
 
         See `openmm_sier.system.temperature.MomentumConservation`.
         """

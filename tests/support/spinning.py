@@ -18,7 +18,7 @@ STEP = 0.04
 
 
 def system(box=None):
-    """A hydrogen on a carbon, without forces; in a periodic box with this edge in nm, or none."""
+    """Return a hydrogen on a carbon without forces, in a periodic box with this edge in nm or without a box."""
     made = assembled([12.0, 1.0], constraints=[(0, 1, LENGTH)])
     if box is not None:
         made.setDefaultPeriodicBoxVectors(*np.eye(3) * box)
@@ -29,12 +29,12 @@ def system(box=None):
 
 
 def broken(positions):
-    """How far the atoms are off their constraint, nm."""
+    """Return the error of the constrained distance, nm."""
     return abs(np.linalg.norm(positions[1] - positions[0]) - LENGTH)
 
 
 def rejected(context, trials):
-    """The number of trials that are rejected, each of which leaves the start; no sample is off the constraint."""
+    """Return how many of some trials are rejected. Each of these leaves the start; samples satisfy the constraint."""
     integrator, count = context.getIntegrator(), 0
     integrator.impl.stored.tally.counts[metropolis.CHECKED_STEP] = STEP
     for _ in range(trials):

@@ -37,7 +37,7 @@ class BodyActions(Actions):
         self._engine = weakref.proxy(engine)
 
     def _is_unsolved(self) -> bool:
-        """Tell whether OpenMM's solvers cannot satisfy the constraints."""
+        """Return whether OpenMM's solvers cannot satisfy the constraints."""
         return bool(self._trial.unsolved(self._positions))
 
     def _holds_all_bodies(self) -> bool:

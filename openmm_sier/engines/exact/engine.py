@@ -211,6 +211,7 @@ class ExactEngine(Engine):
             if method.updates_context and self.updates.removers and self.updates.stops_centre(steps):
                 point = self._stopped(point)
             point = stepper(point)
+            # One statement: an error between two would leave the new point at the old time.
             self._point, self.clock = point, Clock(time + method.step, steps + 1)
         except BaseException as error:
             tally.restore(mark)

@@ -66,7 +66,7 @@ class BodyForces:
         self._placed = q, A
 
     def is_at(self, q: np.ndarray, A: np.ndarray) -> bool:
-        """Tell whether the Context has the positions of bodies at (q, A)."""
+        """Return whether the Context has the positions of bodies at (q, A)."""
         return self._placed[0] is q and self._placed[1] is A
 
     def take_positions(self, now: Snapshot) -> None:
@@ -110,7 +110,7 @@ class BodyForces:
         self._with_energy = with_evaluation
 
     def forget_energies(self) -> None:
-        """Compute energies anew next time: positions, box, parameters or the potential were changed."""
+        """Discard cached energies: positions, box, parameters or the potential were changed."""
         self._energies = []
 
     def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

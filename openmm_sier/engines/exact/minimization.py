@@ -19,7 +19,7 @@ from openmm_sier.system import tables
 
 
 def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
-    """Tell whether every distance inside every body is constrained."""
+    """Return whether every distance inside every body is constrained."""
     constraints = tables.constraints(system)
     return all(constraints.hold(species.atoms).all() for species in bodies.species)
 

@@ -102,7 +102,7 @@ class Motion:
         self, bodies: BodySet, forces: CachedForces, scheme: Scheme, longest: float
     ) -> dict[str, Operator]:
         """Return drifts in which fast forces move some bodies."""
-        # One RATTLE step in each drift beside a bath: SIER2's own errors are larger.
+        # One RATTLE step in each drift next to a bath: SIER2's own errors are larger.
         composition = (1.0,) if scheme.bath_divides_drift else TRIPLE_JUMP
         within = constrained.constrained_operators(
             bodies, forces, bodies.constraints, self._rotation, self._groups[self._members], composition

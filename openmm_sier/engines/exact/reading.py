@@ -65,7 +65,7 @@ class Fitting:
     """Fit of bodies to atoms, which warns once of bodies that are moved onto their constraints."""
 
     def __init__(self) -> None:
-        self._told_of_misfit = False
+        self._has_warned_of_misfit = False
 
     def __call__(
         self, bodies: BodySet, now: Snapshot, previous: BodyState | None = None
@@ -84,8 +84,8 @@ class Fitting:
         if len(bodies.constraints.pairs):
             q, moved = _onto_constraints(bodies, q)
             misfit = np.maximum(misfit, moved)
-        if not self._told_of_misfit:
-            self._told_of_misfit = checks.warn_about_misfit(bodies, misfit)
+        if not self._has_warned_of_misfit:
+            self._has_warned_of_misfit = checks.warn_about_misfit(bodies, misfit)
         return q, A
 
 

@@ -64,14 +64,14 @@ class AtomCache:
             openmm.Context.setVelocities(self._context, self._cached[VELOCITIES])
 
     def forget(self) -> None:
-        """Write what is unwritten, and read everything anew: somebody is about to move atoms, or has moved them."""
+        """Write unwritten velocities and discard the cache, before atoms are moved or after that."""
         self.publish()
         self._cached = {}
         self._box = None
         self.forget_velocities()
 
     def forget_velocities(self) -> None:
-        """Read velocities anew: they were replaced in the Context, and positions were not."""
+        """Discard cached velocities: they were replaced in the Context, and positions were not."""
         self._cached.pop(VELOCITIES, None)
         self._is_unwritten = False
         self._kinetic = None
@@ -122,7 +122,7 @@ class AtomCache:
         openmm.Context.setPeriodicBoxVectors(self._context, *box)
 
     def write_positions(self, positions: np.ndarray) -> None:
-        """Set positions. GPU platforms may round them, so that they are read anew."""
+        """Set positions. GPU platforms may round them, so that they are read again."""
         self._cached.pop(POSITIONS, None)
         openmm.Context.setPositions(self._context, positions)
 

@@ -1,4 +1,4 @@
-"""Atoms that somebody has put off their constraints: OpenMM moves them onto these before a run goes on."""
+"""Constraints at the start of a run: OpenMM moves atoms onto them that were set elsewhere."""
 
 import numpy as np
 import openmm
@@ -8,7 +8,7 @@ from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system.cut_molecules import IF_CUT
 from openmm_sier.system.tables import Constraints
 
-#: Atoms further than this off their constraints, in nm or nm/ps, were put there from outside and are moved onto them.
+#: Atoms whose constraints have larger errors than this, in nm or nm/ps, were set by a user and are moved onto them.
 #: OpenMM's own constraints leave errors of up to 5e-9 nm, since SETTLE works with lengths in single precision.
 OFF = 1e-7
 

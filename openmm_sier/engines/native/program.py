@@ -161,7 +161,7 @@ def write(
 
 
 def _leaves_constrained(line: Line) -> bool:
-    """Tell whether velocities satisfy the constraints after a line."""
+    """Return whether velocities satisfy the constraints after a line."""
     changes = [statement.target for statement, _ in line.executed() if statement.target in ("v", CONSTRAIN_V)]
     return changes[-1:] == [CONSTRAIN_V]
 
