@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from typing import Any
 
-from openmm_sier.engines.interrupts import handlers_in_use
+from openmm_sier.engines.interrupts import SIGNALS
 
 
 class Stopped(KeyboardInterrupt):
@@ -43,8 +43,8 @@ class StopRequests:
 
     def __enter__(self) -> StopRequests:
         # A signal that the parent process ignores stays ignored, which `nohup` and background jobs rely on.
-        handlers = handlers_in_use().items()
-        self._previous = {signum: handler for signum, handler in handlers if handler not in (signal.SIG_IGN, None)}
+        handlers = {signum: signal.getsignal(signum) for signum in SIGNALS}
+        self._previous = {n: handler for n, handler in handlers.items() if handler not in (signal.SIG_IGN, None)}
         for signum in self._previous:
             signal.signal(signum, signal.SIG_DFL)
         return self

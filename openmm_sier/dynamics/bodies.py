@@ -370,18 +370,6 @@ class BodySet:
         kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
         return velocities
 
-    def displaced(self, q: np.ndarray, A: np.ndarray, F: np.ndarray, tau: np.ndarray, shift: float) -> Pair:
-        """Return centres and attitudes displaced by `shift` times the accelerations due to forces and torques.
-
-        Args:
-            q, F, tau: (3, n).
-            A: (3, 3, n).
-            shift: half the square of a time, ps^2.
-        """
-        new_q, new_A, inverses = np.empty(q.shape), np.empty(A.shape), (self.inverse_masses, self.inverse_moments)
-        kernels.bodies.displace(self.n, q, A, F, tau, shift, *inverses, new_q, new_A)
-        return new_q, new_A
-
     @cached_property
     def inverse_masses(self) -> np.ndarray:
         """Inverse masses, (n,), 1/dalton."""
@@ -421,6 +409,12 @@ class BodySet:
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
         """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
         return BodyState(state.q, state.p + self.masses * velocity[:, None], state.A, state.L)
+
+    def stopped(self, state: BodyState) -> tuple[BodyState, float]:
+        """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""
+        velocity = self.centre_velocity(state.p)
+        p = state.p - self.masses * velocity[:, None]
+        return BodyState(state.q, p, state.A, state.L), 0.5 * self.mass * float(velocity @ velocity)
 
     def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
         """Return the energy gain when a velocity is added to all bodies, kJ/mol.

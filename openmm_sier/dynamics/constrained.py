@@ -68,7 +68,7 @@ def constrained_operators(
     """
     drift = constrained_drift(operators.drift(bodies, rotation), constraints, composition)
     return {
-        KICK: operators.kick(forces),
+        KICK: operators.kick(bodies, forces),
         GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
         **operators.drifts(drift),
         AFTER_STEP: projection(constraints),
@@ -126,20 +126,24 @@ def bath_operator(bath: Thermostat, bodies: BodySet, tally: Tally) -> Operator:
 def constrained_gradient_kick(
     bodies: BodySet, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
-    """Return the gradient kick of bodies with constraints; see the module and `operators.gradient_kick`.
+    """Return the gradient kick of bodies with constraints; see the module and `operators.kick`.
 
     The operator raises ConstraintError if no positions near the displaced ones satisfy the constraints.
     """
     displaced = DisplacedForces(constraints, groups)
     grouped = np.flatnonzero(displaced.grouped)
+    columns = constraints.members
+    inverses = bodies.inverse_masses, bodies.inverse_moments
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
         F, tau = forces(state)
-        q, A = bodies.displaced(state.q, state.A, F, tau, shift)
-        columns = constraints.members
+        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
+        kernels.bodies.displace(bodies.n, state.q, state.A, F, tau, shift, *inverses, q, A)
         q[:, columns] = constraints.displaced(state.q, F, shift)[:, columns]
-        F, tau = forces.at(q, A)
-        p, L = operators.momenta_kicked_at(q, state, displaced(state.q, q, F), tau, h)
+        F, tau = forces.compute(q, A)
+        F = displaced(state.q, q, F)
+        p, L = np.empty(state.p.shape), np.empty(state.L.shape)
+        kernels.bodies.kick(bodies.n, state.p, state.L, F, tau, h, state.q, q, p, L)
         L[:, grouped] = state.L[:, grouped]
         return BodyState(state.q, p, state.A, L)
 

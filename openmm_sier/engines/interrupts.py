@@ -12,18 +12,10 @@ from typing import Any
 #: Signals that usually end a program: Ctrl-C, and those of batch systems and of closing terminals.
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
+#: Signals that came since they were deferred.
+pending: list[tuple[int, FrameType | None]] = []
+
 _handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
-_pending: list[tuple[int, FrameType | None]] = []
-
-
-def handlers_in_use() -> dict[int, Any]:
-    """Return the handlers of `SIGNALS` by number; none outside the main thread, where Python never calls them."""
-    if threading.current_thread() is not threading.main_thread():
-        return {}
-    handlers = {}
-    for number in SIGNALS:
-        handlers[number] = _signal.getsignal(number)
-    return handlers
 
 
 def defer() -> dict[int, Any] | None:
@@ -34,11 +26,14 @@ def defer() -> dict[int, Any] | None:
     Returns:
         The handlers, for `release`; None where signals wait already, or need not.
     """
-    handlers = handlers_in_use()
-    if _handlers or not handlers:
+    # Python calls handlers in the main thread alone.
+    if _handlers or threading.current_thread() is not threading.main_thread():
         return None
+    handlers = {}
     try:
-        for number, handler in handlers.items():
+        for number in SIGNALS:
+            handler = _signal.getsignal(number)
+            handlers[number] = handler
             if callable(handler):
                 _handlers[number] = handler
                 _signal.signal(number, _wait)
@@ -56,7 +51,7 @@ def release(handlers: dict[int, Any] | None) -> None:
     # entry would make the next block take itself for a nested one.
     while _handlers:
         _signal.signal(*_handlers.popitem())
-    if _pending:
+    if pending:
         _call_handlers(handlers)
 
 
@@ -73,15 +68,15 @@ def deferred() -> Iterator[None]:
 
 def act_on_pending() -> None:
     """Call the handlers of signals that came since `deferred`; that of Ctrl-C raises KeyboardInterrupt."""
-    if _pending:
+    if pending:
         _call_handlers(dict(_handlers))
 
 
 def _wait(number: int, frame: FrameType | None) -> None:
-    _pending.append((number, frame))
+    pending.append((number, frame))
 
 
 def _call_handlers(handlers: dict[int, Any]) -> None:
-    while _pending:
-        number, frame = _pending.pop(0)
+    while pending:
+        number, frame = pending.pop(0)
         handlers[number](number, frame)

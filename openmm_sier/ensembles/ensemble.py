@@ -25,6 +25,10 @@ SIZE, MOVES, ACCEPTED_MOVES = (PREFIX + name for name in ("volume_size", "volume
 UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
 
 
+#: Makes a number of steps of the integrator.
+Runner = Callable[[int], None]
+
+
 class Move(NamedTuple):
     """A move of an ensemble between steps.
 
@@ -97,28 +101,30 @@ class Ensemble:
         """The moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
-    def run(self, engine: Engine, steps: int) -> None:
-        """Advance by steps of the integrator, with the moves where they are due."""
+    def runner(self, engine: Engine) -> Runner:
+        """Return a function that makes steps with an engine, and the moves of the ensemble where they are due."""
+        advance = self.advancer(engine)
+        return partial(self._run, engine, advance) if self.moves else advance
+
+    def advancer(self, engine: Engine) -> Runner:
+        """Return a function that makes steps with an engine, none of which has moves before it."""
+        return engine.propagate
+
+    def _run(self, engine: Engine, advance: Runner, steps: int) -> None:
+        """Make steps, each after the moves that are due before it."""
         moves = self.moves
-        if not moves:
-            self.advance(engine, steps)
-            return
         while steps:
             made = engine.clock.steps
             free = min(steps, *(move.every - 1 - made % move.every for move in moves))
             if free:
-                self.advance(engine, free)
+                advance(free)
             else:
                 with engine.transaction(keeps_completed=True):
                     for move in moves:
                         if (made + 1) % move.every == 0:
                             move.act(engine)
-                    self.advance(engine, 1)
+                    advance(1)
             steps -= free or 1
-
-    def advance(self, engine: Engine, steps: int) -> None:
-        """Advance by steps of the integrator, none of which has moves before it."""
-        engine.propagate(steps)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from openmm_sier.engines.protocol import Clock, Engine
 from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
 from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
 from openmm_sier.engines.variables import PREFIX
-from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
+from openmm_sier.ensembles.ensemble import ConstantTemperature, Runner, make_number
 from openmm_sier.system.forces import kind_of
 
 #: Global variables: the step in ps at which reversibility was checked, and the error found, nm.
@@ -119,8 +120,11 @@ class Metropolis(ConstantTemperature):
                 )
         super().check(system, engine)
 
-    def advance(self, engine: Engine, steps: int) -> None:
-        for _ in range(steps):
+    def advancer(self, engine: Engine) -> Runner:
+        return partial(self._make_trials, engine)
+
+    def _make_trials(self, engine: Engine, number: int) -> None:
+        for _ in range(number):
             self._step(engine)
             act_on_pending()
 

@@ -2,8 +2,7 @@
 
 import secrets
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from threading import RLock
 from typing import Any
@@ -68,6 +67,8 @@ class IntegratorImpl:
         self._computations = integrator.getNumComputations()
         self.stored = StoredTally(integrator, Tally(counts=integrator_settings.ensemble.counts))
         self._engine: Engine | None = None
+        #: Makes a number of steps, by the rules of the ensemble.
+        self._run: Callable[[int], None] = lambda steps: None
         self._context: Callable[[], openmm.Context | None] = lambda: None
         self._stepping = RLock()
         self._has_warned_of_noise = False
@@ -86,11 +87,17 @@ class IntegratorImpl:
         Raises:
             openmm.OpenMMException: there is no Context, or no longer.
         """
-        if self._engine is None:
-            raise openmm.OpenMMException("This integrator has no Context: create a Context or Simulation with it first")
-        if self._context() is None:
-            raise openmm.OpenMMException("The Context of this integrator no longer exists")
+        if self._engine is None or self._context() is None:
+            raise self._no_context()
         return self._engine
+
+    def _no_context(self) -> openmm.OpenMMException:
+        """Return the error of a call that needs a Context."""
+        if self._engine is None:
+            message = "This integrator has no Context: create a Context or Simulation with it first"
+        else:
+            message = "The Context of this integrator no longer exists"
+        return openmm.OpenMMException(message)
 
     @property
     def engine_name(self) -> str:
@@ -260,21 +267,15 @@ class IntegratorImpl:
     def step(self, steps: int) -> None:
         """Advance by steps of the integrator; see `SIERIntegrator.step`.
 
+        One thread makes steps, while signals wait for the end of a step. The engine is up to date with the Context
+        first. After an error it publishes the last completed step.
+
         Raises:
             openmm.OpenMMException: another thread is stepping the Context.
         """
-        with self._session() as engine:
-            self.settings.ensemble.run(engine, steps)
-            engine.publish()
-        self.watch.look(self._context(), steps, self._duration, self._temperature)
-
-    @contextmanager
-    def _session(self) -> Iterator[Engine]:
-        """Let one thread make steps with the engine, while signals wait for the end of a step.
-
-        The engine is up to date with the Context first. After an error it publishes the last completed step.
-        """
-        engine = self.engine
+        engine, context = self._engine, self._context()
+        if engine is None or context is None:
+            raise self._no_context()
         # To wait would hang a process that was forked while another thread had the lock.
         if not self._stepping.acquire(blocking=False):
             raise openmm.OpenMMException(
@@ -286,7 +287,8 @@ class IntegratorImpl:
             if engine.changes:
                 self._begin(engine)
             try:
-                yield engine
+                self._run(steps)
+                engine.publish()
             except BaseException:
                 engine.changes |= Changes.SETTINGS
                 engine.recover()
@@ -294,6 +296,10 @@ class IntegratorImpl:
         finally:
             self._stepping.release()
             interrupts.release(handlers)
+        watch = self.watch
+        watch.steps += steps
+        if watch.steps >= watch.pause:
+            watch.look(context, self._duration, self._temperature)
 
     def _begin(self, engine: Engine) -> None:
         """Take over all changes since the last step.
@@ -304,6 +310,7 @@ class IntegratorImpl:
         context = self._context()
         self._compare_temperatures(context, self._temperature)
         self.watch.begin(context)
+        self._run = self.ensemble.runner(engine)
         engine.begin(self.method())
 
     def _compare_temperatures(self, context: openmm.Context, bath: float) -> None:

@@ -196,7 +196,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
             RigidityError: positions set from outside do not form the bodies.
             openmm.OpenMMException: there is no Context, a force is not finite, or the step is too long for a bond.
         """
-        self.impl.step(arguments.whole_number("steps", steps))
+        if type(steps) is not int or steps < 0:
+            steps = arguments.whole_number("steps", steps)
+        self.impl.step(steps)
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all motion, a quantity in K.

@@ -55,8 +55,12 @@ class RunawayError(openmm.OpenMMException):
 class RunawayWatch:
     """A watch that raises an error if steps have made a System far too hot, or velocities not finite.
 
-    It reads the velocities of the Context every `INTERVAL` steps, and more often after a start, at the end of a call of
-    `step`. It does not change the Context.
+    At the end of a call of `step` the caller counts its steps, and looks if a look is due: every `INTERVAL` steps, and
+    more often after a start. The watch reads the velocities of the Context, and does not change it.
+
+    Attributes:
+        steps: number of steps since the last look.
+        pause: number of steps at which a look is due.
     """
 
     def __init__(self, system: openmm.System):
@@ -68,32 +72,30 @@ class RunawayWatch:
     def forget(self) -> None:
         """Forget the start, since positions or velocities were set."""
         self._start: float | None = None
-        self._steps, self._pause = 0, FIRST_LOOK
+        self.steps = 0
+        self.pause = FIRST_LOOK
 
     def begin(self, context: openmm.Context) -> None:
         """Store the temperature of a new start, before its first step."""
         if self._start is None:
             self._start = self._temperature(context)
 
-    def look(self, context: openmm.Context, steps: int, step: float, bath: float = 0.0) -> None:
-        """Check the temperature after steps, if a look is due.
+    def look(self, context: openmm.Context, step: float, bath: float = 0.0) -> None:
+        """Check the temperature after steps.
 
         Args:
             context: openmm.Context, for which `begin` was called before the steps.
-            steps: number of steps.
             step: length of a step, ps.
             bath: temperature of the heat bath, K; 0 without one.
 
         Raises:
             RunawayError: the System is too hot, or a velocity is not finite.
         """
-        self._steps += steps
-        if self._start is None or self._steps < min(self._pause, INTERVAL):
-            return
         # A System that a hot bath has heated may be cooled later.
-        self._start = max(self._start, bath)
-        self._steps = 0
-        self._pause *= 2
+        start = max(self._start or 0.0, bath)
+        self._start = start
+        self.steps = 0
+        self.pause = min(2 * self.pause, INTERVAL)
         temperature = self._temperature(context)
         if not math.isfinite(temperature):
             raise RunawayError(
@@ -101,7 +103,7 @@ class RunawayWatch:
                 "atoms overlap at the start? Take a shorter step, or minimize the energy first; with engine='native' "
                 "also try engine='exact', since OpenMM cannot satisfy all constraints"
             )
-        if self._atoms >= FEWEST_ATOMS and temperature > hottest(self._start, self._freedoms):
+        if self._atoms >= FEWEST_ATOMS and temperature > hottest(start, self._freedoms):
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {temperature:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "

@@ -1,6 +1,7 @@
 """Errors stop a run with a reason, and leave Context and integrator in a state from which the run can continue."""
 
 import gc
+import signal
 import threading
 from itertools import count, pairwise
 
@@ -19,7 +20,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
-from openmm_sier.engines import interrupts
+from openmm_sier.engines.exact.engine import ExactEngine
 from tests.support.faults import Fault, lines_run
 from tests.support.restarts import assert_same, everything
 from tests.support.seeded import seeded
@@ -30,6 +31,14 @@ from tests.support.waters import cluster_system, context_at, force_of, periodic_
 @pytest.fixture(scope="module")
 def cluster():
     return settled("cluster-3-tip4pew", *cluster_system(3, "tip4pew"))
+
+
+@pytest.fixture
+def on_interrupt():
+    """Installs a handler of Ctrl-C; the usual one is back at the end."""
+    before = signal.getsignal(signal.SIGINT)
+    yield lambda handler: signal.signal(signal.SIGINT, handler)
+    signal.signal(signal.SIGINT, before)
 
 
 def langevin(scheme=SIER2, **options):
@@ -152,7 +161,7 @@ def test_a_fault_at_any_line_with_a_barostat(box):
 
 
 @pytest.mark.parametrize("acts", [[openmm.MonteCarloBarostat], [openmm.MonteCarloBarostat, openmm.AndersenThermostat]])
-def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts, monkeypatch):
+def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, acts, monkeypatch, on_interrupt):
     # At 10^5 bar each move to a smaller box is accepted.
     arguments = {openmm.MonteCarloBarostat: (1e5, 297.0, 1), openmm.AndersenThermostat: (297.0, 1.0)}
     system = with_forces(box[1], *(seeded(kind(*arguments[kind]), 5) for kind in acts))
@@ -160,11 +169,17 @@ def test_a_fault_after_a_step_leaves_it_the_box_that_a_barostat_gave_it(box, act
     context = context_at(system, integrator, box[2], "CPU", steps=1)
     seen = []
 
-    def fail():
+    def interrupted(engine, point):
+        complete(engine, point)
+        signal.raise_signal(signal.SIGINT)
+
+    def fail(number, frame):
         seen.append(context.getState().getPeriodicBoxVectors())
         raise Fault
 
-    monkeypatch.setattr(interrupts, "act_on_pending", fail)
+    complete = ExactEngine._complete
+    on_interrupt(fail)
+    monkeypatch.setattr(ExactEngine, "_complete", interrupted)
     boxes = [context.getState().getPeriodicBoxVectors()]
     for step in range(2, 12):
         with pytest.raises(Fault):

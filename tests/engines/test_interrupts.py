@@ -18,7 +18,7 @@ def handled():
     for number, handler in before.items():
         signal.signal(number, handler)
     interrupts._handlers.clear()
-    interrupts._pending.clear()
+    interrupts.pending.clear()
 
 
 def deferring():

@@ -189,26 +189,17 @@ def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A
 
 @shared
 @kernel
-def kick(start, stop, p, L, F, torque, h, new_p, new_L):
-    """Change momenta by forces at the centres and by torques that act for a time h.
+def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
+    """Change momenta by forces at points and by torques about these, which act for a time h.
 
     Args:
         start, stop: range of the bodies.
         p, L, F, torque: (3, n).
         h: time.
+        q: centres of the bodies, (3, n), about which angular momenta are.
+        at: the points, (3, n); q itself for forces at the centres.
         new_p, new_L: written.
     """
-    for x in range(3):
-        for n in range(np.uint64(start), np.uint64(stop)):
-            new_p[x, n] = p[x, n] + h * F[x, n]
-            new_L[x, n] = L[x, n] + h * torque[x, n]
-    return 0
-
-
-@shared
-@kernel
-def kick_elsewhere(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
-    """Change momenta as `kick` does, by forces at other points and torques about these; angular momenta are about q."""
     for n in range(np.uint64(start), np.uint64(stop)):
         force = F[0, n], F[1, n], F[2, n]
         lever = cross((at[0, n] - q[0, n], at[1, n] - q[1, n], at[2, n] - q[2, n]), force)

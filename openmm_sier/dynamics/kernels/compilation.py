@@ -18,6 +18,7 @@ from threading import Timer
 from typing import Any
 
 import numba
+from numba.core import event as events
 from numba.core.caching import FunctionCache
 
 #: Numba's settings, by the names of its environment variables.
@@ -50,18 +51,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
             compiled._cache = _Cache(function)
     except RuntimeError as error:
         _warn_of_no_cache(error)
-    is_new = True
-
-    def call(*arguments: Any) -> Any:
-        nonlocal is_new
-        if not is_new:
-            return compiled(*arguments)
-        with _announced():
-            result = compiled(*arguments)
-        is_new = False
-        return result
-
-    return call
+    return compiled
 
 
 class _Cache(FunctionCache):
@@ -87,16 +77,27 @@ class _Cache(FunctionCache):
             _warn_of_no_cache(error)
 
 
-@contextmanager
-def _announced() -> Iterator[None]:
-    """Log a message if compilation takes long."""
-    timer = Timer(PATIENCE, _announce)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+class _Announcer(events.Listener):
+    """A listener to Numba's compiler, which logs a message if the compilation of a kernel takes long."""
+
+    def __init__(self) -> None:
+        self._timers: dict[Any, Timer] = {}
+
+    def on_start(self, event: Any) -> None:
+        dispatcher = event.data["dispatcher"]
+        if isinstance(dispatcher._cache, _Cache):
+            timer = Timer(PATIENCE, _announce)
+            timer.daemon = True
+            timer.start()
+            self._timers[dispatcher] = timer
+
+    def on_end(self, event: Any) -> None:
+        timer = self._timers.pop(event.data["dispatcher"], None)
+        if timer is not None:
+            timer.cancel()
+
+
+events.register("numba:compile", _Announcer())
 
 
 @cache

@@ -6,7 +6,6 @@ checkpoints (`packing`).
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -19,7 +18,7 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Stepper
+from openmm_sier.dynamics.operators import CachedForces, Call
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
@@ -48,10 +47,13 @@ class ExactEngine(Engine):
         forces: forces and torques on the bodies, and energies, computed by the Context.
         motion: the operators that move the bodies.
         updates: barostats and thermostats of the System.
+        point: the phase point of the last completed step; there is none before the first `synchronize`.
     """
 
     name = "exact"
     repeats_noise = True
+    point: BodyState
+    _has_point = False
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None):
         """
@@ -72,21 +74,20 @@ class ExactEngine(Engine):
         self.step_check = StepCheck(system, self.moving, inner_step)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
-        self._in_kicks = CachedForces(self.forces.in_kicks)
+        self._in_kicks = CachedForces(self.forces.compute)
         self.motion = self._new_motion()
         self._packing = Packing(self.moving)
         self._fitting = Fitting()
         self._remembers_list = neighbour_list.is_remembered(context)
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
-        self._point: BodyState | None = None
         #: Box and parameters for which forces were computed.
         self._environment: Environment | None = None
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
-        #: What makes a step; None after a change.
-        self._stepper: Stepper | None = None
+        #: The operators of a step; none after a change.
+        self._calls: list[Call] = []
         #: The end of the last step, and the phase point just after the bath within it.
         self._last: tuple[BodyState, BodyState] | None = None
 
@@ -121,7 +122,8 @@ class ExactEngine(Engine):
         Raises:
             RigidityError: the positions do not form the bodies. Nothing has been changed then.
         """
-        now, point, are_set = Snapshot.of(self._context), self._point, Changes.ATOMS in self.changes
+        now, are_set = Snapshot.of(self._context), Changes.ATOMS in self.changes
+        point = self.point if self._has_point else None
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
@@ -131,11 +133,13 @@ class ExactEngine(Engine):
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
-            point = self._point_of(now, moved)
+            point = self._point_of(now, point, moved)
         if Changes.FORCES in self.changes:
             self.motion = self._new_motion()
             self._forget_forces()
-        self._point = point
+        if point is not None:
+            self.point = point
+            self._has_point = True
         self.clock = Clock(now.time, now.steps)
         if moved:
             self.forces.take_positions(now)
@@ -146,7 +150,7 @@ class ExactEngine(Engine):
         if self._remembers_list and (moved or Changes.HISTORY in self.changes):
             neighbour_list.forget(self._context)
             self._forget_forces()
-        self._stepper = None
+        self._calls = []
         # The record of changes is cleared last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
 
@@ -154,9 +158,9 @@ class ExactEngine(Engine):
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
         return self._keeps_numbers and np.array_equal(vectors, written)
 
-    def _point_of(self, now: Snapshot, moved: bool) -> BodyState:
-        """Return the phase point of bodies that moved, or whose velocities were changed."""
-        bodies, point = self.moving, self._point
+    def _point_of(self, now: Snapshot, point: BodyState | None, moved: bool) -> BodyState:
+        """Return the phase point of bodies that moved, or whose velocities were changed, from the last one."""
+        bodies = self.moving
         is_own = self._is_unstored and Changes.VARIABLES not in self.changes
         stored = point if is_own else stored_point(self._context, self._packing)
         agreed = None if stored is None else agreeing(bodies, stored, now, moved)
@@ -186,33 +190,39 @@ class ExactEngine(Engine):
 
     def propagate(self, steps: int, wants_energy: bool = False) -> None:
         method = self.method
-        if self._stepper is None:
-            self._stepper = self.motion.stepper(method, self.inner_step(method))
-        ends_with_kick = method.scheme.stages[-1].operator == KICK
+        if not self._calls:
+            self._calls = self.motion.calls(method, self.inner_step(method))
         for remaining in range(steps, 0, -1):
-            if wants_energy and remaining == 1 and ends_with_kick:
+            if wants_energy and remaining == 1 and method.scheme.stages[-1].operator == KICK:
                 # The last force of the step is that at its end.
                 forces = self.forces
                 forces.take_energy(with_evaluation=forces.evaluations + method.scheme.force_evaluations)
             if method.updates_context and self.updates.act:
                 with self.transaction():
-                    self._complete(self._stepper, self._updated())
+                    self._complete(self._updated())
             else:
                 # Velocities and clock of the Context are written only when the steps are over.
-                self._complete(self._stepper, self.point)
-            interrupts.act_on_pending()
+                self._complete(self.point)
+            if interrupts.pending:
+                interrupts.act_on_pending()
 
-    def _complete(self, stepper: Stepper, point: BodyState) -> None:
+    def _complete(self, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
         method, (time, steps), tally = self.method, self.clock, self.tally
         mark = Mark(tally.heat, tally.draws)
+        thermal = None
         self.forces.step = steps + 1
         try:
-            if method.updates_context and self.updates.removers and self.updates.stops_centre(steps):
-                point = self._stopped(point)
-            point = stepper(point)
+            # A CMMotionRemover acts after each number of steps that its frequency divides.
+            if method.updates_context and 0 in map(steps.__mod__, self.updates.removers):
+                point, energy = self.moving.stopped(point)
+                tally.heat -= energy
+            for operator, times, is_bath in self._calls:
+                point = operator(point, *times)
+                if is_bath:
+                    thermal = point
             # One statement: an error between two would leave the new point at the old time.
-            self._point, self.clock = point, Clock(time + method.step, steps + 1)
+            self.point, self.clock = point, Clock(time + method.step, steps + 1)
         except BaseException as error:
             tally.restore(mark)
             if isinstance(error, NotFiniteError):
@@ -223,14 +233,7 @@ class ExactEngine(Engine):
                     "Context is left at the last completed step."
                 ) from error
             raise
-        thermal = self.motion.after_bath if method.scheme.bath_divides_drift else None
-        self._last = None if thermal is None else (point, thermal)
-
-    def _stopped(self, point: BodyState) -> BodyState:
-        """Return a phase point without the motion of the centre of mass, whose energy is counted as heat."""
-        velocity = self.moving.centre_velocity(point.p)
-        self.tally.heat += self.moving.energy_of_shift(velocity, -velocity)
-        return self.moving.shifted(point, -velocity)
+        self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
 
     def _updated(self) -> BodyState:
         """Let barostats and thermostats of the System act, and return the phase point after that.
@@ -278,10 +281,8 @@ class ExactEngine(Engine):
     def publish(self) -> None:
         """Write the phase point and the clock to the Context."""
         point, clock, context, forces = self.point, self.clock, self._context, self.forces
-        if self._published is not None and forces.is_at(point.q, point.A):
-            published, when = self._published
-            if published is point and when == clock:
-                return
+        if self._published == (point, clock) and forces.is_at(point.q, point.A):
+            return
         forces.place(point.q, point.A)
         openmm.Context.setVelocities(context, self.moving.move(point, forces.velocities))
         openmm.Context.setTime(context, clock.time)
@@ -290,7 +291,7 @@ class ExactEngine(Engine):
         self._published = point, clock
 
     def recover(self) -> None:
-        if self._point is None:
+        if not self._has_point:
             return
         # Write everything, whatever the Context has.
         self._published = None
@@ -308,21 +309,6 @@ class ExactEngine(Engine):
 
     # --- the phase point ---
 
-    @property
-    def point(self) -> BodyState:
-        """Return the phase point of the last completed step.
-
-        Raises:
-            openmm.OpenMMException: there is none, since no positions were set.
-        """
-        if self._point is None:
-            raise openmm.OpenMMException("The Context has no positions yet")
-        return self._point
-
-    def _change(self, operation: Callable[[BodyState], BodyState]) -> None:
-        """Replace the phase point by the result of an operation on it; arrays that both share stay as they are."""
-        self._point = operation(self.point)
-
     def save(self) -> RollbackState:
         # OpenMM's barostats also move atoms of no body.
         atoms = self.forces.positions.copy() if self.updates.act else None
@@ -336,7 +322,7 @@ class ExactEngine(Engine):
         if saved.box != self._box():
             self._set_box(saved.box)
         point = saved.point
-        self._point = replace(point, p=-point.p, L=-point.L) if reverse else point
+        self.point = replace(point, p=-point.p, L=-point.L) if reverse else point
         self.clock = saved.clock
         self.tally.restore(saved.mark)
 
@@ -369,17 +355,18 @@ class ExactEngine(Engine):
         return self.moving.centre_velocity(self.point.p)
 
     def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
-        self._change(lambda point: self.moving.shifted(replace(point, p=factor * point.p, L=factor * point.L), shift))
+        point = self.point
+        self.point = self.moving.shifted(replace(point, p=factor * point.p, L=factor * point.L), shift)
 
     def draw_momenta(self, thermal: float, share: float) -> None:
         friction = -math.log(share) if share else math.inf
         bath = OrnsteinUhlenbeck(thermal / GAS_CONSTANT, friction, friction)
-        operator = bath_operator(bath, self.moving, self.tally)
-        self._change(lambda point: operator(point, 1.0))
+        self.point = bath_operator(bath, self.moving, self.tally)(self.point, 1.0)
 
     def scale(self, factor: float) -> None:
         self._set_box([factor * edge for edge in self._box()])
-        self._change(lambda point: replace(point, q=point.q + (factor - 1) * self.molecule_centres(point.q)))
+        point = self.point
+        self.point = replace(point, q=point.q + (factor - 1) * self.molecule_centres(point.q))
 
     # --- questions of users ---
 

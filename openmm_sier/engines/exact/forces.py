@@ -6,7 +6,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
+from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
@@ -33,10 +34,15 @@ class BodyForces:
         system = context.getSystem()
         n = system.getNumParticles()
         self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
+        sites = bodies.sites
+        self._sites = sites.sets, sites.places, sites.atoms
+        self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms
         self.positions, self.velocities, self._vectors = np.zeros((3, n, 3))
         self.forget_place()
-        self._groups = self._groups_in_kicks = 0
-        self.evaluations = self.step = 0
+        self._groups = 0
+        self._groups_in_kicks = 0
+        self.evaluations = 0
+        self.step = 0
         # The last two, for the start and the end of a trajectory.
         self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
         #: The number of the evaluation with which the energy is computed.
@@ -54,13 +60,11 @@ class BodyForces:
 
         Where a position is not finite the Context keeps its positions.
         """
-        if self.is_at(q, A):
+        if self._placed[0] is q and self._placed[1] is A:
             return
-        try:
-            positions = self.bodies.place(q, A, self.positions)
-        except NotFiniteError as error:
-            raise blown_up(error, self.step) from None
-        openmm.Context.setPositions(self._context, positions)
+        if kernels.atoms.place(self.bodies.n, q, A, *self._sites, self.positions):
+            raise self._blown_up("position of", q, A)
+        openmm.Context.setPositions(self._context, self.positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
         self._placed = q, A
@@ -80,13 +84,31 @@ class BodyForces:
 
     # --- forces ---
 
-    def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces and torques on bodies at (q, A), each (3, n), including fast forces."""
-        return self._of(self._groups, q, A)
+    def compute(self, q: np.ndarray, A: np.ndarray, groups: int | None = None) -> Pair:
+        """Return forces and torques on bodies at (q, A), each (3, n).
 
-    def in_kicks(self, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces and torques on bodies at (q, A), each (3, n), of all groups but the fast ones."""
-        return self._of(self._groups_in_kicks, q, A)
+        Args:
+            q, A: centres and attitudes.
+            groups: bit mask of force groups; None for those of kicks, which are all but the fast ones.
+        """
+        acting = self._groups_in_kicks if groups is None else groups
+        self.evaluations += 1
+        self.place(q, A)
+        wants_energy = self.evaluations == self._with_energy
+        state = openmm.Context.getState(self._context, forces=True, energy=wants_energy, groups=acting)
+        if wants_energy:
+            others = self._groups & ~acting
+            self._keep_energy((q, A, _potential(state) + (self._energy_of(others) if others else 0.0)))
+        # Like getForces(asNumpy=True), but without its overhead for names and units.
+        state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
+        F, tau = np.empty(q.shape), np.empty(q.shape)
+        if kernels.atoms.collect(self.bodies.n, self._vectors, A, *self._weighted_sites, F, tau):
+            raise self._blown_up("force on", F, tau)
+        return F, tau
+
+    def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> Pair:
+        """Return forces and torques on bodies at (q, A), each (3, n), including fast forces."""
+        return self.compute(q, A, self._groups)
 
     def energy(self, state: BodyState) -> float:
         """Return the potential energy at a state, kJ/mol, of all groups that move the bodies."""
@@ -113,21 +135,10 @@ class BodyForces:
         """Discard cached energies: positions, box, parameters or the potential were changed."""
         self._energies = []
 
-    def _of(self, groups: int, q: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        self.evaluations += 1
-        self.place(q, A)
-        if self.evaluations == self._with_energy:
-            state = openmm.Context.getState(self._context, forces=True, energy=True, groups=groups)
-            others = self._groups & ~groups
-            self._keep_energy((q, A, _potential(state) + (self._energy_of(others) if others else 0.0)))
-        else:
-            state = openmm.Context.getState(self._context, forces=True, groups=groups)
-        # Like getForces(asNumpy=True), but without its overhead for names and units.
-        state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
-        try:
-            return self.bodies.forces_and_torques(self._vectors, A)
-        except NotFiniteError as error:
-            raise blown_up(error, self.step) from None
+    def _blown_up(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:
+        """Return the error of a step in which vectors of bodies are not finite."""
+        rows = np.concatenate([array.reshape(-1, self.bodies.n) for array in vectors])
+        return blown_up(NotFiniteError(quantity, rows, self.bodies), self.step)
 
 
 def blown_up(error: NotFiniteError, step: int) -> TrajectoryError:

@@ -1,16 +1,15 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics import constrained, operators
-from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation
+from openmm_sier.dynamics.operators import CachedForces, Call, Operator, Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
 from openmm_sier.dynamics.tally import Tally
@@ -34,7 +33,6 @@ class Motion:
     Attributes:
         solute: the fast forces, of the bodies that they act on; None where there are none.
         fast: these forces with the last ones kept.
-        after_bath: what the last bath made; None before the first.
     """
 
     def __init__(
@@ -71,26 +69,15 @@ class Motion:
             self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
-        self.after_bath: BodyState | None = None
 
-    def stepper(self, method: IntegrationMethod, longest: float) -> operators.Stepper:
-        """Return what makes a step of a method, with inner steps of up to `longest`, ps."""
-        return operators.stepper(method.scheme, self._operators(method, longest), method.step)
-
-    def _operators(self, method: IntegrationMethod, longest: float) -> dict[str, Operator]:
-        """Return the operators that execute a method, by name."""
+    def calls(self, method: IntegrationMethod, longest: float) -> list[Call]:
+        """Return the calls that make a step of a method, with inner steps of up to `longest`, ps."""
         by_name = dict(self._outer)
         if method.bath is not None:
-            bath = constrained.bath_operator(method.bath, self._bodies, self._tally)
-            by_name[BATH] = partial(self._remembered, bath)
+            by_name[BATH] = constrained.bath_operator(method.bath, self._bodies, self._tally)
         if self.fast is not None and self.solute is not None and longest:
             by_name |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
-        return by_name
-
-    def _remembered(self, bath: Operator, state: BodyState, h: float) -> BodyState:
-        """Let a bath act, and leave what it made as `after_bath`."""
-        self.after_bath = bath(state, h)
-        return self.after_bath
+        return operators.calls(method.scheme, by_name, method.step)
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""

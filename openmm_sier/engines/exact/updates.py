@@ -28,10 +28,6 @@ class SystemUpdates:
         forces = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
         self.removers = [force.getFrequency() for force in forces]
 
-    def stops_centre(self, steps: int) -> bool:
-        """Return whether a CMMotionRemover acts after so many steps."""
-        return any(steps % frequency == 0 for frequency in self.removers)
-
     def let_act(self, step: float) -> None:
         """Let barostats and thermostats act, as in a step of this length in ps, and do nothing else."""
         plain, integrator = openmm.CustomIntegrator, self._context.getIntegrator()

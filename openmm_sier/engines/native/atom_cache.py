@@ -30,6 +30,7 @@ class AtomCache:
 
     Attributes:
         masses: of all particles, (N,), Da.
+        is_unwritten: whether the Context does not have the cached velocities yet.
     """
 
     def __init__(self, context: openmm.Context, is_single: bool) -> None:
@@ -49,31 +50,32 @@ class AtomCache:
         masses = self._masses_of_components
         self._spreads = np.sqrt(np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         self._is_single = is_single
+        self.is_unwritten = False
         self._cached: dict[str, np.ndarray] = {}
-        #: Whether the Context does not have the cached velocities yet.
-        self._is_unwritten = False
+        self._box: Any = None
         #: Kinetic energy and velocity of the centre of mass, where they were computed from the cached velocities.
         self._kinetic: float | None = None
         self._centre: np.ndarray | None = None
-        self._box: Any = None
 
     def publish(self) -> None:
         """Write velocities that the Context does not have yet."""
-        if self._is_unwritten:
-            self._is_unwritten = False
+        if self.is_unwritten:
+            self.is_unwritten = False
             openmm.Context.setVelocities(self._context, self._cached[VELOCITIES])
 
     def forget(self) -> None:
         """Write unwritten velocities and discard the cache, before atoms are moved or after that."""
-        self.publish()
+        if self.is_unwritten:
+            self.publish()
         self._cached = {}
         self._box = None
-        self.forget_velocities()
+        self._kinetic = None
+        self._centre = None
 
     def forget_velocities(self) -> None:
         """Discard cached velocities: they were replaced in the Context, and positions were not."""
         self._cached.pop(VELOCITIES, None)
-        self._is_unwritten = False
+        self.is_unwritten = False
         self._kinetic = None
         self._centre = None
 
@@ -134,7 +136,7 @@ class AtomCache:
         self.forget_velocities()
         velocities.flags.writeable = False
         self._cached[VELOCITIES] = velocities
-        self._is_unwritten = True
+        self.is_unwritten = True
 
     def scale(self, factor: float, shift: np.ndarray) -> None:
         """Multiply the velocities of all atoms with mass by a factor, and add a velocity, (3,), nm/ps."""

@@ -11,9 +11,8 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines import neighbour_list, trajectories
+from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
 from openmm_sier.engines.native.constrained_start import are_satisfied, satisfy_constraints
@@ -85,7 +84,8 @@ class NativeEngine(Engine):
         self.step_check = StepCheck(
             system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
         )
-        self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
+        #: The step size of OpenMM's own clock.
+        self._step_of_clock = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
         #: Whether OpenMM still has the forces of the end of the last step.
         self._has_force = False
@@ -191,11 +191,15 @@ class NativeEngine(Engine):
             self._has_force = True
         self._potential = None
         self._atoms.forget()
-        advance = self._divided_step if len(self._program.parts) > 1 else self._whole_steps
+        # Where positions are looked at, or a step is divided into native ones, steps are made one by one.
+        at_once = 1 if self._checks_positions or len(self._program.parts) > 1 else AT_ONCE
         try:
             while steps:
-                steps -= advance(steps)
-                act_on_pending()
+                number = min(steps, at_once)
+                self._advance(number)
+                steps -= number
+                if interrupts.pending:
+                    interrupts.act_on_pending()
         finally:
             if not self._program.ends_constrained:
                 openmm.Context.applyVelocityConstraints(self._context, self._integrator.getConstraintTolerance())
@@ -203,47 +207,32 @@ class NativeEngine(Engine):
         if wants_energy and not are_satisfied(self._constraints, self.positions()):
             raise TrajectoryError("OpenMM could not satisfy the constraints at the end of a trajectory")
 
-    def _whole_steps(self, steps: int) -> int:
-        """Make some steps of one native step each, and return their number."""
-        count = 1 if self._checks_positions else min(steps, AT_ONCE)
-        start = self.clock
+    def _advance(self, steps: int) -> None:
+        """Make steps by native ones, of which OpenMM counts as many as a step has parts."""
+        context, integrator, parts = self._context, self._integrator, len(self._program.parts) or 1
+        # OpenMM's own clock takes the step that the Context was created with, on the CPU and Reference platforms.
+        is_clock_right = parts == 1 and self.method.step == self._step_of_clock
+        time, count = 0.0 if is_clock_right else time_of(context), context.getStepCount()
+        native = steps * parts
+        at_once = 1 if self._checks_positions else native
         try:
-            self._native_steps(count)
-        finally:
-            made = self._context.getStepCount() - start.steps
-            self._count(made)
-            # On the CPU and Reference platforms OpenMM's own clock takes the step that the Context was created with.
-            if self.method.step != self._step_at_first:
-                self.clock = Clock(start.time + made * self.method.step, start.steps + made)
-        return count
-
-    def _divided_step(self, _: int) -> int:
-        """Make one step, which OpenMM counts as several native ones, and return 1."""
-        clock, parts = self.clock, len(self._program.parts)
-        try:
-            self._native_steps(parts)
-        finally:
-            # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
-            made = int(self._context.getStepCount() == clock.steps + parts)
-            self.clock = Clock(clock.time + made * self.method.step, clock.steps + made)
-            self._count(made)
-        return 1
-
-    def _native_steps(self, number: int) -> None:
-        """Make native steps; where positions are looked at after each, they belong to one step."""
-        at_once = 1 if self._checks_positions else number
-        step = self._context.getStepCount() + 1
-        try:
-            for _ in range(0, number, at_once):
-                openmm.CustomIntegrator.step(self._integrator, at_once)
+            for _ in range(0, native, at_once):
+                openmm.CustomIntegrator.step(integrator, at_once)
                 if self._checks_positions:
-                    self._refuse_lost_atoms(step)
+                    self._refuse_lost_atoms(count + 1)
         except openmm.OpenMMException as error:
             # The next native step is the first part of a step.
-            self._integrator.setGlobalVariableByName(PART, 0.0)
+            integrator.setGlobalVariableByName(PART, 0.0)
             if "nan" in str(error).lower() and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
             raise
+        finally:
+            # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
+            made = (context.getStepCount() - count) // parts
+            if not is_clock_right:
+                self.clock = Clock(time + made * self.method.step, count + made)
+            self._follows_bath = self._follows_bath or made > 0
+            self.evaluations += made * self.method.scheme.force_evaluations
 
     def _refuse_lost_atoms(self, step: int) -> None:
         """Raise a TrajectoryError that names the step if positions or velocities are not finite."""
@@ -253,17 +242,13 @@ class NativeEngine(Engine):
                 f"A position or velocity is not finite in step {step}. Is the step size too long, or do atoms overlap?"
             )
 
-    def _count(self, steps: int) -> None:
-        """Count completed steps."""
-        self._follows_bath = self._follows_bath or steps > 0
-        self.evaluations += steps * self.method.scheme.force_evaluations
-
     def make_trial(self, trial: Trial) -> Outcome:
         return trajectories.make_trial(self, trial)
 
     def publish(self) -> None:
         """Write velocities that an ensemble changed; all else the Context has at any time."""
-        self._atoms.publish()
+        if self._atoms.is_unwritten:
+            self._atoms.publish()
 
     def recover(self) -> None:
         self._atoms.publish()
