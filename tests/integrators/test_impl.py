@@ -1,12 +1,18 @@
 """What joins an integrator to its Context stands behind one name, and belongs to one Context."""
 
+import pathlib
+import sys
+
 import openmm
 import pytest
 
+import openmm_sier
 from openmm_sier import SIERIntegrator, SIERLangevinIntegrator
 from tests.support.samplers import states_asked
 from tests.support.seeded import seeded
 from tests.support.waters import cluster_system, context_at, phase_point
+
+PACKAGE = pathlib.Path(openmm_sier.__file__).parent
 
 
 def test_an_integrator_whose_context_was_refused_says_so():
@@ -55,6 +61,29 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
     assert not [name for name in called if "Variable" in name]
     context.createCheckpoint()
     assert "CustomIntegrator_setGlobalVariableByName" in called
+
+
+@pytest.mark.parametrize(("engine", "most"), [("exact", 14), ("native", 9)])
+def test_a_call_of_step_goes_through_few_functions(cluster, engine, most):
+    """So that one can read all of it; compiled loops over bodies are not counted."""
+    _, system, point = cluster
+    integrator = SIERIntegrator(0.002, engine=engine)
+    context = context_at(system, integrator, point, steps=10)
+    functions = set()
+
+    def note(frame, event, _argument):
+        path = pathlib.Path(frame.f_code.co_filename)
+        if event == "call" and PACKAGE in path.parents and path.parent.name != "kernels":
+            functions.add((path.name, frame.f_code.co_name, frame.f_code.co_firstlineno))
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        integrator.step(10)
+    finally:
+        sys.setprofile(before)
+    assert context.getStepCount() == 20
+    assert 0 < len(functions) <= most, sorted(functions)
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
