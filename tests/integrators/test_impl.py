@@ -69,6 +69,8 @@ def test_a_call_of_step_goes_through_few_functions(cluster, engine, most):
     _, system, point = cluster
     integrator = SIERIntegrator(0.002, engine=engine)
     context = context_at(system, integrator, point, steps=10)
+    # The watch for runaways looks now and then.
+    integrator.impl.watch.pause = 1000
     functions = set()
 
     def note(frame, event, _argument):
