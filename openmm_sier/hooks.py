@@ -10,7 +10,7 @@ without them:
 - `updateParametersInContext` of every Force: notifies the integrator. *Without*: kicks use cached forces of the old
   parameters.
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid that have no constraints, or constraints that OpenMM's solvers
-  cannot satisfy, and warns of remaining overlaps. *Without*: it tears these bodies apart.
+  cannot satisfy. *Without*: it tears these bodies apart.
 - `XmlSerializer._serializeIntegrator`, `_deserializeIntegrator` and `_cloneIntegrator`, which `serialize`,
   `deserialize` and `clone` call for integrators: write an integrator that OpenMM can execute without this package, and
   return the SIER integrator that was stored. *Without*: they write one without a program, and return a CustomIntegrator

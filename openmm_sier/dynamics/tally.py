@@ -51,4 +51,5 @@ class Tally:
 
     def restore(self, mark: Mark) -> None:
         """Restore heat and draws of a mark."""
-        self.heat, self.draws = mark
+        self.heat = mark.heat
+        self.draws = mark.draws

@@ -19,7 +19,6 @@ from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.refusals import why_not
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
-from openmm_sier.engines.overlaps import warn_about_overlaps
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Changes, Engine
 from openmm_sier.engines.variables import StoredTally
@@ -347,10 +346,9 @@ class IntegratorImpl:
         self.changed(Changes.ATOMS)
 
     def minimize(self, by_openmm: Callable[[], None], tolerance: Any, iterations: int, reporter: Any) -> None:
-        """Minimize the energy, see `Actions.minimize`, and warn of bodies that still overlap."""
+        """Minimize the energy, see `Actions.minimize`."""
         self.engine.actions.minimize(by_openmm, tolerance, iterations, reporter)
         self.changed(Changes.ATOMS)
-        warn_about_overlaps(self._context(), self.engine.bodies)
 
     def satisfy(self, by_openmm: Callable[[], None], velocities: bool) -> None:
         """Make positions, or velocities, satisfy the constraints; see `Actions`."""

@@ -107,9 +107,8 @@ class RunawayWatch:
             raise RunawayError(
                 f"Steps of {1000 * step:.3g} fs have raised the temperature to {temperature:.3g} K; "
                 f"above {HOTTEST:g} K rigid molecules make no sense. Is the step too long, or did atoms overlap at the "
-                "start? Take a shorter step, or minimize the energy first. If the minimization warns that atoms still "
-                "overlap, start from other positions. If nothing helps, call print(check_forces(context)): it names "
-                "each Force that is not the gradient of its energy"
+                "start? Take a shorter step, or minimize the energy first. If nothing helps, call "
+                "print(check_forces(context)): it names each Force that is not the gradient of its energy"
             )
 
     def _temperature(self, context: openmm.Context) -> float:

@@ -9,7 +9,7 @@ from openmm import app, unit
 
 from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.engines.exact.minimization import constraints_hold
-from tests.support import cages, methanols
+from tests.support import methanols
 from tests.support.systems import field, with_forces
 from tests.support.waters import cluster_system, context_at, energies, phase_point, platform
 
@@ -60,34 +60,6 @@ def test_a_simulation_minimizes_named_bodies_whole(gas, rigid):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         simulation.step(5)
-
-
-@pytest.mark.parametrize("engine", ["exact", "native"])
-def test_a_bead_that_is_stuck_in_a_cage_draws_a_warning(engine):
-    """60 atoms at 0.36 nm hold it, of which each wants to be at 0.66 nm and has 1.6**12 of 4 epsilon: 3e4 kJ/mol.
-
-    With the native engine the atoms of the cage have no mass, and OpenMM's minimizer moves the bead.
-    """
-    system, positions, atoms = cages.bead_in_cage(0.84, 12.0 if engine == "exact" else 0.0)
-    bodies = RigidBodies.from_system(system, rigid=[atoms], positions=positions) if engine == "exact" else None
-    context = context_at(
-        system, SIERIntegrator(0.002, "SIER2", bodies=bodies, engine=engine), (positions, 0 * positions)
-    )
-    with pytest.warns(UserWarning, match=r"still overlap with others, most of all atom 60: .* give other positions"):
-        openmm.LocalEnergyMinimizer.minimize(context)
-    assert energies(context)[0] > 1e4
-
-
-@pytest.mark.parametrize("engine", ["exact", "native"])
-def test_a_bead_that_fits_into_a_cage_draws_no_warning(engine):
-    system, positions, atoms = cages.bead_in_cage(0.3, 12.0 if engine == "exact" else 0.0)
-    bodies = RigidBodies.from_system(system, rigid=[atoms], positions=positions) if engine == "exact" else None
-    context = context_at(
-        system, SIERIntegrator(0.002, "SIER2", bodies=bodies, engine=engine), (positions, 0 * positions)
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        openmm.LocalEnergyMinimizer.minimize(context)
 
 
 def test_iterations_are_counted_and_reported(gas, rigid):

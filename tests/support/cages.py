@@ -53,22 +53,3 @@ def cage_in_water(nonbonded=app.PME, molecules=None, **options):
     result = displaced(np.concatenate([array(modeller.positions), shape + edge / 2]), system, [atoms])
     bodies = RigidBodies.from_system(system, rigid=[atoms], positions=result)
     return system, result, bodies
-
-
-def bead_in_cage(diameter, mass):
-    """System of a cage and a bead in its middle, positions (61, 3) in nm, and the atoms of the cage.
-
-    Args:
-        diameter: Lennard-Jones diameter of the bead, nm. Its 60 atoms have 0.34 nm, and are 0.36 nm from the middle.
-        mass: of an atom of the cage; without one it does not move.
-    """
-    shape, system, force = cage(), openmm.System(), openmm.NonbondedForce()
-    for _ in shape:
-        system.addParticle(mass)
-        force.addParticle(0, 0.34, 0.36)
-    system.addParticle(40.0)
-    force.addParticle(0, diameter, 0.36)
-    for i, j in itertools.combinations(range(len(shape)), 2):
-        force.addException(i, j, 0, 1, 0)
-    system.addForce(force)
-    return system, np.concatenate([shape, [[0, 0, 0]]]), list(range(len(shape)))

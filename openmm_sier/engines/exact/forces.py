@@ -37,7 +37,10 @@ class BodyForces:
         sites = bodies.sites
         self._sites = sites.sets, sites.places, sites.atoms
         self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms
-        self.positions, self.velocities, self._vectors = np.zeros((3, n, 3))
+        self.positions = np.zeros((n, 3))
+        self.velocities = np.zeros((n, 3))
+        #: Forces on the atoms, as OpenMM gave them last.
+        self._vectors = np.zeros((n, 3))
         self.forget_place()
         self._groups = 0
         self._groups_in_kicks = 0
