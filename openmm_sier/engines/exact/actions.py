@@ -1,12 +1,11 @@
 """Draw velocities, satisfy constraints and minimize the energy for bodies, where OpenMM cannot."""
 
-from __future__ import annotations
-
 import secrets
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import openmm
@@ -16,13 +15,12 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.exact.minimization import minimize_bodies
+from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
+from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-
-if TYPE_CHECKING:
-    from openmm_sier.engines.exact.engine import ExactEngine
 
 
 class BodyActions(Actions):
@@ -31,10 +29,16 @@ class BodyActions(Actions):
     So they do for bodies that no constraints hold: OpenMM would move their atoms as if these were free.
     """
 
-    def __init__(self, context: openmm.Context, engine: ExactEngine):
+    def __init__(self, context: openmm.Context, engine: Engine, forces: BodyForces):
         super().__init__(context, engine.solver_test)
         # The engine holds this.
         self._engine = weakref.proxy(engine)
+        self._forces = forces
+
+    @cached_property
+    def _are_bodies_constrained(self) -> bool:
+        """Whether the constraints of the System hold all bodies."""
+        return constraints_hold(self._context.getSystem(), self._engine.bodies)
 
     def _is_unsolved(self) -> bool:
         """Return whether OpenMM's solvers cannot satisfy the constraints."""
@@ -42,7 +46,7 @@ class BodyActions(Actions):
 
     def _holds_all_bodies(self) -> bool:
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""
-        return self._engine.are_bodies_held and not self._is_unsolved()
+        return self._are_bodies_constrained and not self._is_unsolved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
         if self._is_unsolved():
@@ -97,7 +101,7 @@ class BodyActions(Actions):
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
         with interrupts.deferred():
-            start, forces = engine.state(), engine.forces.of_all_groups
+            start, forces = engine.state(), self._forces.of_all_groups
             try:
                 minimize_bodies(self._context, engine.bodies, forces, start, tolerance, iterations, reporter)
             except BaseException:

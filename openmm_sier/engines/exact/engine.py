@@ -25,7 +25,6 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
-from openmm_sier.engines.exact.minimization import constraints_hold
 from openmm_sier.engines.exact.motion import Motion, inner_step
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
@@ -99,18 +98,13 @@ class ExactEngine(Engine):
     def bodies(self) -> BodySet:
         return self.moving
 
-    @cached_property
-    def are_bodies_held(self) -> bool:
-        """Whether the constraints of the System hold all bodies."""
-        return constraints_hold(self._context.getSystem(), self.moving)
-
     @property
     def evaluations(self) -> int:  # type: ignore[override]
         return self.forces.evaluations
 
     @cached_property
     def actions(self) -> BodyActions:
-        return BodyActions(self._context, self)
+        return BodyActions(self._context, self, self.forces)
 
     # --- changes by users ---
 
