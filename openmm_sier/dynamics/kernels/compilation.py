@@ -85,7 +85,8 @@ class _Announcer(events.Listener):
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]
-        if isinstance(dispatcher._cache, _Cache):
+        # Loops that Numba lifts have no cache.
+        if isinstance(getattr(dispatcher, "_cache", None), _Cache):
             timer = Timer(PATIENCE, _announce)
             timer.daemon = True
             timer.start()
