@@ -48,6 +48,8 @@ NOTHING = Options()
 #: The fields of a model are options of the command.
 FLAT = Parameter(name="*")
 
+Overwrite = Annotated[bool, Parameter(negative="", help="replace existing files (default: refuse to)")]
+
 Debug = Annotated[bool, Parameter(negative="", help="show the traceback of an error (default: one line)")]
 
 Logs = Annotated[
@@ -65,9 +67,7 @@ Skip = Annotated[
         "not settled, if anything)",
     ),
 ]
-Picture = Annotated[
-    Path | None, Parameter(help="draw the logs, as `plot` does, in PNG, SVG or HTML (default: no picture)")
-]
+Picture = Annotated[Path | None, Parameter(help="draw the logs, as `plot` does, in PNG or SVG (default: no picture)")]
 
 
 def _in_words(default: str, of: str, **limits: Any) -> Parameter:
@@ -153,7 +153,7 @@ def setup(
         Parameter(negative="", help="add residues that are missing at the ends of chains too, not only within them"),
     ] = False,
     seed: Annotated[int, _in_words("1", "of the places of what is added", gte=1, lt=2**31)] = 1,
-    overwrite: Annotated[bool, Parameter(negative="", help="replace an earlier file")] = False,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Complete a structure, such as one from the Protein Data Bank, for `run`.
@@ -196,11 +196,10 @@ def plot(
     *,
     out: Annotated[
         Path | None,
-        _in_words(
-            "beside the first log, with .png", "the picture, PNG, SVG or HTML, which takes the place of an earlier one"
-        ),
+        _in_words("beside the first log, with .png", "the picture, PNG or SVG"),
     ] = None,
     skip: Skip = None,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Draw the log of a run, or of several.
@@ -208,7 +207,7 @@ def plot(
     Draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over equal times,
     with what had not settled, and for several runs the error of their mean.
     """
-    _execute("plot", logs, out, skip)
+    _execute("plot", logs, out, skip, overwrite)
 
 
 @app.command
@@ -218,6 +217,7 @@ def summary(
     json: Annotated[Path | None, _in_words("nowhere", "write all numbers there too")] = None,
     plot: Picture = None,
     skip: Skip = None,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Print means over several runs.
@@ -226,7 +226,7 @@ def summary(
     more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ. --json
     and --plot replace only files that they wrote earlier.
     """
-    _execute("summary", logs, json, plot, skip)
+    _execute("summary", logs, json, plot, skip, overwrite)
 
 
 @app.command

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.files.trajectories import FORMATS
-from openmm_sier.cli.pictures.endings import ENDINGS
-from openmm_sier.cli.results import FEWEST_ROWS
 from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
 
 if TYPE_CHECKING:
@@ -80,15 +78,6 @@ def _of_files(settings: RunSettings) -> Iterator[str]:
     for table in (settings.report, settings.pressure_tensor):
         if table is not None and table.suffix.lower() in FORMATS:
             yield f"{table} will be a table: give a name that ends in .csv"
-    if settings.plot is None:
-        return
-    if settings.plot.suffix.lower() not in ENDINGS:
-        yield f"the name of a picture must end in {', '.join(ENDINGS)}, got {settings.plot}"
-    rows = settings.steps // settings.interval(settings.report_every) + 1
-    if rows < FEWEST_ROWS:
-        yield (
-            f"--plot needs a log of {FEWEST_ROWS} rows or more, and this one would have {rows}: lower --report-every"
-        )
 
 
 def useless(settings: RunSettings) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import openmm
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import results, run_checks
+from openmm_sier.cli import pictures, results, run_checks
 from openmm_sier.cli.beginning import Beginning
 from openmm_sier.cli.config import joined, read_config, write_config
 from openmm_sier.cli.console import clock, note, progress_bar, table
@@ -19,7 +19,6 @@ from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.many import command as many
 from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.new_run import NewRun
-from openmm_sier.cli.pictures import drawing
 from openmm_sier.cli.restart import Restart, checkpoint_to_continue
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.settling import read_runs
@@ -121,13 +120,12 @@ def _warn_of_settings(settings: RunSettings) -> None:
 def _report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     """Print the table at the end of a run, and draw its log."""
     log = read_log(settings.report)
-    warning = run_checks.fluctuation_warning(settings, log)
-    rows = results.rows(log, settings.ensemble, settings.moves_volume)
-    rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
+    quantities = results.quantities(log, settings.ensemble, settings.moves_volume)
+    rows = [(quantity.name, str(quantity)) for quantity in quantities]
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{settings.title}, {settings.steps * settings.step_time:g} ps", ("", ""), rows + cost)
     if settings.plot:
-        drawing.draw(read_runs([settings.report]), settings.plot)
+        pictures.draw(read_runs([settings.report]), settings.plot)
 
 
 class RunningSimulation:

@@ -43,7 +43,13 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2", "--dt", "1"]) == 0
     out = capsys.readouterr().out
     assert "force field tip3p.xml (named in the PDB file)" in out
-    for name in ("drift of the conserved energy", "rms(H)/rms(V)", "T_trans", "total momentum", "wall time per step"):
+    for name in (
+        "drift of the conserved energy",
+        "rms(H)/rms(V)",
+        "T_trans",
+        "potential energy V",
+        "wall time per step",
+    ):
         assert name in out
     # One evaluation more than one a step: the first step of a run has no force to start from.
     assert re.search(r"force evaluations per step +│ +1\.00", out)

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import openmm
 
-from openmm_sier.cli import config
+from openmm_sier.cli import pictures
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.checkpoints import FORMAT, Notes
 from openmm_sier.cli.files.kinds import KINDS
 from openmm_sier.cli.files.places import check_place, refuse_to_replace
-from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.platforms import platform_of
 from openmm_sier.cli.settings import FILES, RunSettings
 from openmm_sier.cli.simulated_system import SimulatedSystem
@@ -63,9 +62,9 @@ class Outputs:
         for number, path in enumerate(paths):
             check_place(path, inputs, paths[:number])
         if self._settings.plot:
-            canvas.check(self._settings.plot, inputs, may_replace)
-        if self._settings.save_config:
-            refuse_to_replace(self._settings.save_config, "--save-config", config.MARK if may_replace else b"")
+            pictures.check(self._settings.plot, inputs, may_replace)
+        if self._settings.save_config and not may_replace:
+            refuse_to_replace(self._settings.save_config)
 
     def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from openmm_sier.cli import summary
+from openmm_sier.cli import pictures, summary
 from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.console import note
 from openmm_sier.cli.errors import Misused, RunError
@@ -14,7 +14,6 @@ from openmm_sier.cli.files.places import same_file
 from openmm_sier.cli.many.members import Member, RunsError, named, run_many
 from openmm_sier.cli.many.seeds import shown
 from openmm_sier.cli.many.table import watching
-from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.planning import new_settings
 from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.results import FEWEST_ROWS
@@ -54,7 +53,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     settings = new_settings(options)
     members = [named(settings.out, seed) for seed in seeds]
     if picture:
-        canvas.check(picture, [settings.box, *members], may_replace=True)
+        pictures.check(picture, [settings.box, *members], overwrite=True)
     _refuse_one_file(options, settings, seeds)
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
@@ -87,7 +86,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
         note(f"no means: a log needs {FEWEST_ROWS} rows or more. Lower --report-every")
         return
-    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None)
+    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None, overwrite=True)
 
 
 @contextmanager
