@@ -6,11 +6,13 @@ from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING
 
 from openmm_sier.cli.arguments import flag
-from openmm_sier.cli.files.trajectories import FORMATS
 from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
 
 if TYPE_CHECKING:
     from openmm_sier.cli.settings import RunSettings
+
+#: Ending of the names of trajectories.
+TRAJECTORY = ".dcd"
 
 #: Two settings of the same quantity, of which a user may choose one.
 LENGTHS = "steps", "time"
@@ -73,10 +75,10 @@ def _of_motion(settings: RunSettings) -> Iterator[str]:
 
 
 def _of_files(settings: RunSettings) -> Iterator[str]:
-    if settings.out.suffix.lower() not in FORMATS:
-        yield f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {settings.out}"
+    if settings.out.suffix.lower() != TRAJECTORY:
+        yield f"the name of a trajectory must end in {TRAJECTORY}, got {settings.out}"
     for table in (settings.report, settings.pressure_tensor):
-        if table is not None and table.suffix.lower() in FORMATS:
+        if table is not None and table.suffix.lower() == TRAJECTORY:
             yield f"{table} will be a table: give a name that ends in .csv"
 
 

@@ -66,7 +66,7 @@ class Restart(Beginning):
         self.sources = sources_of(settings.box, settings.topology, settings.forcefield)
         planning.refuse_foreign_force_field(settings, options, checkpoint, self.sources["box"])
         self.unsettled = self.notes.unsettled
-        self._cuts: list[cuts.Cut] = []
+        self._cuts: list[Path] = []
 
     def check_inputs(self, outputs: Outputs) -> None:
         """Refuse inputs of another run, and a run that has reached its last step."""

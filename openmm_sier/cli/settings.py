@@ -157,7 +157,7 @@ class RunSettings(BaseModel):
     # --- outputs ---
 
     out: File = fields.file(
-        "trajectory, .dcd or .xtc",
+        "trajectory, .dcd",
         writes=True,
         follows=defaults.out,
         otherwise="BOX.dcd, in the current directory",

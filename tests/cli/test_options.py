@@ -153,7 +153,7 @@ def test_unknown_and_missing_options_in_a_checkpoint(copied, capsys):
     [
         ({"scheme": "langevinmiddle"}, "supports the ensembles"),
         ({"scheme": "verlet", "ensemble": "hmc"}, "supports the ensembles"),
-        ({"out": "box.csv"}, "the name of a trajectory must end in .dcd or .xtc, got box.csv"),
+        ({"out": "box.csv"}, "the name of a trajectory must end in .dcd, got box.csv"),
         ({"report": "log.dcd"}, "log.dcd will be a table"),
     ],
 )

@@ -92,18 +92,18 @@ def test_a_complete_run_needs_its_force_field(box, capsys):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "kept"),
-    representatives([(".xtc", 20), (".dcd", 0), (".dcd", 1), (".xtc", None)], (".xtc", 20)),
+    "kept",
+    representatives([20, 0, 1, None], 20),
 )
-def test_what_a_run_left_before_its_first_checkpoint_is_replaced(box, capsys, suffix, kept):
+def test_what_a_run_left_before_its_first_checkpoint_is_replaced(box, capsys, kept):
     """Of a log the heading and one row, of a trajectory the header, of a tensor's table the heading; or less."""
     tensors = ["--pressure-tensor", "p.csv"]
-    run(*resume(box, "--steps", "1", *tensors, out=f"a{suffix}"))
+    run(*resume(box, "--steps", "1", *tensors))
     Path("a.chk").unlink()
     for path in Path().iterdir():
         path.write_bytes(path.read_bytes()[:kept])
     # Step 1 is before the first frame, row and tensor.
-    run(*resume(box, "--steps", "2", *tensors, out=f"a{suffix}"))
+    run(*resume(box, "--steps", "2", *tensors))
     assert checkpoints.read_checkpoint(Path("a.chk"))[1].step == 2
 
 
@@ -123,7 +123,7 @@ def test_a_table_of_the_user_is_refused(box, capsys):
         Path("a.csv").write_text(text)
         run(*resume(box, "--steps", "1"))
         Path("a.chk").unlink()
-    for text in ("mine\n", "Step,Time (ps),\n0,1\n1,2\n", "Stop\n"):
+    for text in ("mine\n", "Step,Time (ps),\n" + 300 * "0,1\n", "Stop\n"):
         Path("a.csv").write_text(text)
         assert "a.csv exists, but its checkpoint" in complaint(capsys, *resume(box, "--steps", "1"))
         assert Path("a.csv").read_text() == text

@@ -92,7 +92,7 @@ class Outputs:
         if path == self.checkpoint or not path.is_file():
             return False
         kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)
-        return kind.format(path).is_beginning(path)
+        return records.is_beginning(path, kind.format)
 
     def check_noted(self, notes: Notes) -> None:
         """Check, without changing them, that the outputs are those of the run of a checkpoint.
@@ -102,7 +102,7 @@ class Outputs:
             OSError: one cannot be read.
         """
         for name, path in self._grown.items():
-            records.check(path, notes.file(name), KINDS[name].format(path))
+            records.check(path, notes.file(name), KINDS[name].format)
 
     def _remove(self) -> None:
         """Remove all files, the checkpoint first, so that it never remains with files of another run."""

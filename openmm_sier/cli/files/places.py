@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.files.locks import is_name_of_a_lock
 from openmm_sier.inputs.source_files import FilePath
 
 
@@ -30,8 +29,6 @@ def check_place(path: Path, inputs: Iterable[FilePath], outputs: Iterable[Path] 
         raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")
-    if is_name_of_a_lock(path):
-        raise RunError(f"{path} has the name of a lock: give another name")
 
 
 def refuse_to_replace(path: Path) -> None:
