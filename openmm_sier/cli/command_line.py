@@ -1,9 +1,7 @@
 """The commands and their options, read from a command line."""
 
-import os
 import sys
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -16,7 +14,7 @@ from pydantic import ValidationError
 
 from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.errors import Misused
-from openmm_sier.cli.fields import Options, is_utf8, options, refusal
+from openmm_sier.cli.fields import Options, options, refusal
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
@@ -32,9 +30,6 @@ EXIT_CODES = """Exit codes:
 - 129, 130, 143: ended by SIGHUP, SIGINT (Ctrl-C) or SIGTERM after a completed step: all files are written, checkpoint
   included, and --restart continues the run
 """
-
-#: Options by their names in other programs, for which the parser would suggest a wrong one.
-OF_OTHER_PROGRAMS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
 
 #: Settings of a run as options, all optional.
 if TYPE_CHECKING:
@@ -264,9 +259,6 @@ def parse(arguments: Sequence[str] | None = None) -> Call:
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     if not tokens:
         raise Misused(f"expected a command, one of {', '.join(name for name in app if name[0] != '-')}")
-    for token in tokens:
-        if not is_utf8(token):
-            raise Misused(f"the argument {os.fsencode(token)!r} is not UTF-8: give the file another name")
     try:
         function, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
     except CycloptsError as error:
@@ -279,18 +271,10 @@ def _described(error: CycloptsError) -> str:
     cause = error.__cause__
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"{error.unused_tokens[0]!r} belongs to no option"
-    if isinstance(error, UnknownOptionError) and (meant := _meant(error)):
-        return f"Unknown option: {error.token.keyword or error.token.value}. Did you mean {meant}?"
+    if isinstance(error, UnknownOptionError):
+        # The parser would suggest --time for --timestep.
+        return f"there is no option {error.token.keyword or error.token.value}"
     if not (isinstance(cause, ValidationError) and error.argument):
         return " ".join(str(error).split()).removesuffix(".")
     name, message = refusal(cause, error.argument.hint)
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
-
-
-def _meant(error: UnknownOptionError) -> str:
-    """Return the command's option for a name, or nearly a name, of other programs; else ""."""
-    options_here = {name for argument in error.argument_collection or () for name in argument.names}
-    name = (error.token.keyword or error.token.value).split("=")[0]
-    close = get_close_matches(name, OF_OTHER_PROGRAMS, n=1, cutoff=0.9)
-    meant = OF_OTHER_PROGRAMS[close[0]] if close else ""
-    return meant if meant in options_here else ""

@@ -48,9 +48,9 @@ def _contradictions(settings: RunSettings, chosen: Collection[str]) -> Iterator[
     yield from _of_files(settings)
     if all(name in chosen for name in LENGTHS):
         yield f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them"
-    for name in useless(settings):
-        if name in chosen:
-            yield f"{flag(name)} needs {DEPENDENT[name][0]}"
+    for name, (needed, does_something) in DEPENDENT.items():
+        if name in chosen and not does_something(settings):
+            yield f"{flag(name)} needs {needed}"
 
 
 def _of_motion(settings: RunSettings) -> Iterator[str]:
@@ -80,8 +80,3 @@ def _of_files(settings: RunSettings) -> Iterator[str]:
     for table in (settings.report, settings.pressure_tensor):
         if table is not None and table.suffix.lower() == TRAJECTORY:
             yield f"{table} will be a table: give a name that ends in .csv"
-
-
-def useless(settings: RunSettings) -> list[str]:
-    """Return the names of settings that have no effect with the others."""
-    return [name for name, (_, does_something) in DEPENDENT.items() if not does_something(settings)]

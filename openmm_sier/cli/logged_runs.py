@@ -35,15 +35,6 @@ MAY_DIFFER = {
     *("every", "report_every", "checkpoint_every", "pressure_tensor_every"),
 }
 
-#: Ensembles in words.
-ENSEMBLES_IN_WORDS = {
-    "nve": "a run at constant energy",
-    "nvt": "a run in a heat bath",
-    "npt": "a run in a heat bath",
-    "hmc": "a run of hybrid Monte Carlo",
-    None: "a run without its checkpoint",
-}
-
 
 @dataclass(frozen=True)
 class Run:
@@ -198,8 +189,7 @@ def read_logs(paths: Sequence[Path]) -> Runs:
             raise Misused(f"{path} is given twice: each run counts once")
     for run in runs[1:]:
         if not _are_of_one_kind(run, runs[0]):
-            kinds = f"{run.path} is {_described(run)}, but {runs[0].path} is {_described(runs[0])}"
-            raise RunError(f"{kinds}: give runs of one kind")
+            raise RunError(f"{run.path} and {runs[0].path} differ in ensemble or columns: give runs of one kind")
     _warn_of_differences(runs)
     _warn_of_copies(runs)
     return Runs(runs)
@@ -207,13 +197,8 @@ def read_logs(paths: Sequence[Path]) -> Runs:
 
 def _are_of_one_kind(one: Run, other: Run) -> bool:
     """Return whether two runs have the same columns and, as far as that is known, the same ensemble."""
-    ensembles = {ENSEMBLES_IN_WORDS[run.ensemble] for run in (one, other) if run.ensemble}
+    ensembles = {run.ensemble for run in (one, other) if run.ensemble}
     return len(ensembles) < 2 and one.moves_volume == other.moves_volume and one.log.keys() == other.log.keys()
-
-
-def _described(run: Run) -> str:
-    volume = "at constant pressure" if run.moves_volume else "at constant volume"
-    return f"{ENSEMBLES_IN_WORDS[run.ensemble]}, {volume}"
 
 
 def _warn_of_differences(runs: Sequence[Run]) -> None:

@@ -38,18 +38,11 @@ class Quantity(NamedTuple):
     form: str = ""
 
     def __str__(self) -> str:
-        text = str(self.value) if isinstance(self.value, Estimate) else self.single(self.value)
+        if isinstance(self.value, Estimate):
+            text = str(self.value)
+        else:
+            text = f"{self.value:{self.form}}" if self.form else format_number(self.value, digits=3)
         return "-" if text in ("-", "nan") else f"{text} {self.unit}"
-
-    def single(self, value: float) -> str:
-        """Return a value of this quantity in one run, with the digits of the mean if that has an error."""
-        mean = self.value
-        if not isinstance(mean, Estimate):
-            return f"{value:{self.form}}" if self.form else format_number(value, digits=3)
-        if not (math.isfinite(mean.error) and mean.error > 0):
-            return format_number(value)
-        digits = max(0, 1 - math.floor(math.log10(mean.error)))
-        return f"{value:.{digits}f}" if digits < 7 else format_number(value)
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:

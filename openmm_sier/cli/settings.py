@@ -105,7 +105,7 @@ class RunSettings(BaseModel):
         follows=defaults.scheme,
         otherwise="sier4g; sier2 with nvt and npt by langevin, sier2v2 with hmc",
     )
-    dt: float = fields.step("step", 0.05, 1e3, follows=defaults.step, otherwise=defaults.steps_in_words())
+    dt: float = fields.number("step", "fs", 0.05, 1e3, follows=defaults.step, otherwise=defaults.steps_in_words())
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=defaults.friction,
@@ -182,12 +182,6 @@ class RunSettings(BaseModel):
         "draw the log at the end, as `plot` does, in PNG or SVG",
         writes=True,
         otherwise="no picture",
-        restart="of the call",
-    )
-    save_config: File | None = fields.file(
-        "write all settings there in TOML when the run begins, for --config",
-        writes=True,
-        otherwise="they are not written",
         restart="of the call",
     )
 
@@ -314,7 +308,7 @@ LATER = ("thermostat",)
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
 
 #: Settings that name an output, and those that name an input.
-OUTPUTS = tuple(name for name in FILES if SETTINGS[name].get("writes"))
+OUTPUTS = tuple(name for name in FILES if SETTINGS[name]["writes"])
 INPUTS = tuple(name for name in FILES if name not in OUTPUTS)
 
 #: Settings that define the System. A run with `--start` takes them from the other run by default.

@@ -38,8 +38,8 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
         pictures.check(plot, logs, overwrite, outputs=[json] if json else [])
     runs = read_runs(logs, skip)
     means = runs.means()
-    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, by_run)] for over_all, by_run in means]
-    table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
+    rows = [(over_all.name, str(over_all)) for over_all, _ in means]
+    table(runs.title, ("", f"mean over {_counted(runs)}"), rows)
     note(verdict(runs))
     written = [path for path in (json, plot) if path]
     if json:
@@ -52,15 +52,6 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
 
 def _counted(runs: Runs) -> str:
     return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
-
-
-def _extremes(runs: Runs, over_all: Quantity, by_run: list[Quantity]) -> list[str]:
-    """Return the least and the greatest value of single runs with the names of their logs."""
-    named = [(_number(quantity), run.path.stem) for run, quantity in zip(runs.runs, by_run, strict=True)]
-    finite = [(value, name) for value, name in named if math.isfinite(value)]
-    if not finite or len(runs.runs) == 1:
-        return ["-", "-"]
-    return [f"{over_all.single(value)} ({name})" for value, name in (min(finite), max(finite))]
 
 
 def _number(quantity: Quantity) -> float:

@@ -78,8 +78,10 @@ def test_a_checkpoint_cuts_no_file_of_another_kind(one, capsys, name, option, vi
 
 
 @pytest.mark.parametrize(("name", "victim"), [("trajectory", "box.dcd"), ("log", "box.csv")])
-def test_a_file_of_a_run_is_not_emptied(one, capsys, name, victim):
-    noted = {"size": 0, "count": 0, "fingerprint": _fingerprint(Path(victim), 0)}
+@pytest.mark.parametrize("size", [0, 40])
+def test_a_file_of_a_run_is_not_emptied(one, capsys, name, victim, size):
+    """The first bytes of all logs and trajectories are alike."""
+    noted = {"size": size, "count": 0, "fingerprint": _fingerprint(Path(victim), size)}
     rewrite_notes("box.chk", lambda notes: notes.update({name: noted}))
     before = contents(Path())
     assert f"{victim} was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20", "--overwrite")

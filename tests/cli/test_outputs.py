@@ -105,13 +105,12 @@ def test_no_output_is_another_one(box, capsys, no_equilibration, options):
 def test_temporary_files_replace_no_others(box, capsys):
     """No file of the user and no other output of the run has their names."""
     Path("x.chk.tmp").write_text("mine")
-    extras = ["--report", "x.csv.tmp", "--save-config", "x.toml.tmp"]
+    extras = ["--report", "x.csv.tmp"]
     assert main.main(["run", str(box), *SMALL, "--steps", "5", "--out", "x.dcd", *extras]) == 0
     assert Path("x.chk.tmp").read_text() == "mine"
     assert Path("x.csv.tmp").read_text().startswith("Step,")
-    assert Path("x.toml.tmp").read_text().startswith("# A run of openmm-sier ")
     assert sorted(path.name for path in Path().iterdir()) == [
-        *("box.pdb", "x.chk", "x.chk.tmp", "x.csv.tmp", "x.dcd", "x.toml.tmp"),
+        *("box.pdb", "x.chk", "x.chk.tmp", "x.csv.tmp", "x.dcd"),
     ]
 
 
@@ -142,13 +141,12 @@ def test_what_a_checkpoint_notes_is_on_the_disk_before_it_replaces_the_old_one(m
     assert done == ["fsync", "fsync", "replace"]
 
 
-@pytest.mark.parametrize(("option", "name"), [("--plot", "a.png"), ("--save-config", "a.toml")])
-def test_a_picture_and_settings_in_the_way_are_refused(box, capsys, no_equilibration, option, name):
-    Path(name).write_bytes(b"mine")
-    assert f"{name} exists: give another name, or replace it with --overwrite" in complaint(
-        capsys, "run", box, *SMALL, option, name
+def test_a_picture_in_the_way_is_refused(box, capsys, no_equilibration):
+    Path("a.png").write_bytes(b"mine")
+    assert "a.png exists: give another name, or replace it with --overwrite" in complaint(
+        capsys, "run", box, *SMALL, "--plot", "a.png"
     )
-    assert Path(name).read_bytes() == b"mine"
+    assert Path("a.png").read_bytes() == b"mine"
 
 
 def test_settings_are_inputs_too(box, capsys, no_equilibration):
@@ -157,21 +155,6 @@ def test_settings_are_inputs_too(box, capsys, no_equilibration):
     message = complaint(capsys, "run", box, *SMALL, "--config", "a.csv", "--out", "a.dcd", "--overwrite")
     assert "a.csv would overwrite the input a.csv: give another name" in message
     assert contents(Path()) == before
-
-
-def test_a_directory_that_is_not_utf8_is_in_no_checkpoint(box, capsys, monkeypatch, no_equilibration):
-    """It would name the coordinates by their way from another directory."""
-    Path("there").mkdir()
-    here = Path(os.fsdecode(b"m\xff"))
-    here.mkdir()
-    box.rename(here / box)
-    monkeypatch.chdir(here)
-    message = complaint(capsys, "run", box, *SMALL, "--out", "../there/a.dcd")
-    assert r"the directory of b'../m\xff/box.pdb' is not UTF-8: run in another directory" in message
-    assert not list(Path("../there").iterdir())
-
-
-# --- what cannot be written is found at once ---
 
 
 def test_paths_that_are_refused(box, capsys, no_equilibration):

@@ -139,7 +139,7 @@ def test_a_log_that_is_being_written_is_drawn():
         (["a.csv", "a.csv"], "a.csv is given twice: each run counts once"),
         (
             ["a.csv", "bath.csv"],
-            "bath.csv is a run in a heat bath, at constant volume, but a.csv is a run at constant energy, at",
+            "bath.csv and a.csv differ in ensemble or columns: give runs of one kind",
         ),
         (
             ["tensor.csv"],

@@ -4,7 +4,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from openmm import app
 
 from openmm_sier.cli import main
 from openmm_sier.cli.files import checkpoints
@@ -79,16 +78,6 @@ def test_a_complete_run_is_that_of_its_inputs(box, whole_run, capsys):
     run(*resume("copy.pdb", *WHOLE))
     Path("copy.pdb").unlink()
     assert contents(Path()) == before
-
-
-def test_a_complete_run_needs_its_force_field(box, capsys):
-    field = Path(app.__file__).parent / "data" / "tip3p.xml"
-    shutil.copyfile(field, "mine.xml")
-    line = [*resume(box, "--steps", "1"), "--forcefield", "mine.xml"]
-    run(*line)
-    run(*line)
-    Path("mine.xml").unlink()
-    assert "mine.xml, which the run of a.chk read, is missing: put it back" in complaint(capsys, *line)
 
 
 @pytest.mark.parametrize(

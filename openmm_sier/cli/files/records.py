@@ -165,7 +165,7 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
             "run from the checkpoint with --start"
         )
     # A checkpoint may be crafted and name any file, so that the fingerprint alone is not enough.
-    is_of_format = noted.size >= len(format.begins) and _first_bytes(path, len(format.begins)) == format.begins
+    is_of_format = noted.size > CHANGING and _first_bytes(path, len(format.begins)) == format.begins
     if _fingerprint(path, noted.size) != noted.fingerprint or not is_of_format:
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
