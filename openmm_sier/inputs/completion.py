@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from openmm import app, unit
 
+from openmm_sier.inputs.file_kinds import kind_of
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
 from openmm_sier.inputs.pdb_files import (
+    READERS,
     ForceFieldError,
     box_vectors,
-    check_records,
     extent,
     refusing,
     warn_about_alternates,
 )
-from openmm_sier.inputs.source_files import SourceFile
 from openmm_sier.observe.conservation import density
 
 if TYPE_CHECKING:
@@ -91,10 +91,10 @@ def complete(
     """
     names = tuple(map(str, files))
     forcefield = load(names, Path(path).parent)
-    source = SourceFile(path)
-    check_records(source)
+    if kind_of(path) not in READERS:
+        raise ForceFieldError(f"{path} is not a PDB file with atoms")
     fixer = _fixer(path)
-    warn_about_alternates(source, fixer.topology)
+    warn_about_alternates(path, fixer.topology)
     changes: list[tuple[str, str]] = []
     with refusing(f"cannot complete {path}"), _seeded(seed):
         changes += _left_out(fixer, path, leave_out)
@@ -104,9 +104,14 @@ def complete(
         before = fixer.topology.getNumAtoms()
         fixer.addMissingHydrogens(ph)
         changes.append(("hydrogens added", f"{fixer.topology.getNumAtoms() - before}, for pH {ph:g}"))
-    completed = Completed(fixer.topology, fixer.positions, names, tuple(changes))
-    _refuse_unknown(path, completed, forcefield)
-    return completed
+    try:
+        add_virtual_sites(fixer.topology, fixer.positions, forcefield)
+    except ForceFieldError as error:
+        raise ForceFieldError(
+            f"{path}, with the force field {' '.join(names)}: {error}. Leave residues out by name with `leave_out` "
+            "(--leave-out), or add a force field that has templates for them to `files` (--forcefield)"
+        ) from error
+    return Completed(fixer.topology, fixer.positions, names, tuple(changes))
 
 
 def solvate(
@@ -257,25 +262,6 @@ def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quant
                 "missing (SEQRES in a PDB file, _entity_poly_seq in a PDBx/mmCIF file): take the file as the archive "
                 "has it, or divide the chain there (TER)"
             )
-
-
-def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.ForceField) -> None:
-    """Refuse residues without a template in the force field, even if its patches for chain ends are considered."""
-    topology = structure.topology
-    try:
-        add_virtual_sites(topology, structure.positions, forcefield)
-    except ForceFieldError as error:
-        files = " ".join(structure.files)
-        joined = {atom.residue for bond in topology.bonds() if bond[0].residue != bond[1].residue for atom in bond}
-        unknown = [residue for residue in forcefield.getUnmatchedResidues(topology) if residue not in joined]
-        if not unknown:
-            raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
-        names = " ".join(dict.fromkeys(residue.name for residue in unknown))
-        raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(unknown)}: leave them out with "
-            f"leave_out={names.split()} (--leave-out {names}), or add to `files` (--forcefield) a force field that has "
-            "templates for them"
-        ) from error
 
 
 # --- descriptions ---
