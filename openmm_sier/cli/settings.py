@@ -105,7 +105,11 @@ class RunSettings(BaseModel):
         follows=defaults.scheme,
         otherwise="sier4g; sier2 with nvt and npt by langevin, sier2v2 with hmc",
     )
-    dt: float = fields.number("step", "fs", 0.05, 1e3, follows=defaults.step, otherwise=defaults.steps_in_words())
+    dt: float = fields.number(
+        *("step", "fs", 0.05, 1e3),
+        follows=defaults.step,
+        otherwise="usual for the scheme: 4 for the default ones, 6 with hmc, 9 with heavy hydrogens by langevin or hmc",
+    )
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=defaults.friction,

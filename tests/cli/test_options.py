@@ -80,6 +80,15 @@ def test_this_directory_is_no_file_of_coordinates(capsys):
     assert "argument BOX: expected the name of a file, got '.'" in message
 
 
+def test_the_help_has_the_usual_steps():
+    light = {name: METHODS[scheme].usual_step(name) for name, scheme in RECOMMENDED.items()}
+    heavy = {name: METHODS[scheme].usual_step(name, 4) for name, scheme in RECOMMENDED.items()}
+    assert light == {"nve": 4, "nvt": 4, "npt": 4, "hmc": 6}
+    assert heavy == {"nve": 4, "nvt": 9, "npt": 9, "hmc": 9}
+    described = "4 for the default ones, 6 with hmc, 9 with heavy hydrogens by langevin or hmc"
+    assert described in RunSettings.model_fields["dt"].description
+
+
 def test_bonds_to_hydrogen_are_constrained_unless_a_run_says_otherwise():
     box = {"box": Path("box.pdb")}
     assert new_settings(box).constraints == "hbonds"
