@@ -11,9 +11,10 @@ from openmm_sier.cli import planning
 from openmm_sier.cli.console import note
 from openmm_sier.cli.defaults import trajectory_of
 from openmm_sier.cli.errors import Misused, NothingLeft, RunError
-from openmm_sier.cli.files import checkpoints, cuts
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.files.records import last_step
 from openmm_sier.cli.settings import checkpoint_of
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.inputs.inputs import sources_of
@@ -94,11 +95,27 @@ class Restart:
     def check_outputs(self, outputs: Outputs) -> None:
         """Refuse outputs of another run, or from which more would be cut than a killed run leaves."""
         outputs.check_noted(self.notes)
-        cut = cuts.find_cuts(self.settings, self.notes)
         if not self.settings.overwrite:
-            cuts.refuse_to_lose(cut, self.settings, self.checkpoint, self.notes.step)
-        if cut:
-            note(cuts.describe(cut, self.settings, self.checkpoint, self.notes.step))
+            self._refuse_to_lose()
+        if cuts := outputs.files_beyond(self.notes):
+            step = self.settings.length(self.notes.step)
+            note(f"cuts {', '.join(map(str, cuts))} back to step {step}, where {self.checkpoint} is")
+
+    def _refuse_to_lose(self) -> None:
+        """Refuse to cut more than a killed run leaves after its last checkpoint.
+
+        A run writes its next checkpoint at most one interval later. A log that continues beyond that is of a run that
+        went on, as after a restart from a copy of a checkpoint.
+        """
+        settings, step, last = self.settings, self.notes.step, last_step(self.settings.report)
+        interval = settings.interval(settings.checkpoint_every)
+        if last > (step // interval + 1) * interval:
+            raise RunError(
+                f"{self.checkpoint} is at step {settings.length(step)}, but {settings.report} goes on to step "
+                f"{settings.length(last)}, further than a killed run writes after its last checkpoint. Give the last "
+                f"checkpoint to --restart; or begin a new run with --start {self.checkpoint} and another --out; or cut "
+                "the files back with --overwrite"
+            )
 
     def context(self, simulated: SimulatedSystem) -> openmm.Context:
         """Return a Context in the state of the checkpoint, which must belong to this system."""

@@ -43,9 +43,6 @@ WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
 #: Length in nm above which a bond between two residues spans a gap; the longest bonds, of sulfur, have 0.21 nm.
 LONGEST_BOND = 0.3
 
-#: Maximum number of residues named in a message.
-NAMED = 6
-
 
 class Completed(NamedTuple):
     """A structure with all its atoms.
@@ -234,18 +231,12 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
 
 
 def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
-    """Add heavy atoms, including those of missing residues, and return the changes."""
-    fixer.findMissingAtoms()
-    incomplete = {*fixer.missingAtoms, *fixer.missingTerminals}
-    missing = sum(map(len, (*fixer.missingAtoms.values(), *fixer.missingTerminals.values())))
+    """Add heavy atoms, including those of missing residues, and return the change."""
     before = fixer.topology.getNumAtoms()
+    fixer.findMissingAtoms()
     fixer.addMissingAtoms(seed)
     added = fixer.topology.getNumAtoms() - before
-    if not added:
-        return []
-    where = [f"{missing} to {_listed(incomplete)}"] if missing else []
-    where += [f"{added - missing} of added residues"] if added > missing else []
-    return [("heavy atoms added", ", ".join(where))]
+    return [("heavy atoms added", str(added))] if added else []
 
 
 def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quantity) -> None:
@@ -274,13 +265,6 @@ def _names(topology: app.Topology) -> Counter[str]:
 
 def _named(residue: Any) -> str:
     return f"{residue.name} {residue.chain.id} {residue.id}"
-
-
-def _listed(residues: Any) -> str:
-    """Return the names of residues; for many, the first names and the total number."""
-    ordered = sorted(residues, key=lambda residue: residue.index)
-    names = ", ".join(map(_named, ordered[:NAMED]))
-    return names if len(ordered) <= NAMED else f"{names} and others, {len(ordered)} in all"
 
 
 def _size_of_water(forcefield: app.ForceField) -> int:

@@ -57,8 +57,8 @@ def test_missing_parts_are_added_and_reported(whole):
     changes = dict(whole.changes)
     assert changes["residues added"] == "1 between ASP A 44 and ASP A 46"
     assert changes["missing at an end, left out"] == "26 after VAL A 50"
-    # Of phenylalanine, seven of its side chain; then those of glutamic acid, which is missing.
-    assert changes["heavy atoms added"] == "8 to PHE A 47, VAL A 50, 9 of added residues"
+    # Of phenylalanine seven of its side chain, the terminal oxygen, and nine of glutamic acid, which is missing.
+    assert changes["heavy atoms added"] == "17"
     hydrogens = sum(atom.element.symbol == "H" for atom in whole.topology.atoms())
     assert changes["hydrogens added"].startswith(f"{hydrogens},")
 

@@ -95,6 +95,10 @@ class Outputs:
         for name, path in self._grown.items():
             records.check(path, notes.file(name), KINDS[name].format)
 
+    def files_beyond(self, notes: Notes) -> list[Path]:
+        """Return the files with records after a checkpoint, which a restart cuts."""
+        return [path for name, path in self._grown.items() if os.path.getsize(path) > notes.file(name).size]
+
     def _remove(self) -> None:
         """Remove all files, the checkpoint first, so that it never remains with files of another run."""
         for path in self.paths:
