@@ -37,26 +37,6 @@ def _over_fluctuation(deviation: float, potential: np.ndarray) -> float:
     return deviation / spread if spread > 0 else math.nan
 
 
-def energy_error_within_1_ps(time: np.ndarray, total: np.ndarray, potential: np.ndarray) -> float:
-    """Return the energy error within 1 ps, with H relative to a straight line in each block.
-
-    It detects too long a step even if H drifts or walks for legitimate reasons, as with a heat bath. Blocks are longer
-    if they would have fewer than `FEWEST` values.
-
-    Args:
-        time: times, ps, (n,), evenly spaced.
-        total: conserved energy, kJ/mol, (n,).
-        potential: potential energy, kJ/mol, (n,); its fluctuation is relative to the mean over the run.
-
-    Returns:
-        The error; NaN for fewer than three values, or if the potential energy is constant.
-    """
-    rest = []
-    for t, h in zip(blocks(time, time), blocks(time, total), strict=True):
-        rest.append(h - np.polyval(np.polyfit(t - t.mean(), h, 1), t - t.mean()))
-    return _over_fluctuation(rms(np.concatenate(rest)), potential)
-
-
 def blocks(time: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
     """Split values into blocks of about `BLOCK`, each of at least `FEWEST` values."""
     number = min(round((time[-1] - time[0]) / BLOCK), len(values) // FEWEST)

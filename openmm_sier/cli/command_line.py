@@ -1,9 +1,7 @@
 """The commands and their options, read from a command line."""
 
-import os
 import sys
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -16,7 +14,7 @@ from pydantic import ValidationError
 
 from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.errors import Misused
-from openmm_sier.cli.fields import Options, is_utf8, options, refusal
+from openmm_sier.cli.fields import Options, options, refusal
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.cli.settings import OF_INFO, OF_TUNING, SETTINGS, RunSettings
 from openmm_sier.cli.streams import PROGRAM
@@ -33,9 +31,6 @@ EXIT_CODES = """Exit codes:
   included, and --restart continues the run
 """
 
-#: Options by their names in other programs, for which the parser would suggest a wrong one.
-OF_OTHER_PROGRAMS = {"--timestep": "--dt", "--time-step": "--dt", "--stepsize": "--dt", "--step-size": "--dt"}
-
 #: Settings of a run as options, all optional.
 if TYPE_CHECKING:
     OfRun = Options
@@ -47,6 +42,8 @@ NOTHING = Options()
 
 #: The fields of a model are options of the command.
 FLAT = Parameter(name="*")
+
+Overwrite = Annotated[bool, Parameter(negative="", help="replace existing files (default: refuse to)")]
 
 Debug = Annotated[bool, Parameter(negative="", help="show the traceback of an error (default: one line)")]
 
@@ -65,9 +62,7 @@ Skip = Annotated[
         "not settled, if anything)",
     ),
 ]
-Picture = Annotated[
-    Path | None, Parameter(help="draw the logs, as `plot` does, in PNG, SVG or HTML (default: no picture)")
-]
+Picture = Annotated[Path | None, Parameter(help="draw the logs, as `plot` does, in PNG or SVG (default: no picture)")]
 
 
 def _in_words(default: str, of: str, **limits: Any) -> Parameter:
@@ -153,7 +148,7 @@ def setup(
         Parameter(negative="", help="add residues that are missing at the ends of chains too, not only within them"),
     ] = False,
     seed: Annotated[int, _in_words("1", "of the places of what is added", gte=1, lt=2**31)] = 1,
-    overwrite: Annotated[bool, Parameter(negative="", help="replace an earlier file")] = False,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Complete a structure, such as one from the Protein Data Bank, for `run`.
@@ -196,11 +191,10 @@ def plot(
     *,
     out: Annotated[
         Path | None,
-        _in_words(
-            "beside the first log, with .png", "the picture, PNG, SVG or HTML, which takes the place of an earlier one"
-        ),
+        _in_words("beside the first log, with .png", "the picture, PNG or SVG"),
     ] = None,
     skip: Skip = None,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Draw the log of a run, or of several.
@@ -208,7 +202,7 @@ def plot(
     Draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over equal times,
     with what had not settled, and for several runs the error of their mean.
     """
-    _execute("plot", logs, out, skip)
+    _execute("plot", logs, out, skip, overwrite)
 
 
 @app.command
@@ -218,6 +212,7 @@ def summary(
     json: Annotated[Path | None, _in_words("nowhere", "write all numbers there too")] = None,
     plot: Picture = None,
     skip: Skip = None,
+    overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
     """Print means over several runs.
@@ -226,7 +221,7 @@ def summary(
     more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ. --json
     and --plot replace only files that they wrote earlier.
     """
-    _execute("summary", logs, json, plot, skip)
+    _execute("summary", logs, json, plot, skip, overwrite)
 
 
 @app.command
@@ -264,9 +259,6 @@ def parse(arguments: Sequence[str] | None = None) -> Call:
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     if not tokens:
         raise Misused(f"expected a command, one of {', '.join(name for name in app if name[0] != '-')}")
-    for token in tokens:
-        if not is_utf8(token):
-            raise Misused(f"the argument {os.fsencode(token)!r} is not UTF-8: give the file another name")
     try:
         function, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
     except CycloptsError as error:
@@ -279,18 +271,10 @@ def _described(error: CycloptsError) -> str:
     cause = error.__cause__
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         return f"{error.unused_tokens[0]!r} belongs to no option"
-    if isinstance(error, UnknownOptionError) and (meant := _meant(error)):
-        return f"Unknown option: {error.token.keyword or error.token.value}. Did you mean {meant}?"
+    if isinstance(error, UnknownOptionError):
+        # The parser would suggest --time for --timestep.
+        return f"there is no option {error.token.keyword or error.token.value}"
     if not (isinstance(cause, ValidationError) and error.argument):
         return " ".join(str(error).split()).removesuffix(".")
     name, message = refusal(cause, error.argument.hint)
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
-
-
-def _meant(error: UnknownOptionError) -> str:
-    """Return the command's option for a name, or nearly a name, of other programs; else ""."""
-    options_here = {name for argument in error.argument_collection or () for name in argument.names}
-    name = (error.token.keyword or error.token.value).split("=")[0]
-    close = get_close_matches(name, OF_OTHER_PROGRAMS, n=1, cutoff=0.9)
-    meant = OF_OTHER_PROGRAMS[close[0]] if close else ""
-    return meant if meant in options_here else ""

@@ -1,4 +1,4 @@
-"""Settings of a run in TOML files: `openmm-sier run --config` and `--save-config`."""
+"""Settings of a run in TOML files: `openmm-sier run --config`."""
 
 import json
 import sys
@@ -8,25 +8,16 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from openmm_sier.cli.contradictions import LENGTHS, useless
+from openmm_sier.cli.contradictions import LENGTHS
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.fields import options, refusal
-from openmm_sier.cli.files import records
-from openmm_sier.cli.settings import NOTED, SETTINGS, RunSettings
-from openmm_sier.cli.streams import PROGRAM
+from openmm_sier.cli.settings import SETTINGS, RunSettings
 from openmm_sier.system.untrusted_files import open_regular
-from openmm_sier.version import __version__
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-#: Settings of one call of the command that a file contains if the user gave them: they change how a new run begins.
-OF_A_BEGINNING = "start", "equilibrate", "minimize", "platform", "plot"
-
-#: Beginning of a file of `--save-config`.
-MARK = f"# A run of {PROGRAM} ".encode()
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -56,17 +47,3 @@ def joined(of_file: Mapping[str, Any], of_line: Mapping[str, Any]) -> dict[str, 
     has_length = any(name in of_line for name in LENGTHS)
     from_file = {name: value for name, value in of_file.items() if not (has_length and name in LENGTHS)}
     return from_file | dict(of_line)
-
-
-def write_config(path: Path, settings: RunSettings) -> None:
-    """Write a TOML file with which `run --config` makes the same run, replacing an earlier file.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    values = settings.model_dump(mode="json", include={*NOTED, *OF_A_BEGINNING}, exclude_none=True)
-    idle = useless(settings)
-    # JSON of texts, of numbers and of lists of them is TOML.
-    lines = [f"{name} = {json.dumps(value)}" for name, value in values.items() if name not in idle]
-    text = "\n".join([f"{__version__}: {PROGRAM} run --config {path.name}", *lines, ""])
-    records.replace(path, memoryview(MARK + text.encode()))

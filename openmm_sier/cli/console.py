@@ -19,27 +19,8 @@ SECONDS_PER_DAY = 86400.0
 #: Time in seconds, from an arbitrary origin.
 clock = time.perf_counter
 
-#: Seconds until the first line about progress where there is no terminal.
-LINE_AFTER = 30.0
-
-
-class Pace:
-    """Times at which lines about progress are due: the first after `LINE_AFTER` s, later ones less often.
-
-    A line is due at least every ten minutes.
-    """
-
-    def __init__(self) -> None:
-        self._started = self._last = clock()
-
-    def is_due(self) -> bool:
-        """Return whether a line is due, and count it as printed."""
-        now = clock()
-        interval = min(20 * LINE_AFTER, max(LINE_AFTER, (now - self._started) / 20))
-        is_due = now - self._last >= interval
-        if is_due:
-            self._last = now
-        return is_due
+#: Seconds until the first line about progress where there is no terminal, and the longest time between two lines.
+LINE_AFTER, LONGEST_SILENCE = 30.0, 600.0
 
 
 def note(message: str) -> None:
@@ -83,11 +64,10 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
     task = bar.add_task(description, total=total, completed=begun, state="")
     shown = description
-    started = clock()
-    pace = Pace()
+    started = last = clock()
 
     def advance(completed: float, description: str | None = None) -> None:
-        nonlocal shown
+        nonlocal shown, last
         shown = description or shown
         elapsed = clock() - started
         if completed <= begun or not elapsed:
@@ -96,7 +76,8 @@ def progress_bar(description: str, total: float, ps: float | None = None, begun:
         with suppress(OSError):
             if not bar.disable:
                 bar.update(task, completed=completed, description=shown, state=state)
-            elif pace.is_due():
+            elif started + elapsed - last >= min(LONGEST_SILENCE, max(LINE_AFTER, elapsed / 20)):
+                last = started + elapsed
                 print(f"{shown}: {state}", file=sys.stderr, flush=True)
 
     with suppress(OSError):

@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING
 
 from openmm_sier.cli.arguments import flag
-from openmm_sier.cli.files.trajectories import FORMATS
-from openmm_sier.cli.pictures.endings import ENDINGS
-from openmm_sier.cli.results import FEWEST_ROWS
 from openmm_sier.observe.openmm_integrators import BAROSTAT_INTERVAL
 
 if TYPE_CHECKING:
     from openmm_sier.cli.settings import RunSettings
+
+#: Ending of the names of trajectories.
+TRAJECTORY = ".dcd"
 
 #: Two settings of the same quantity, of which a user may choose one.
 LENGTHS = "steps", "time"
@@ -48,9 +48,9 @@ def _contradictions(settings: RunSettings, chosen: Collection[str]) -> Iterator[
     yield from _of_files(settings)
     if all(name in chosen for name in LENGTHS):
         yield f"{' and '.join(map(flag, LENGTHS))} both say how long the run is: give one of them"
-    for name in useless(settings):
-        if name in chosen:
-            yield f"{flag(name)} needs {DEPENDENT[name][0]}"
+    for name, (needed, does_something) in DEPENDENT.items():
+        if name in chosen and not does_something(settings):
+            yield f"{flag(name)} needs {needed}"
 
 
 def _of_motion(settings: RunSettings) -> Iterator[str]:
@@ -75,22 +75,8 @@ def _of_motion(settings: RunSettings) -> Iterator[str]:
 
 
 def _of_files(settings: RunSettings) -> Iterator[str]:
-    if settings.out.suffix.lower() not in FORMATS:
-        yield f"the name of a trajectory must end in {' or '.join(FORMATS)}, got {settings.out}"
+    if settings.out.suffix.lower() != TRAJECTORY:
+        yield f"the name of a trajectory must end in {TRAJECTORY}, got {settings.out}"
     for table in (settings.report, settings.pressure_tensor):
-        if table is not None and table.suffix.lower() in FORMATS:
+        if table is not None and table.suffix.lower() == TRAJECTORY:
             yield f"{table} will be a table: give a name that ends in .csv"
-    if settings.plot is None:
-        return
-    if settings.plot.suffix.lower() not in ENDINGS:
-        yield f"the name of a picture must end in {', '.join(ENDINGS)}, got {settings.plot}"
-    rows = settings.steps // settings.interval(settings.report_every) + 1
-    if rows < FEWEST_ROWS:
-        yield (
-            f"--plot needs a log of {FEWEST_ROWS} rows or more, and this one would have {rows}: lower --report-every"
-        )
-
-
-def useless(settings: RunSettings) -> list[str]:
-    """Return the names of settings that have no effect with the others."""
-    return [name for name, (_, does_something) in DEPENDENT.items() if not does_something(settings)]

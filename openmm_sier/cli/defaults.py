@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from openmm_sier.cli.methods import FRICTION, HEAVY, HEAVY_FRICTION, METHODS, Method, is_heavy
+from openmm_sier.cli.methods import FRICTION, HEAVY_FRICTION, METHODS, is_heavy
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 
 #: The default scheme of each ensemble, by its name for `--scheme`.
@@ -83,17 +83,3 @@ def report(earlier: Earlier) -> Path:
 def trajectory_of(box: Path) -> Path:
     """Return the default trajectory of a run of these coordinates; other files are named after it."""
     return Path(f"{box.stem}.dcd")
-
-
-def steps_in_words() -> str:
-    """Return the usual step of each method: at constant energy, with a bath and with trials, and heavy hydrogens."""
-
-    def described(method: Method) -> str:
-        bath, trials = (
-            "/".join(dict.fromkeys(f"{method.usual_step(ensemble, mass):g}" for mass in (None, HEAVY)))
-            for ensemble in ("nvt", "hmc")
-        )
-        return f"{method.usual_step('nve'):g}, {bath}" + (f", {trials}" if "hmc" in method.ensembles else "")
-
-    steps = "; ".join(f"{name} {described(method)}" for name, method in METHODS.items())
-    return f"at constant energy, with a bath, with hmc, after / with heavy hydrogens: {steps}"

@@ -26,18 +26,9 @@ FILE, NAME = "the name of a file", "a name"
 # --- types ---
 
 
-def is_utf8(text: str) -> bool:
-    """Return whether a text, such as a name of a file, can be encoded in UTF-8, as JSON and TOML require."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def _check_file(path: Path) -> Path:
     # The root, this directory and the one above are no files, and outputs may be named after inputs.
-    if path.name in ("", "..") or "\0" in str(path) or not is_utf8(str(path)):
+    if path.name in ("", "..") or "\0" in str(path):
         raise ValueError(f"expected {FILE}")
     return path
 
@@ -79,7 +70,8 @@ def setting(
     restart: Restart = "keeps",
     shows_values: bool = False,
     positional: bool = False,
-    details: dict[str, Any] | None = None,
+    each: str = "",
+    writes: bool = False,
     **limits: Any,
 ) -> Any:
     """Return a field of a model of settings.
@@ -93,15 +85,15 @@ def setting(
         restart: see `Restart`.
         shows_values: whether the help includes `expected`.
         positional: whether a command line may have its value without a flag.
-        details: for messages and commands: "each" describes the items of a list; "remark" is a function of a wrong
-            value; "writes" means that the setting names an output.
+        each: description of the items of a list.
+        writes: whether the setting names an output.
         limits: of pydantic.
     """
     if not otherwise and default not in (..., None, False):
         otherwise = f"{default:g}" if isinstance(default, float) else str(default)
     description = (f"{help}: {expected}" if shows_values else help) + (f" (default: {otherwise})" if otherwise else "")
     of_default: dict[str, Any] = {"default_factory": follows} if follows else {"default": default}
-    extra = {"expected": expected, "restart": restart, **(details or {})}
+    extra: dict[str, Any] = {"expected": expected, "restart": restart, "each": each, "writes": writes}
     return Field(description=description, json_schema_extra=extra, kw_only=not positional, **of_default, **limits)
 
 
@@ -123,20 +115,6 @@ def time(help: str, default: float | None = None, **more: Any) -> Any:
     return number(help, "ps", 0, 1e9, default, beyond=True, **more)
 
 
-def step(help: str, least: float, most: float, **more: Any) -> Any:
-    """Return a field for a step in fs; see `setting`."""
-
-    def remark(value: Any) -> str:
-        try:
-            meant = 1000 * float(value)
-        except (TypeError, ValueError):
-            return ""
-        is_in_ps = least <= meant <= most and meant < 1000 * least
-        return f" fs. It is in fs, not in ps: did you mean {meant:g}?" if is_in_ps else ""
-
-    return number(help, "fs", least, most, details={"remark": remark}, **more)
-
-
 def whole(help: str, default: Any = None, *, least: int = 1, most: int = 2**31 - 1, **more: Any) -> Any:
     """Return a field for a whole number; see `setting`."""
     return setting(
@@ -149,16 +127,16 @@ def choice(help: str, names: Collection[str], default: Any = None, **more: Any) 
     return setting(help, f"one of {', '.join(names)}", default, shows_values=True, **more)
 
 
-def file(help: str, default: Any = None, *, writes: bool = False, **more: Any) -> Any:
+def file(help: str, default: Any = None, **more: Any) -> Any:
     """Return a field for a file that a command reads or writes; see `setting`."""
-    return setting(help, FILE, default, details={"writes": writes}, **more)
+    return setting(help, FILE, default, **more)
 
 
 def several(help: str, item: str, count: int = 0, **more: Any) -> Any:
     """Return a field for a list of `count` items, or of one or more; `item` describes them. See `setting`."""
     expected = f"a list of {count} values" if count else "a list with at least one value"
     limits: dict[str, Any] = {"min_length": count or 1, "max_length": count or None}
-    return setting(help, expected, None, details={"each": item}, **limits, **more)
+    return setting(help, expected, None, each=item, **limits, **more)
 
 
 def switch(help: str, default: bool | None = False, **more: Any) -> Any:
@@ -216,5 +194,4 @@ def refusal(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
     expected = details["each"] if items else details["expected"]
     if first["type"] == "missing":
         return name, f"expected {expected}, got nothing"
-    remark = details["remark"](first["input"]) if "remark" in details else ""
-    return name, f"expected {expected}, got {first['input']!r}{remark}"
+    return name, f"expected {expected}, got {first['input']!r}"

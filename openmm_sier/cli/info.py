@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import openmm
 from openmm import app
 
 from openmm_sier.cli.console import note, table
@@ -17,15 +16,8 @@ from openmm_sier.dynamics.species import Species
 from openmm_sier.inputs.forcefields import Box, density_of
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.inputs.pdb_files import box_vectors, extent
-from openmm_sier.system.find_bodies import RigidBodies
 
-#: Moments that differ by less than this fraction of the largest are called equal.
-EQUAL = 1e-6
-
-#: Names of tops: whether the two lower moments are equal, and the two upper ones.
-TOPS = {(True, True): "spherical", (True, False): "oblate", (False, True): "prolate", (False, False): "asymmetric"}
-
-COLUMNS = ("residues", "number", "atoms", "virtual sites", "mass", "moments of inertia", "kind", "freedoms")
+COLUMNS = ("residues", "number", "atoms", "mass", "moments of inertia", "freedoms")
 
 
 def execute(options: Mapping[str, Any]) -> None:
@@ -44,8 +36,7 @@ def execute(options: Mapping[str, Any]) -> None:
     box = read_input(settings.box, settings.topology, settings.forcefield, settings.constraints, edges=settings.edges)
     box, bodies = with_rigid_bodies(box, settings.rigid)
     atoms = list(box.topology.atoms())
-    sites = _virtual_sites(box.system, bodies)
-    rows = [_row(species, atoms, sites) for species in bodies.species]
+    rows = [_row(species, atoms) for species in bodies.species]
     table(f"{settings.box}, {' '.join(box.files)} ({box.reason})", COLUMNS, rows)
     points = int(np.count_nonzero(bodies.point_particles))
     counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
@@ -57,40 +48,17 @@ def execute(options: Mapping[str, Any]) -> None:
     note(counts + _extent(box))
 
 
-def _row(species: Species, atoms: Sequence[app.topology.Atom], sites: dict[int, list[int]]) -> list[str]:
+def _row(species: Species, atoms: Sequence[app.topology.Atom]) -> list[str]:
     first = species.atoms[0]
     names = Counter(atoms[i].residue.name for i in species.atoms[:, 0])
     return [
         " ".join(names),
         str(len(species.atoms)),
         " ".join(atoms[i].name for i in first) if len(first) <= MAX_LISTED else f"{len(first)} atoms",
-        " ".join(atoms[i].name for i in sites.get(int(first[0]), [])) or "-",
         f"{species.mass:.4f}",
         " ".join(f"{moment:.6f}" for moment in species.moments) if species.moments.any() else "-",
-        kind(species.moments),
         str(species.dof),
     ]
-
-
-def kind(moments: np.ndarray) -> str:
-    """Return the name of a top with these ascending moments."""
-    low, middle, high = moments
-    if high == 0:
-        return "point"
-    if low == 0:
-        return "linear"
-    equal = middle - low < EQUAL * high, high - middle < EQUAL * high
-    return f"{TOPS[equal]} top"
-
-
-def _virtual_sites(system: openmm.System, bodies: RigidBodies) -> dict[int, list[int]]:
-    """Return virtual sites that depend on the atoms of a body, by the first atom of the body."""
-    body_of = {int(i): int(members[0]) for species in bodies.species for members in species.atoms for i in members}
-    sites: dict[int, list[int]] = {}
-    for i in range(system.getNumParticles()):
-        if system.isVirtualSite(i):
-            sites.setdefault(body_of[system.getVirtualSite(i).getParticle(0)], []).append(i)
-    return sites
 
 
 def _extent(box: Box) -> str:

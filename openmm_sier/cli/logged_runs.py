@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,15 +35,6 @@ MAY_DIFFER = {
     *("every", "report_every", "checkpoint_every", "pressure_tensor_every"),
 }
 
-#: Ensembles in words.
-ENSEMBLES_IN_WORDS = {
-    "nve": "a run at constant energy",
-    "nvt": "a run in a heat bath",
-    "npt": "a run in a heat bath",
-    "hmc": "a run of hybrid Monte Carlo",
-    None: "a run without its checkpoint",
-}
-
 
 @dataclass(frozen=True)
 class Run:
@@ -53,14 +45,12 @@ class Run:
         log: its columns.
         plan: of the run, by the checkpoint beside the log; None if there is none.
         unsettled: how a doubtful equilibration ended, by that checkpoint; None without one.
-        inputs: fingerprints of the files of its System, by that checkpoint.
     """
 
     path: Path
     log: dict[str, np.ndarray]
     plan: RunSettings | None = None
     unsettled: str | None = None
-    inputs: dict[str, str] | None = None
 
     @property
     def has_trials(self) -> bool:
@@ -91,15 +81,6 @@ class Run:
         is_later = self.clock >= begin
         return {name: column[is_later] for name, column in self.log.items()}
 
-    def quantities(self, begin: float, ensemble: str | None) -> list[Quantity]:
-        """Return all quantities of the log from a time of its clock on, in an ensemble if that is known."""
-        log = self.after(begin)
-        quantities = results.energies(log, ensemble)
-        if ensemble == "nve":
-            quantities.insert(0, results.potential_energy(log))
-        quantities += results.temperatures(log)
-        return quantities + ([results.density(log)] if self.moves_volume else []) + results.trials(log)
-
 
 class Runs(NamedTuple):
     """Runs of one kind.
@@ -111,7 +92,6 @@ class Runs(NamedTuple):
         moving: names of quantities that settled after a while.
         drifting: names of quantities with a trend up to the end.
         unclear: names of quantities with too few independent values to show a trend.
-        copies: of each run with several logs their paths, that of the log that counts first.
     """
 
     runs: list[Run]
@@ -120,7 +100,6 @@ class Runs(NamedTuple):
     moving: tuple[str, ...] = ()
     drifting: tuple[str, ...] = ()
     unclear: tuple[str, ...] = ()
-    copies: tuple[list[Path], ...] = ()
 
     @property
     def first(self) -> Run:
@@ -151,9 +130,11 @@ class Runs(NamedTuple):
 
     def means(self) -> list[tuple[Quantity, list[Quantity]]]:
         """Return each quantity over all runs, and in each of them."""
-        by_run = zip(*(run.quantities(self.begin, self.ensemble) for run in self.runs), strict=True)
+        ensemble = self.ensemble
+        lists = [results.quantities(run.after(self.begin), ensemble, run.moves_volume) for run in self.runs]
         return [
-            (same[0]._replace(value=over_runs([quantity.value for quantity in same])), list(same)) for same in by_run
+            (same[0]._replace(value=over_runs([quantity.value for quantity in same])), list(same))
+            for same in zip(*lists, strict=True)
         ]
 
 
@@ -185,15 +166,14 @@ def read_run(path: Path) -> Run:
         notes = checkpoints.read_notes(checkpoint)
         plan = noted_settings(checkpoint, notes.plan)
         if same_file(plan.report, path):
-            return Run(path, log, plan, notes.unsettled, notes.inputs)
+            return Run(path, log, plan, notes.unsettled)
     return Run(path, log)
 
 
 def read_logs(paths: Sequence[Path]) -> Runs:
     """Return runs of one kind, from their logs.
 
-    Logs of one run count once. Warns of runs that are shorter than others, or whose options differ in more than the
-    seed.
+    Warns of runs whose options differ in more than the seed, and of runs with the same seed.
 
     Args:
         paths: of the logs.
@@ -209,43 +189,22 @@ def read_logs(paths: Sequence[Path]) -> Runs:
             raise Misused(f"{path} is given twice: each run counts once")
     for run in runs[1:]:
         if not _are_of_one_kind(run, runs[0]):
-            kinds = f"{run.path} is {_described(run)}, but {runs[0].path} is {_described(runs[0])}"
-            raise RunError(f"{kinds}: give runs of one kind")
-    # Among logs of one length, one with its checkpoint comes first.
-    longest_first = sorted(runs, key=lambda run: (-len(run.log["Step"]), run.plan is None))
-    copies = groups(longest_first, _is_log_of)
-    left_out = {path for _, *others in copies for path in others}
-    single = [run for run in runs if run.path not in left_out]
-    _warn_of_differences(single)
-    return Runs(single, copies=copies)
+            raise RunError(f"{run.path} and {runs[0].path} differ in ensemble or columns: give runs of one kind")
+    _warn_of_differences(runs)
+    _warn_of_copies(runs)
+    return Runs(runs)
 
 
 def _are_of_one_kind(one: Run, other: Run) -> bool:
     """Return whether two runs have the same columns and, as far as that is known, the same ensemble."""
-    ensembles = {ENSEMBLES_IN_WORDS[run.ensemble] for run in (one, other) if run.ensemble}
+    ensembles = {run.ensemble for run in (one, other) if run.ensemble}
     return len(ensembles) < 2 and one.moves_volume == other.moves_volume and one.log.keys() == other.log.keys()
 
 
-def _described(run: Run) -> str:
-    volume = "at constant pressure" if run.moves_volume else "at constant volume"
-    return f"{ENSEMBLES_IN_WORDS[run.ensemble]}, {volume}"
-
-
 def _warn_of_differences(runs: Sequence[Run]) -> None:
-    ends = [float(run.clock[-1]) for run in runs]
-    shortest, longest = int(np.argmin(ends)), int(np.argmax(ends))
-    if ends[shortest] < 0.99 * ends[longest]:
-        unit = Runs(list(runs)).unit
-        warnings.warn(
-            f"{runs[shortest].path} ends after {ends[shortest]:g} {unit}, and {runs[longest].path} after "
-            f"{ends[longest]:g} {unit}: means give both the same weight. Give runs of one length",
-            stacklevel=3,
-        )
     first = runs[0].plan
     for run in runs[1:]:
-        if first is None or run.plan is None:
-            continue
-        if differing := _differing(run.plan, first):
+        if first and run.plan and (differing := _differing(run.plan, first)):
             warnings.warn(
                 f"{run.path} and {runs[0].path} differ in {', '.join(differing)}: their mean belongs to no ensemble. "
                 "Give runs with the same settings",
@@ -254,43 +213,31 @@ def _warn_of_differences(runs: Sequence[Run]) -> None:
             return
 
 
-# --- logs of one run ---
+def _warn_of_copies(runs: Sequence[Run]) -> None:
+    for one, other in combinations(runs, 2):
+        if _have_equal_ends(one, other) or _have_same_noise(one, other):
+            warnings.warn(
+                f"{one.path} and {other.path} are logs of one run, or have the same seed: the error of their mean is "
+                "too small. Give each run a --seed of its own",
+                stacklevel=3,
+            )
+            return
 
 
-def groups(runs: Sequence[Run], is_alike: Callable[[Run, Run], bool]) -> tuple[list[Path], ...]:
-    """Return the paths of the runs in each group of two or more alike runs."""
-    groups: list[list[Run]] = []
-    for run in runs:
-        alike = next((group for group in groups if is_alike(run, group[0])), None)
-        if alike is None:
-            groups.append([run])
-        else:
-            alike.append(run)
-    return tuple([run.path for run in group] for group in groups if len(group) > 1)
-
-
-def _is_log_of(one: Run, other: Run) -> bool:
-    """Return whether two logs are of one run: by their common rows, or by a common start, seed and settings."""
+def _have_equal_ends(one: Run, other: Run) -> bool:
+    """Return whether two logs are equal in the last row with a common step."""
     steps, rows, rows_of_other = np.intersect1d(one.log["Step"], other.log["Step"], return_indices=True)
     if not len(steps):
         return False
-    columns = np.array([[one.log[name][rows], other.log[name][rows_of_other]] for name in one.log])
-    is_equal: np.ndarray = np.isclose(columns[:, 0], columns[:, 1], rtol=0, atol=0, equal_nan=True).all(axis=0)
-    if is_equal.all() and len(steps) > 1:
-        return True
-    # Later rows differ if forces are not repeated to the bit, as on a GPU.
-    return bool(is_equal[0]) and _are_alike(one, other)
+    ends = np.array([[one.log[name][rows[-1]], other.log[name][rows_of_other[-1]]] for name in one.log])
+    return np.array_equal(ends[:, 0], ends[:, 1], equal_nan=True)
 
 
-def have_same_noise(one: Run, other: Run) -> bool:
-    return one.ensemble != "nve" and _are_alike(one, other)
-
-
-def _are_alike(one: Run, other: Run) -> bool:
-    """Return whether two runs have the same seed, settings and inputs by their checkpoints, if both have one."""
-    if one.plan is None or other.plan is None:
+def _have_same_noise(one: Run, other: Run) -> bool:
+    """Return whether two runs have the same seed and settings by their checkpoints, if both have one."""
+    if one.plan is None or other.plan is None or one.ensemble == "nve":
         return False
-    return one.plan.seed == other.plan.seed and one.inputs == other.inputs and not _differing(one.plan, other.plan)
+    return one.plan.seed == other.plan.seed and not _differing(one.plan, other.plan)
 
 
 def _differing(one: RunSettings, other: RunSettings) -> list[str]:

@@ -41,14 +41,12 @@ class Method(NamedTuple):
 
     Attributes:
         name: for titles and messages.
-        order: of its energy error in the step.
         ensembles: in which it can run, the default first.
         scheme: of this package's integrators; None for OpenMM's own integrators.
         leapfrog: whether velocities are half a step behind positions.
     """
 
     name: str
-    order: int = 2
     ensembles: tuple[str, ...] = tuple(ENSEMBLES)
     scheme: Scheme | None = None
     leapfrog: bool = False
@@ -72,7 +70,7 @@ def _usual_step(scheme: Scheme, ensemble: str, heavy: bool) -> float | None:
 
 
 #: Methods by the names that `--scheme` takes.
-METHODS = {name: Method(scheme.name, scheme.order, scheme=scheme) for name, scheme in CATALOGUE.items()} | {
+METHODS = {name: Method(scheme.name, scheme=scheme) for name, scheme in CATALOGUE.items()} | {
     "verlet": Method("OpenMM Verlet", ensembles=("nve", "nvt", "npt"), leapfrog=True),
     "langevinmiddle": Method("OpenMM LangevinMiddle", ensembles=("nvt", "npt")),
 }

@@ -9,7 +9,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.cli import planning, run_checks
-from openmm_sier.cli.beginning import Beginning
 from openmm_sier.cli.console import REPORT, note
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.files import checkpoints
@@ -41,8 +40,17 @@ def read_origin(checkpoint: Path | None) -> Origin | None:
     return Origin(checkpoint, planning.noted_settings(checkpoint, checkpoints.read_notes(checkpoint).plan))
 
 
-class NewRun(Beginning):
-    """The beginning of a run from coordinates, or from the checkpoint of another run."""
+class NewRun:
+    """The beginning of a run from coordinates, or from the checkpoint of another run.
+
+    Attributes:
+        settings: of the run.
+        checkpoint: path of its checkpoint.
+        sources: files of the input, by purpose.
+        notes: of the checkpoint that is continued; None for a new run.
+        unsettled: how a doubtful equilibration ended, in words; None without one.
+        may_replace: whether a picture of an earlier run is replaced.
+    """
 
     notes = None
 
@@ -59,7 +67,7 @@ class NewRun(Beginning):
         if self._origin is not None:
             box = self.sources["box"]
             planning.refuse_foreign_force_field(self.settings, options, self._origin.checkpoint, box)
-        self.unsettled = None
+        self.unsettled: str | None = None
         self.may_replace = self.settings.overwrite
 
     def check_inputs(self, outputs: Outputs) -> None:

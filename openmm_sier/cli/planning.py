@@ -184,21 +184,14 @@ def refuse_foreign_force_field(
     """
     if "forcefield" in chosen or (settings.forcefield is None and "box" in chosen):
         return
+    setting = "box" if settings.forcefield is None else "forcefield"
     for name, path in foreign_files(_force_field(settings, box), settings.box.parent).items():
         # Parameters of a psf file are numbers, but force fields of OpenMM may have scripts.
-        if settings.topology is None:
-            reason = "which could execute code: if you trust it"
-        elif not _is_below(path, checkpoint):
-            reason = "in a directory other than its own: to read it"
-        else:
-            continue
-        if settings.forcefield is None:
+        if settings.topology is None or not _is_below(path, checkpoint):
             raise RunError(
-                f"{settings.box}, which {checkpoint} names, names the force field {name}, {reason}, give "
-                f"{_argument_again('box', settings.box)}"
+                f"{checkpoint} names {name}, a force field that comes neither with OpenMM nor with this package, and "
+                f"could execute code: if you trust it, give {_argument_again(setting, getattr(settings, setting))}"
             )
-        again = _argument_again("forcefield", settings.forcefield)
-        raise RunError(f"{checkpoint} names {name} for --forcefield, {reason}, give {again}")
 
 
 def _force_field(settings: RunSettings, box: SourceFile) -> Sequence[str]:

@@ -1,20 +1,20 @@
 """A run that continues from its checkpoint, without a gap."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import openmm
 from openmm import unit
 
-from openmm_sier.cli import planning, platforms
-from openmm_sier.cli.beginning import Beginning
+from openmm_sier.cli import planning
+from openmm_sier.cli.console import note
 from openmm_sier.cli.defaults import trajectory_of
 from openmm_sier.cli.errors import Misused, NothingLeft, RunError
-from openmm_sier.cli.files import checkpoints, cuts
-from openmm_sier.cli.files.checkpoints import Notes
+from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.files.records import last_step
 from openmm_sier.cli.settings import checkpoint_of
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.inputs.inputs import sources_of
@@ -47,10 +47,9 @@ def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path
     return checkpoint if options.get("restart") or (checkpoint and checkpoint.exists()) else None
 
 
-class Restart(Beginning):
-    """The beginning of a run that continues from its checkpoint."""
+class Restart:
+    """The beginning of a run that continues from its checkpoint, with the attributes and methods of `NewRun`."""
 
-    notes: Notes
     may_replace = True
 
     def __init__(self, options: Mapping[str, Any], checkpoint: Path):
@@ -62,11 +61,11 @@ class Restart(Beginning):
         self.checkpoint = checkpoint
         self.notes = checkpoints.read_notes(checkpoint)
         settings = planning.continued_settings(options, checkpoint, self.notes.plan)
-        self.settings = platforms.keep_platform(settings, checkpoint, self.notes.platform)
+        platform = settings.platform or self.notes.platform[checkpoints.PLATFORM]
+        self.settings = settings.model_copy(update={"platform": platform})
         self.sources = sources_of(settings.box, settings.topology, settings.forcefield)
         planning.refuse_foreign_force_field(settings, options, checkpoint, self.sources["box"])
         self.unsettled = self.notes.unsettled
-        self._cuts: list[cuts.Cut] = []
 
     def check_inputs(self, outputs: Outputs) -> None:
         """Refuse inputs of another run, and a run that has reached its last step."""
@@ -92,17 +91,31 @@ class Restart(Beginning):
                     f"{file} is not the file that the run of {self.checkpoint} read, or was edited. Give the original "
                     "file, or begin a new run with --start"
                 )
-        if missing := [purpose for purpose in noted if purpose not in self.sources]:
-            raise RunError(
-                f"{missing[0]}, which the run of {self.checkpoint} read, is missing: put it back under this name"
-            )
 
     def check_outputs(self, outputs: Outputs) -> None:
         """Refuse outputs of another run, or from which more would be cut than a killed run leaves."""
         outputs.check_noted(self.notes)
-        self._cuts = cuts.find_cuts(self.settings, self.notes)
         if not self.settings.overwrite:
-            cuts.refuse_to_lose(self._cuts, self.settings, self.checkpoint, self.notes.step)
+            self._refuse_to_lose()
+        if cuts := outputs.files_beyond(self.notes):
+            step = self.settings.length(self.notes.step)
+            note(f"cuts {', '.join(map(str, cuts))} back to step {step}, where {self.checkpoint} is")
+
+    def _refuse_to_lose(self) -> None:
+        """Refuse to cut more than a killed run leaves after its last checkpoint.
+
+        A run writes its next checkpoint at most one interval later. A log that continues beyond that is of a run that
+        went on, as after a restart from a copy of a checkpoint.
+        """
+        settings, step, last = self.settings, self.notes.step, last_step(self.settings.report)
+        interval = settings.interval(settings.checkpoint_every)
+        if last > (step // interval + 1) * interval:
+            raise RunError(
+                f"{self.checkpoint} is at step {settings.length(step)}, but {settings.report} goes on to step "
+                f"{settings.length(last)}, further than a killed run writes after its last checkpoint. Give the last "
+                f"checkpoint to --restart; or begin a new run with --start {self.checkpoint} and another --out; or cut "
+                "the files back with --overwrite"
+            )
 
     def context(self, simulated: SimulatedSystem) -> openmm.Context:
         """Return a Context in the state of the checkpoint, which must belong to this system."""
@@ -119,10 +132,3 @@ class Restart(Beginning):
                 "field are not those of the run. Give the files of the run"
             )
         return context
-
-    def remarks(self, context: openmm.Context) -> Sequence[str]:
-        """Return differences from the run before, and the cuts in its files, in words."""
-        remarks = platforms.differences(context, self.checkpoint, self.notes.platform)
-        if self._cuts:
-            remarks.append(cuts.describe(self._cuts, self.settings, self.checkpoint, self.notes.step))
-        return remarks

@@ -10,8 +10,8 @@ from openmm_sier.analysis.statistics import Estimate, format_number, mean_and_er
 from openmm_sier.inputs.report import duration
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
-#: Names of the temperatures in tables, in the order of their columns.
-NAMES_OF_TEMPERATURES = ("T_trans", "T_rot", "T of flexible molecules")
+#: Names of the temperatures in tables and pictures, by their columns.
+TEMPERATURE_NAMES = dict(zip(TEMPERATURES, ("T_trans", "T_rot", "T of flexible molecules"), strict=True))
 
 DENSITY = "Density (g/mL)"
 
@@ -38,18 +38,11 @@ class Quantity(NamedTuple):
     form: str = ""
 
     def __str__(self) -> str:
-        text = str(self.value) if isinstance(self.value, Estimate) else self.single(self.value)
+        if isinstance(self.value, Estimate):
+            text = str(self.value)
+        else:
+            text = f"{self.value:{self.form}}" if self.form else format_number(self.value, digits=3)
         return "-" if text in ("-", "nan") else f"{text} {self.unit}"
-
-    def single(self, value: float) -> str:
-        """Return a value of this quantity in one run, with the digits of the mean if that has an error."""
-        mean = self.value
-        if not isinstance(mean, Estimate):
-            return f"{value:{self.form}}" if self.form else format_number(value, digits=3)
-        if not (math.isfinite(mean.error) and mean.error > 0):
-            return format_number(value)
-        digits = max(0, 1 - math.floor(math.log10(mean.error)))
-        return f"{value:.{digits}f}" if digits < 7 else format_number(value)
 
 
 def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[tuple[str, str]]:
@@ -70,80 +63,48 @@ def cost_rows(steps: int, ps: float, seconds: float, evaluations: int) -> list[t
     ]
 
 
-def rows(log: dict[str, np.ndarray], ensemble: str, moves_volume: bool) -> list[tuple[str, str]]:
-    """Return names and values for the table at the end.
-
-    Args:
-        log: columns of the log by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
-        ensemble: of the run.
-        moves_volume: whether the pressure was constant.
-    """
-    named = [(quantity.name, str(quantity)) for quantity in (*energies(log, ensemble), *temperatures(log))]
-    # Trials draw new momenta, so that the total momentum means nothing.
-    if ACCEPTANCE not in log:
-        momentum = np.linalg.norm([log[f"Momentum {axis} (dalton nm/ps)"] for axis in "xyz"], axis=0)
-        named.append(("total momentum, first and last", f"{momentum[0]:.2g}, {momentum[-1]:.2g} dalton nm/ps"))
-    further = [density(log)] if moves_volume else []
-    return named + [(quantity.name, str(quantity)) for quantity in (*further, *trials(log))]
-
-
-def energies(log: dict[str, np.ndarray], ensemble: str | None) -> list[Quantity]:
-    """Return energies of a log.
+def quantities(log: dict[str, np.ndarray], ensemble: str | None, moves_volume: bool) -> list[Quantity]:
+    """Return all quantities of a log.
 
     H is the conserved energy: the total energy less the heat that a thermostat or a volume move has added. Its
-    rms and that of V are relative to their means over the whole log. In a bath its drift is the heat of the steps, and
-    rms(H) means nothing.
+    rms and that of V are relative to their means over the log. In a bath its drift is the heat of the steps, and
+    rms(H) means nothing. There is none in hybrid Monte Carlo, nor with the baths of OpenMM.
 
     Args:
-        log: its columns.
+        log: its columns by name, see `openmm_sier.observe.conservation.COLUMNS`, and those of trials.
         ensemble: of the run; None if unknown.
+        moves_volume: whether the pressure was constant.
     """
-    if ensemble == "nve":
-        return _conservation(log)
-    potential = potential_energy(log)
-    # Energy errors of trials have rows of their own. OpenMM does not count the heat of its baths.
-    if ensemble == "hmc" or np.isnan(log[CONSERVED]).any():
-        return [potential]
-    if ensemble is None:
-        return [potential, *_conservation(log)]
-    return [potential, Quantity("heat of the steps, which the bath takes up", drift(log), "kJ/mol/ps")]
+    energies = [Quantity("potential energy V", mean_and_error(log[POTENTIAL]), "kJ/mol")]
+    if ensemble != "hmc" and not np.isnan(log[CONSERVED]).any():
+        energies += _conservation(log, ensemble)
+    further = [Quantity("density", mean_and_error(log[DENSITY]), "g/ml")] if moves_volume else []
+    return [*energies, *_temperatures(log), *further, *_trials(log)]
 
 
-def _conservation(log: dict[str, np.ndarray]) -> list[Quantity]:
+def _conservation(log: dict[str, np.ndarray], ensemble: str | None) -> list[Quantity]:
     H, V = log[CONSERVED], log[POTENTIAL]
+    drift = slope_and_error(log["Time (ps)"], H)
+    if ensemble in ("nvt", "npt"):
+        return [Quantity("heat of the steps, which the bath takes up", drift, "kJ/mol/ps")]
     return [
-        Quantity("drift of the conserved energy H", drift(log), "kJ/mol/ps"),
+        Quantity("drift of the conserved energy H", drift, "kJ/mol/ps"),
         Quantity("fluctuation rms(H)", rms(H) if len(H) > 2 else math.nan, "kJ/mol"),
         Quantity("rms(H)/rms(V)", 100 * energy_error(H, V), "%"),
     ]
 
 
-def drift(log: dict[str, np.ndarray]) -> Estimate:
-    """Return the drift of the conserved energy, kJ/mol/ps."""
-    return slope_and_error(log["Time (ps)"], log[CONSERVED])
-
-
-def potential_energy(log: dict[str, np.ndarray]) -> Quantity:
-    """Return the mean of the potential energy."""
-    return Quantity("potential energy V", mean_and_error(log[POTENTIAL]), "kJ/mol")
-
-
-def temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
+def _temperatures(log: dict[str, np.ndarray]) -> list[Quantity]:
     """Return means of the temperatures, that of flexible molecules only if there are any."""
-    named = [(name, log[column]) for name, column in zip(NAMES_OF_TEMPERATURES, TEMPERATURES, strict=True)]
+    named = [(name, log[column]) for column, name in TEMPERATURE_NAMES.items()]
     return [
         Quantity(name, mean_and_error(values), "K")
         for name, values in named
-        if name != NAMES_OF_TEMPERATURES[-1] or not np.isnan(values).all()
+        if name != "T of flexible molecules" or not np.isnan(values).all()
     ]
 
 
-def density(log: dict[str, np.ndarray]) -> Quantity:
-    """Return the mean density."""
-    return Quantity("density", mean_and_error(log[DENSITY]), "g/ml")
-
-
-def trials(log: dict[str, np.ndarray]) -> list[Quantity]:
+def _trials(log: dict[str, np.ndarray]) -> list[Quantity]:
     """Return quantities of the trials of hybrid Monte Carlo; none if there were none."""
     if ACCEPTANCE not in log:
         return []

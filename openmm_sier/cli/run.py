@@ -9,17 +9,14 @@ from typing import Any
 import openmm
 
 from openmm_sier.analysis import read_log
-from openmm_sier.cli import results, run_checks
-from openmm_sier.cli.beginning import Beginning
-from openmm_sier.cli.config import joined, read_config, write_config
+from openmm_sier.cli import pictures, results, run_checks
+from openmm_sier.cli.config import joined, read_config
 from openmm_sier.cli.console import clock, note, progress_bar, table
 from openmm_sier.cli.errors import Misused, NothingLeft, RunError
 from openmm_sier.cli.files.locks import FileLocks
 from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.many import command as many
-from openmm_sier.cli.methods import is_heavy
 from openmm_sier.cli.new_run import NewRun
-from openmm_sier.cli.pictures import drawing
 from openmm_sier.cli.restart import Restart, checkpoint_to_continue
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.settling import read_runs
@@ -31,9 +28,6 @@ from openmm_sier.system.temperature import degrees_of_freedom
 
 #: Most steps between two checks of temperatures and signals, and most seconds that these steps should take.
 LONGEST_CHUNK, LONGEST_WAIT = 20, 0.5
-
-#: K. Lower temperatures are too cold for liquids, and may be meant in degrees Celsius.
-COLD = 100.0
 
 
 def execute(
@@ -69,17 +63,15 @@ def execute(
         raise Misused(f"{'--workers' if workers else '--scheduler'} needs --seeds, such as --seeds 1-24")
     with FileLocks() as locks, StopRequests() as requests:
         checkpoint = checkpoint_to_continue(options, locks)
-        beginning: Beginning = Restart(options, checkpoint) if checkpoint else NewRun(options)
+        beginning = Restart(options, checkpoint) if checkpoint else NewRun(options)
         _run(beginning, config, locks, requests)
 
 
-def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: StopRequests) -> None:
+def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, requests: StopRequests) -> None:
     """Execute a run, from its beginning to the table at its end."""
     settings = beginning.settings
     outputs = Outputs(settings, beginning.checkpoint)
-    # Settings may be written to the file that they are from.
-    inputs = [config] if config and config != settings.save_config else []
-    outputs.check([*beginning.sources.values(), *inputs], beginning.may_replace)
+    outputs.check([*beginning.sources.values(), *([config] if config else [])], beginning.may_replace)
     try:
         beginning.check_inputs(outputs)
     except NothingLeft:
@@ -88,7 +80,6 @@ def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: 
         note(f"{beginning.checkpoint} is at step {settings.length(settings.steps)}: the run is complete")
         _report(settings, [], beginning.unsettled)
         return
-    _warn_of_settings(settings)
     simulated = SimulatedSystem(settings, beginning.sources)
     locks.hold(outputs.paths)
     beginning.check_outputs(outputs)
@@ -97,37 +88,21 @@ def _run(beginning: Beginning, config: Path | None, locks: FileLocks, requests: 
     requests.defer()
     platform = context.getPlatform().getName()
     note(f"{settings.title}, to step {settings.length(settings.steps)} on the {platform} platform")
-    for remark in beginning.remarks(context):
-        note(remark)
     outputs.open(simulated, context, beginning.unsettled, beginning.notes)
-    if settings.save_config:
-        write_config(settings.save_config, settings)
     cost = RunningSimulation(simulated, context, outputs).advance(requests)
     _report(settings, cost, beginning.unsettled)
-    note(f"wrote {', '.join(map(str, [*outputs.paths, *outputs.extras]))}")
-
-
-def _warn_of_settings(settings: RunSettings) -> None:
-    """Print notes on settings that are seldom intended."""
-    if 0 < settings.temperature < COLD:
-        note(f"{settings.temperature:g} K is very cold; a temperature is in kelvin, not in degrees Celsius")
-    if settings.ensemble == "nve" and is_heavy(settings.hydrogen_mass):
-        note(
-            f"hydrogens of {settings.hydrogen_mass:g} dalton make motion slower: at constant energy keep their usual "
-            "mass"
-        )
+    note(f"wrote {', '.join(map(str, [*outputs.paths, *([settings.plot] if settings.plot else [])]))}")
 
 
 def _report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:
     """Print the table at the end of a run, and draw its log."""
     log = read_log(settings.report)
-    warning = run_checks.fluctuation_warning(settings, log)
-    rows = results.rows(log, settings.ensemble, settings.moves_volume)
-    rows += [("WARNING: rms(H)/rms(V)", warning)] if warning else []
+    quantities = results.quantities(log, settings.ensemble, settings.moves_volume)
+    rows = [(quantity.name, str(quantity)) for quantity in quantities]
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{settings.title}, {settings.steps * settings.step_time:g} ps", ("", ""), rows + cost)
     if settings.plot:
-        drawing.draw(read_runs([settings.report]), settings.plot)
+        pictures.draw(read_runs([settings.report]), settings.plot)
 
 
 class RunningSimulation:

@@ -1,33 +1,19 @@
-"""Checks of a run: it stops if its temperature runs away, and its table warns of a long step.
+"""Checks of a run, which stops if its temperature runs away.
 
 The temperatures of translation, rotation and flexible molecules are compared with the bounds of `stability.runaway`
-before anything is written, also with OpenMM's integrators. Heat that a bath takes up, or that is still small, is
-visible in the fluctuation of the conserved energy H, the total energy less the heat of a heat bath and of volume moves.
+before anything is written, also with OpenMM's integrators.
 """
 
-from collections.abc import Mapping
-
-import numpy as np
 import openmm
 
-from openmm_sier.analysis.observables import energy_error_within_1_ps
-from openmm_sier.analysis.statistics import rms
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.bodies import NotFiniteError
 from openmm_sier.engines.protocol import TrajectoryError
-from openmm_sier.observe.conservation import CONSERVED, POTENTIAL
 from openmm_sier.stability.runaway import RunawayError, hottest
 from openmm_sier.system.temperature import DegreesOfFreedom
 
 #: Exit code of a run that ran away.
 EXIT_CODE = 3
-
-#: rms(H)/rms(V) above which the final table warns. Recommended steps give SIER2 0.9 to 1.3 % and the schemes of fourth
-#: order 0.01 to 0.41 %, by water model; these bounds are two to three times the largest values.
-LARGEST_FLUCTUATION = {2: 0.03, 4: 0.01}
-
-#: Fewest rows of a log for an estimate of the fluctuation.
-FEWEST_ROWS = 10
 
 
 class Runaway(RuntimeError):
@@ -75,23 +61,3 @@ def likely_cause(plan: RunSettings) -> str:
         "a shorter step changes nothing, call openmm_sier.check_forces in a script: it tells which Force is not the "
         "gradient of its energy"
     )
-
-
-def fluctuation_warning(plan: RunSettings, log: Mapping[str, np.ndarray]) -> str | None:
-    """Return a warning if the energy fluctuates more than with the scheme's usual step, else None.
-
-    Only at constant energy, and only by the fluctuation of H within 1 ps, without its drift.
-
-    Args:
-        plan: of the run.
-        log: its columns, see `openmm_sier.observe.conservation.COLUMNS`.
-    """
-    t, H, V = (log[name] for name in ("Time (ps)", CONSERVED, POTENTIAL))
-    # If the potential energy hardly changes, the ratio is rounding to single precision.
-    if plan.ensemble != "nve" or len(t) < FEWEST_ROWS or rms(V) < 1e-6 * (1 + np.abs(V).mean()):
-        return None
-    bound = LARGEST_FLUCTUATION[2 if plan.method.order == 2 else 4]
-    error = energy_error_within_1_ps(t, H, V)
-    if error <= bound:
-        return None
-    return f"{100 * error:.2g} %, more than the {100 * bound:.2g} % of a good step; {likely_cause(plan)}"

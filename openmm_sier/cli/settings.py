@@ -105,7 +105,11 @@ class RunSettings(BaseModel):
         follows=defaults.scheme,
         otherwise="sier4g; sier2 with nvt and npt by langevin, sier2v2 with hmc",
     )
-    dt: float = fields.step("step", 0.05, 1e3, follows=defaults.step, otherwise=defaults.steps_in_words())
+    dt: float = fields.number(
+        *("step", "fs", 0.05, 1e3),
+        follows=defaults.step,
+        otherwise="usual for the scheme: 4 for the default ones, 6 with hmc, 9 with heavy hydrogens by langevin or hmc",
+    )
     friction: float = fields.number(
         *("of the heat bath, or the rate of rescaling, or that of collisions of verlet", "1/ps", 0, 1e5),
         follows=defaults.friction,
@@ -157,7 +161,7 @@ class RunSettings(BaseModel):
     # --- outputs ---
 
     out: File = fields.file(
-        "trajectory, .dcd or .xtc",
+        "trajectory, .dcd",
         writes=True,
         follows=defaults.out,
         otherwise="BOX.dcd, in the current directory",
@@ -179,15 +183,9 @@ class RunSettings(BaseModel):
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
     pressure_tensor_every: float = fields.time("between rows of it, each of which costs 12 energies", 0.02)
     plot: File | None = fields.file(
-        "draw the log at the end, as `plot` does, in PNG, SVG or HTML",
+        "draw the log at the end, as `plot` does, in PNG or SVG",
         writes=True,
         otherwise="no picture",
-        restart="of the call",
-    )
-    save_config: File | None = fields.file(
-        "write all settings there in TOML when the run begins, for --config",
-        writes=True,
-        otherwise="they are not written",
         restart="of the call",
     )
 
@@ -314,7 +312,7 @@ LATER = ("thermostat",)
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)
 
 #: Settings that name an output, and those that name an input.
-OUTPUTS = tuple(name for name in FILES if SETTINGS[name].get("writes"))
+OUTPUTS = tuple(name for name in FILES if SETTINGS[name]["writes"])
 INPUTS = tuple(name for name in FILES if name not in OUTPUTS)
 
 #: Settings that define the System. A run with `--start` takes them from the other run by default.

@@ -11,8 +11,8 @@ import numpy as np
 from openmm_sier.analysis.statistics import FEWEST, settling
 from openmm_sier.cli.errors import RunError
 from openmm_sier.cli.logged_runs import Runs, read_logs
-from openmm_sier.cli.results import DENSITY
-from openmm_sier.observe.conservation import POTENTIAL, TEMPERATURES
+from openmm_sier.cli.results import DENSITY, TEMPERATURE_NAMES
+from openmm_sier.observe.conservation import POTENTIAL
 
 #: Number of bins of time in which the begin of the equilibrated part is searched for.
 BINS = 400
@@ -21,11 +21,7 @@ BINS = 400
 LEFT_OUT = 0.5
 
 #: Quantities that settle, in words, by their columns.
-SETTLES = {
-    POTENTIAL: "potential energy",
-    **dict(zip(TEMPERATURES, ("translation", "rotation", "temperature of flexible molecules"), strict=True)),
-    DENSITY: "density",
-}
+SETTLES = {POTENTIAL: "potential energy", **TEMPERATURE_NAMES, DENSITY: "density"}
 
 
 def binned(clock: np.ndarray, values: np.ndarray, width: float, count: int) -> np.ndarray:
@@ -108,3 +104,24 @@ def _with_settling(runs: Runs, skip: float | None) -> Runs:
         drifting=tuple(drifting),
         unclear=tuple(unclear),
     )
+
+
+def verdict(runs: Runs) -> str:
+    """Return a sentence on whether the runs had settled, and on the part that means are taken from."""
+    length, begin = (f"{value:.4g} {runs.unit}" for value in (runs.length - runs.skipped, runs.begin))
+    left_out = f"Means leave out the first {begin}"
+    if runs.drifting:
+        state = f"Not settled in {length}: {', '.join(runs.drifting)}"
+    elif runs.unclear:
+        state = f"{length}: too short to tell a trend of {', '.join(runs.unclear)}"
+    elif runs.moving:
+        state = f"Settled after {begin}: {', '.join(runs.moving)}"
+        left_out = "Means are of the rest"
+    else:
+        steady = "energy, temperatures or density" if runs.first.moves_volume else "energy or temperatures"
+        state = f"{length} without a trend of {steady}"
+    sentences = [state, left_out] if runs.begin else [state]
+    if doubtful := sum(run.unsettled is not None for run in runs.runs):
+        of_all = f": {doubtful} of {len(runs.runs)} runs" if len(runs.runs) > 1 else ""
+        sentences.append(f"Not equilibrated at the start{of_all}")
+    return ". ".join(sentences)

@@ -46,7 +46,7 @@ def execute(
         raise Misused(f"--out {path}: expected the name of a PDB file, which ends in .pdb")
     check_place(path, [structure, *(forcefield or ())])
     if not overwrite:
-        refuse_to_replace(path, "--out")
+        refuse_to_replace(path)
     files = tuple(map(str, forcefield or FILES))
     note(f"{structure}: for the force field {' '.join(files)}")
     completed = complete(structure, files, leave_out or (), ends, ph, seed)

@@ -7,8 +7,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.cli.console import note
-from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.platforms import check_platform
+from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.schemes import SIER4G
 from openmm_sier.ensembles import VelocityRescaling
@@ -29,6 +28,17 @@ from openmm_sier.system.molecules import make_whole
 
 #: Most bodies named by the user that are shown.
 MOST_SHOWN = 6
+
+
+def check_platform(name: str | None) -> None:
+    """Refuse a platform that OpenMM does not have here.
+
+    Raises:
+        Misused: naming those that it has.
+    """
+    here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    if name is not None and name not in here:
+        raise Misused(f"argument --platform: expected one of those that OpenMM has here, {', '.join(here)}; got {name}")
 
 
 def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:

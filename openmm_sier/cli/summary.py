@@ -7,21 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from openmm_sier.analysis.statistics import Estimate
+from openmm_sier.cli import pictures
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.places import check_place, refuse_to_replace
-from openmm_sier.cli.findings import findings, verdict, warnings_of
 from openmm_sier.cli.logged_runs import Runs
-from openmm_sier.cli.pictures import canvas, drawing
 from openmm_sier.cli.results import Quantity
-from openmm_sier.cli.settling import read_runs
+from openmm_sier.cli.settling import read_runs, verdict
 from openmm_sier.version import __version__
 
-#: Beginning of a file of `--json`.
-MARK = b'{\n "openmm_sier": "'
 
-
-def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float | None) -> None:
+def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float | None, overwrite: bool) -> None:
     """Run `openmm-sier summary`.
 
     Args:
@@ -29,41 +25,33 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
         json: file for the numbers; None for none.
         plot: the picture; None for none.
         skip: part that means leave out, ps or trials; None for the part before equilibrium.
+        overwrite: whether existing files are replaced.
 
     Raises:
         RunError, RecordError, OSError, ModuleNotFoundError: as their messages say.
     """
     if json:
         check_place(json, logs)
-        refuse_to_replace(json, "--json", MARK)
+        if not overwrite:
+            refuse_to_replace(json)
     if plot:
-        canvas.check(plot, logs, may_replace=True, outputs=[json] if json else [])
+        pictures.check(plot, logs, overwrite, outputs=[json] if json else [])
     runs = read_runs(logs, skip)
     means = runs.means()
-    rows = [[over_all.name, str(over_all), *_extremes(runs, over_all, by_run)] for over_all, by_run in means]
-    table(runs.title, ("", f"mean over {_counted(runs)}", "lowest", "highest"), rows)
-    for text in (verdict(runs), *findings(runs), *warnings_of(runs)):
-        note(text)
+    rows = [(over_all.name, str(over_all)) for over_all, _ in means]
+    table(runs.title, ("", f"mean over {_counted(runs)}"), rows)
+    note(verdict(runs))
     written = [path for path in (json, plot) if path]
     if json:
         records.replace(json, memoryview(_as_json(runs, means).encode()))
     if plot:
-        drawing.draw(runs, plot)
+        pictures.draw(runs, plot)
     if written:
         note(f"wrote {', '.join(map(str, written))}")
 
 
 def _counted(runs: Runs) -> str:
     return "1 run" if len(runs.runs) == 1 else f"{len(runs.runs)} runs"
-
-
-def _extremes(runs: Runs, over_all: Quantity, by_run: list[Quantity]) -> list[str]:
-    """Return the least and the greatest value of single runs with the names of their logs."""
-    named = [(_number(quantity), run.path.stem) for run, quantity in zip(runs.runs, by_run, strict=True)]
-    finite = [(value, name) for value, name in named if math.isfinite(value)]
-    if not finite or len(runs.runs) == 1:
-        return ["-", "-"]
-    return [f"{over_all.single(value)} ({name})" for value, name in (min(finite), max(finite))]
 
 
 def _number(quantity: Quantity) -> float:

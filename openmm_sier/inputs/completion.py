@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from openmm import app, unit
 
+from openmm_sier.inputs.file_kinds import kind_of
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
 from openmm_sier.inputs.pdb_files import (
+    READERS,
     ForceFieldError,
     box_vectors,
-    check_records,
     extent,
     refusing,
     warn_about_alternates,
 )
-from openmm_sier.inputs.source_files import SourceFile
 from openmm_sier.observe.conservation import density
 
 if TYPE_CHECKING:
@@ -42,9 +42,6 @@ WATERS = {3: "tip3p", 4: "tip4pew", 5: "tip5p"}
 
 #: Length in nm above which a bond between two residues spans a gap; the longest bonds, of sulfur, have 0.21 nm.
 LONGEST_BOND = 0.3
-
-#: Maximum number of residues named in a message.
-NAMED = 6
 
 
 class Completed(NamedTuple):
@@ -91,10 +88,10 @@ def complete(
     """
     names = tuple(map(str, files))
     forcefield = load(names, Path(path).parent)
-    source = SourceFile(path)
-    check_records(source)
+    if kind_of(path) not in READERS:
+        raise ForceFieldError(f"{path} is not a PDB file with atoms")
     fixer = _fixer(path)
-    warn_about_alternates(source, fixer.topology)
+    warn_about_alternates(path, fixer.topology)
     changes: list[tuple[str, str]] = []
     with refusing(f"cannot complete {path}"), _seeded(seed):
         changes += _left_out(fixer, path, leave_out)
@@ -104,9 +101,14 @@ def complete(
         before = fixer.topology.getNumAtoms()
         fixer.addMissingHydrogens(ph)
         changes.append(("hydrogens added", f"{fixer.topology.getNumAtoms() - before}, for pH {ph:g}"))
-    completed = Completed(fixer.topology, fixer.positions, names, tuple(changes))
-    _refuse_unknown(path, completed, forcefield)
-    return completed
+    try:
+        add_virtual_sites(fixer.topology, fixer.positions, forcefield)
+    except ForceFieldError as error:
+        raise ForceFieldError(
+            f"{path}, with the force field {' '.join(names)}: {error}. Leave residues out by name with `leave_out` "
+            "(--leave-out), or add a force field that has templates for them to `files` (--forcefield)"
+        ) from error
+    return Completed(fixer.topology, fixer.positions, names, tuple(changes))
 
 
 def solvate(
@@ -229,18 +231,12 @@ def _residues(fixer: PDBFixer, ends: bool) -> list[tuple[str, str]]:
 
 
 def _atoms(fixer: PDBFixer, seed: int) -> list[tuple[str, str]]:
-    """Add heavy atoms, including those of missing residues, and return the changes."""
-    fixer.findMissingAtoms()
-    incomplete = {*fixer.missingAtoms, *fixer.missingTerminals}
-    missing = sum(map(len, (*fixer.missingAtoms.values(), *fixer.missingTerminals.values())))
+    """Add heavy atoms, including those of missing residues, and return the change."""
     before = fixer.topology.getNumAtoms()
+    fixer.findMissingAtoms()
     fixer.addMissingAtoms(seed)
     added = fixer.topology.getNumAtoms() - before
-    if not added:
-        return []
-    where = [f"{missing} to {_listed(incomplete)}"] if missing else []
-    where += [f"{added - missing} of added residues"] if added > missing else []
-    return [("heavy atoms added", ", ".join(where))]
+    return [("heavy atoms added", str(added))] if added else []
 
 
 def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quantity) -> None:
@@ -259,25 +255,6 @@ def _refuse_gaps(path: str | Path, topology: app.Topology, positions: unit.Quant
             )
 
 
-def _refuse_unknown(path: str | Path, structure: Completed, forcefield: app.ForceField) -> None:
-    """Refuse residues without a template in the force field, even if its patches for chain ends are considered."""
-    topology = structure.topology
-    try:
-        add_virtual_sites(topology, structure.positions, forcefield)
-    except ForceFieldError as error:
-        files = " ".join(structure.files)
-        joined = {atom.residue for bond in topology.bonds() if bond[0].residue != bond[1].residue for atom in bond}
-        unknown = [residue for residue in forcefield.getUnmatchedResidues(topology) if residue not in joined]
-        if not unknown:
-            raise ForceFieldError(f"{path}, with the force field {files}: {error}") from error
-        names = " ".join(dict.fromkeys(residue.name for residue in unknown))
-        raise ForceFieldError(
-            f"{path}: the force field {files} has no template for {_listed(unknown)}: leave them out with "
-            f"leave_out={names.split()} (--leave-out {names}), or add to `files` (--forcefield) a force field that has "
-            "templates for them"
-        ) from error
-
-
 # --- descriptions ---
 
 
@@ -288,13 +265,6 @@ def _names(topology: app.Topology) -> Counter[str]:
 
 def _named(residue: Any) -> str:
     return f"{residue.name} {residue.chain.id} {residue.id}"
-
-
-def _listed(residues: Any) -> str:
-    """Return the names of residues; for many, the first names and the total number."""
-    ordered = sorted(residues, key=lambda residue: residue.index)
-    names = ", ".join(map(_named, ordered[:NAMED]))
-    return names if len(ordered) <= NAMED else f"{names} and others, {len(ordered)} in all"
 
 
 def _size_of_water(forcefield: app.ForceField) -> int:

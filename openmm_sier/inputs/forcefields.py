@@ -11,8 +11,7 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.inputs.file_kinds import PDB, kind_of
-from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
+from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, read_pdb, refusing
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -22,7 +21,6 @@ from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.untrusted_files import open_regular
-from openmm_sier.system.user_warnings import warn
 
 #: Directories of this project's force fields and boxes, in an installed package and in a checkout.
 PACKAGE = Path(__file__).parent.parent
@@ -41,9 +39,6 @@ SWITCH = 0.75
 #: Default ewaldErrorTolerance. A smaller one helps no scheme at its usual step: with balanced sums rms(H)/rms(V) in
 #: water at 6 fs is 0.0145 % for SIER4P and 0.09 % for SIER4G.
 EWALD_TOLERANCE = 1e-4
-
-#: Density below which a warning is issued, g/ml; only liquid hydrogen and helium are thinner.
-THINNEST = 0.3
 
 #: Values of OpenMM's argument `constraints`: bonds to hydrogen, all bonds, or all bonds and angles of hydrogens.
 CONSTRAINTS = {"none": None, "hbonds": app.HBonds, "allbonds": app.AllBonds, "hangles": app.HAngles}
@@ -313,26 +308,6 @@ def density_of(box: Box) -> float | None:
     if (vectors := box_vectors(box.topology)) is None:
         return None
     return density(sum(tables.masses(box.system)), abs(float(np.linalg.det(vectors))))
-
-
-def warn_about_thin_box(path: FilePath, box: Box) -> None:
-    """Warn if the density is too low for a liquid: the file may be cut off, or have the box of another system.
-
-    There is no warning without a mesh for charges, as in many coarse-grained models.
-
-    Args:
-        path: path of the coordinates.
-        box: the box read from it.
-    """
-    box_density = density_of(box)
-    if box_density is None or box_density >= THINNEST or not meshed_forces(box.system):
-        return
-    end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
-    warn(
-        f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {box_density:.2g} g/ml, "
-        f"less than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is "
-        "wrong"
-    )
 
 
 def _described_interactions(system: openmm.System) -> str:

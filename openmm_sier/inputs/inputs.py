@@ -1,8 +1,7 @@
 """Read the input of a simulation: coordinates, with a force field or a topology."""
 
 import io
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import groupby
@@ -23,7 +22,6 @@ from openmm_sier.system import checks, forces, tables
 from openmm_sier.system.hydrogens import hydrogens
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.system.untrusted_files import read_system
-from openmm_sier.system.user_warnings import warn
 
 #: Arguments without effect, by the kind of topology.
 IGNORED = {
@@ -35,8 +33,6 @@ IGNORED = {
 
 #: Mass of hydrogen, and a bound between the masses of deuterium and all other elements, dalton.
 HYDROGEN, LIGHTEST_OTHER = 1.008, 2.5
-
-_INCLUDED = re.compile(r'^\s*#\s*include\s+["<]([^">]+)[">]', re.MULTILINE)
 
 
 def read_input(
@@ -65,16 +61,12 @@ def read_input(
     coordinates = SourceFile.of(path)
     if topology is None:
         _refuse_half(coordinates)
-        box = forcefields.read_box(coordinates, files, constraints, interactions, edges)
-    else:
-        kind = topology_kind(topology)
-        source = _Source(coordinates, read_coordinates(coordinates, edges), SourceFile.of(topology), kind)
-        if kind == SYSTEM:
-            box = _box_of_system(source, interactions)
-        else:
-            box = _box_of_topology(source, files or (), constraints, interactions)
-    forcefields.warn_about_thin_box(coordinates, box)
-    return box
+        return forcefields.read_box(coordinates, files, constraints, interactions, edges)
+    kind = topology_kind(topology)
+    source = _Source(coordinates, read_coordinates(coordinates, edges), SourceFile.of(topology), kind)
+    if kind == SYSTEM:
+        return _box_of_system(source, interactions)
+    return _box_of_topology(source, files or (), constraints, interactions)
 
 
 def topology_kind(path: FilePath) -> str:
@@ -159,24 +151,11 @@ def _box_of_topology(
             "`edges` (--edges)"
         )
     refuse_other_atoms(path, coordinates, file.topology, topology)
-    if kind == TOP:
-        _warn_about_rigid_water(topology, file)
     try:
         system = forcefields.build_system(create, coordinates.box, constraints, interactions)
     except ForceFieldError as error:
         raise ForceFieldError(f"{topology}: {error}") from error
     return _box(source, system, file.topology, files)
-
-
-def _warn_about_rigid_water(path: SourceFile, file: app.GromacsTopFile) -> None:
-    """Warn if a top file requests flexible water, since water is rigid here."""
-    # OpenMM itself defines FLEXIBLE as True to read the bonds of water, and then makes them constraints.
-    asks = file._defines.get("FLEXIBLE", True) is not True
-    if asks and any(residue.name == "HOH" for residue in file.topology.residues()):
-        warn(
-            f"{path} defines FLEXIBLE, but its water is rigid here. For flexible water give a System of OpenMM as the "
-            "topology, made with rigidWater=False"
-        )
 
 
 # --- a System ---
@@ -260,7 +239,7 @@ def sources_of(
     topology: FilePath | None = None,
     files: Sequence[FilePath] | None = None,
 ) -> dict[str, SourceFile]:
-    """Return the files that `read_input` reads, by purpose, except files of OpenMM and GROMACS.
+    """Return the files that `read_input` reads, by purpose, except files of OpenMM and those that a top file includes.
 
     Args:
         path, topology, files: see `read_input`.
@@ -272,26 +251,9 @@ def sources_of(
     sources = {"box": box}
     if topology is not None:
         sources["topology"] = SourceFile(topology)
-        sources |= {str(name): SourceFile(Path(topology).parent / name) for name in _included(Path(topology))}
     elif not named:
         # A file that names no force field is refused when it is read.
         with suppress(ForceFieldError):
             named, _ = forcefields.pick(box)
     located = {str(name): Path(forcefields.locate(str(name), Path(path).parent)) for name in named}
     return sources | {name: SourceFile(place) for name, place in located.items() if place.is_file()}
-
-
-def _included(topology: Path) -> Iterator[Path]:
-    """Yield files that a top file includes from its directory, also indirectly; paths are relative to it."""
-    if kind_of(topology) != TOP:
-        return
-    pending, reached = [Path(topology.name)], set()
-    while pending:
-        including = pending.pop()
-        for name in _INCLUDED.findall((topology.parent / including).read_text(errors="replace")):
-            places = Path(name), including.parent / name
-            included = next((place for place in places if (topology.parent / place).is_file()), None)
-            if included is not None and included not in reached:
-                reached.add(included)
-                pending.append(included)
-                yield included

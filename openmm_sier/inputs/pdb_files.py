@@ -20,14 +20,8 @@ TWICE = "WARNING: duplicate atom "
 #: Maximum density, g/cm3, above that of any matter on earth. Files without a box often have one of 1 A.
 DENSEST = 30.0
 
-#: Minimum distance between opposite faces of a box, nm: a cut-off of half of it would be shorter than a bond.
-NARROWEST = 0.3
-
 #: Maximum edge of a box, nm.
 LONGEST = 1e4
-
-#: Last column of the coordinates of an atom in a PDB file.
-COORDINATES_END = 54
 
 READERS = {PDB: app.PDBFile, MMCIF: app.PDBxFile}
 
@@ -44,14 +38,13 @@ def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFil
         edges: edges of the periodic box, see `box_of`.
 
     Raises:
-        ForceFieldError: the file has another format, is cut off, has duplicate atoms, two atoms in one place, or a box
+        ForceFieldError: the file has another format, has duplicate atoms, two atoms in one place, or a box
             too small for its atoms.
         OSError: the file cannot be read.
     """
     source = SourceFile.of(path)
-    kind = check_records(source)
-    if kind == PDB:
-        _check_edges(source)
+    if (kind := kind_of(source)) not in READERS:
+        raise ForceFieldError(f"{path} is not a PDB file with atoms")
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:
@@ -62,21 +55,6 @@ def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFil
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
     check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
     return file
-
-
-def check_records(path: FilePath) -> str:
-    """Check the records of a PDB or PDBx/mmCIF file, and return its kind.
-
-    Raises:
-        ForceFieldError: the file has another format, or is cut off.
-        OSError: the file cannot be read.
-    """
-    kind = kind_of(path)
-    if kind not in READERS:
-        raise ForceFieldError(f"{path} is not a PDB file with atoms")
-    if kind == PDB:
-        _check_lines(SourceFile.of(path))
-    return kind
 
 
 def warn_about_alternates(path: FilePath, topology: app.Topology) -> None:
@@ -181,44 +159,6 @@ def check_positions(path: FilePath, topology: app.Topology, positions: np.ndarra
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If "
             "the system has no box, remove it from the file (in a PDB file the record CRYST1)"
         )
-    narrowest = float(np.diag(vectors).min())
-    if narrowest < NARROWEST:
-        raise ForceFieldError(
-            f"{path}: the box, {extent(vectors)}, has opposite faces {narrowest:.3g} nm apart, expected {NARROWEST:g} "
-            "or more. Correct its edges and angles (in a PDB file the record CRYST1)"
-        )
-
-
-def has_end(path: FilePath) -> bool:
-    """Return whether a PDB file has an END record."""
-    return any(record.split() == ["END"] for record in SourceFile.of(path).lines)
-
-
-def _check_lines(file: SourceFile) -> None:
-    """Refuse a file that ends within a coordinate, whose remaining digits OpenMM would read."""
-    for number, line in enumerate(file.lines, 1):
-        if line.startswith(("ATOM", "HETATM")) and len(line) < COORDINATES_END:
-            raise ForceFieldError(
-                f"{file}: line {number} ends within the coordinates of an atom, before column {COORDINATES_END}: the "
-                "file is cut off, or is not a PDB file"
-            )
-
-
-def _check_edges(file: SourceFile) -> None:
-    """Refuse box edges that are not positive numbers."""
-    for record in file.lines:
-        if not record.startswith("CRYST1"):
-            continue
-        try:
-            edges = [float(record[first : first + 9]) for first in (6, 15, 24)]
-        except ValueError:
-            expected = "expected the edges of the box in Angstrom"
-            raise ForceFieldError(f"{file}: {expected}, got {record.strip()!r}") from None
-        if not all(0 < edge < np.inf for edge in edges):
-            raise ForceFieldError(
-                f"{file}: the box has edges of {', '.join(f'{edge:g}' for edge in edges)} Angstrom, expected lengths "
-                "above 0. If the system has no box, remove the record CRYST1"
-            )
 
 
 def named_atom(atom: app.topology.Atom) -> str:

@@ -43,7 +43,13 @@ def test_run_writes_trajectory_log_checkpoint_and_table(box, capsys):
     assert main.main(["run", str(box), *SMALL, "--time", "0.4", "--scheme", "sier2", "--dt", "1"]) == 0
     out = capsys.readouterr().out
     assert "force field tip3p.xml (named in the PDB file)" in out
-    for name in ("drift of the conserved energy", "rms(H)/rms(V)", "T_trans", "total momentum", "wall time per step"):
+    for name in (
+        "drift of the conserved energy",
+        "rms(H)/rms(V)",
+        "T_trans",
+        "potential energy V",
+        "wall time per step",
+    ):
         assert name in out
     # One evaluation more than one a step: the first step of a run has no force to start from.
     assert re.search(r"force evaluations per step +│ +1\.00", out)
@@ -131,39 +137,31 @@ sys.exit(main.main(arguments))
 
 
 @pytest.mark.parametrize(
-    ("suffix", "place", "after", "checkpoint", "left"),
+    ("place", "after", "checkpoint", "left"),
     [
         # Checkpoints at steps 0, 25, 50 and 75. Frames every 5 steps, so that 13 of them are there at step 65; rows at
         # step 0 and every 10 steps, so that the eighth is for step 70, when the frame of that step is there.
-        (".dcd", "frame", 13, 50, 13),
-        thorough((".xtc", "frame", 13, 50, 13)),
-        thorough((".dcd", "row", 7, 50, 14)),
-        thorough((".dcd", "checkpoint", 2, 25, 10)),
+        ("frame", 13, 50, 13),
+        thorough(("row", 7, 50, 14)),
+        thorough(("checkpoint", 2, 25, 10)),
     ],
 )
-def test_killed_run_leaves_usable_files_and_continues_without_a_gap(
-    box, whole_run, suffix, place, after, checkpoint, left
-):
-    out = Path("cut").with_suffix(suffix)
+def test_killed_run_leaves_usable_files_and_continues_without_a_gap(box, whole_run, place, after, checkpoint, left):
+    out = Path("cut.dcd")
     command = ["run", str(box), *SMALL, "--time", "0.4", "--out", str(out)]
     killed = subprocess.run(
         [sys.executable, "-c", KILLER, place, str(after), *command], capture_output=True, check=False
     )
     assert killed.returncode == -signal.SIGKILL
     assert checkpoints.read_checkpoint(Path("cut.chk"))[1].step == checkpoint
-    if suffix != ".xtc":
-        # MDTraj refuses an XTC file that ends in half a frame.
-        assert frames(out, box).n_frames == left
+    assert frames(out, box).n_frames == left
 
     assert main.main([*command, "--restart", "cut.chk"]) == 0
     ours, theirs = frames(out, box), frames(whole_run / "whole.dcd", box)
     assert ours.n_frames == FRAMES
-    if suffix == ".dcd":
-        assert frames_in_header(out) == FRAMES
+    assert frames_in_header(out) == FRAMES
     # The continuation starts from the checkpoint's doubles; what differs is the files' rounding.
-    np.testing.assert_allclose(ours.xyz, theirs.xyz, atol=6e-4 if suffix == ".xtc" else 1e-5)
-    if suffix != ".dcd":
-        np.testing.assert_allclose(ours.time, 0.02 * np.arange(1, FRAMES + 1), rtol=1e-5)
+    np.testing.assert_allclose(ours.xyz, theirs.xyz, atol=1e-5)
     np.testing.assert_allclose(ours.unitcell_lengths, theirs.unitcell_lengths, rtol=1e-5)
     rows, all_rows = log("cut.csv"), log(whole_run / "whole.csv")
     np.testing.assert_array_equal(rows["Step"], np.arange(0, STEPS + 1, 10))
@@ -187,7 +185,8 @@ def test_continuations_that_are_refused(box, whole_run, capsys):
     assert "none.chk: No such file" in complaint(capsys, "run", box, "--restart", "none.chk")
     for length in (0, 3, 1000):
         Path("cut.chk").write_bytes(chk.read_bytes()[:length])
-        assert "cut.chk is incomplete: a checkpoint" in complaint(capsys, "run", box, "--restart", "cut.chk")
+        message = complaint(capsys, "run", box, "--restart", "cut.chk")
+        assert "cut.chk is not a checkpoint of openmm-sier run, or was cut off" in message
     for option, value in CHANGED:
         message = complaint(capsys, "run", box, *platform, "--restart", chk, option, value)
         assert f"{option} " in message
@@ -223,7 +222,7 @@ def test_bad_input_is_refused_in_one_line(box, capsys):
     assert "text.pdb is not a PDB file with atoms" in complaint(capsys, "info", "text.pdb")
     assert 'Could not locate file "none.xml"' in complaint(capsys, "run", box, "--forcefield", "none.xml")
     assert "No template found for residue" in complaint(capsys, "run", box, "--forcefield", "amber14/lipid17.xml")
-    assert "must end in .dcd or .xtc, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr", code=2)
+    assert "must end in .dcd, got a.trr" in complaint(capsys, "run", box, "--out", "a.trr", code=2)
     assert not list(Path().glob("box.*"))
 
 
@@ -265,9 +264,9 @@ def test_info_shows_the_bodies_of_a_salt_solution(capsys):
     assert main.main(["info", str(SYSTEMS / "tip3p-nacl-512.pdb")]) == 0
     out = capsys.readouterr().out
     rows = [re.sub(r" +", " ", line).strip("│ ").split(" │ ") for line in out.splitlines() if line.startswith("│")]
-    assert {row[0]: (row[1], row[2], row[6], row[7]) for row in rows} == {
-        "HOH": ("494", "O H1 H2", "asymmetric top", "6"),
-        "NA": ("9", "NA", "point", "3"),
-        "CL": ("9", "CL", "point", "3"),
+    assert {row[0]: (row[1], row[2], row[5]) for row in rows} == {
+        "HOH": ("494", "O H1 H2", "6"),
+        "NA": ("9", "NA", "3"),
+        "CL": ("9", "CL", "3"),
     }
     assert "494 rigid bodies, 18 points (atoms that move by themselves), 1500 particles, 3018 degrees of freedom" in out

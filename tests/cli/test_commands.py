@@ -55,10 +55,7 @@ def test_a_run_in_parts_is_the_same_to_the_bit(box, name, capsys, monkeypatch):
         assert whole["Time (ps)"] == pytest.approx(0.016 * whole["Step"], rel=1e-12)
         assert 8 * whole["Acceptance"][-1] in range(9)
         assert np.isfinite(whole["Energy Error (kT)"][1:]).all()
-        table = capsys.readouterr().out
-        assert "trials accepted" in table
-        # It is drawn anew.
-        assert "total momentum" not in table
+        assert "trials accepted" in capsys.readouterr().out
     elif name == "NPT":
         assert len(np.unique(whole["Box Volume (nm^3)"])) == 3
 

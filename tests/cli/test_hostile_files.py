@@ -180,7 +180,7 @@ def test_a_checkpoint_names_no_force_field(here, capsys, tmp_path_factory, place
     force_field(elsewhere / "evil.xml" if place not in ("beside", "below") else name)
     rewrite_notes("box.chk", lambda notes: notes["plan"].update(forcefield=[name]))
     message = refused(capsys, *command)
-    assert f"box.chk names {name} for --forcefield, which could execute code" in message
+    assert f"box.chk names {name}, a force field that comes neither with OpenMM nor with this package" in message
     assert f"give --forcefield {name}" in message
 
 
@@ -214,7 +214,7 @@ def test_the_force_field_of_coordinates_that_a_checkpoint_names(here, capsys):
     run("run", "box.pdb", *SMALL, "--steps", "2", "--overwrite")
     Path(MARKER).unlink()
     again = ["run", *RESTART[2:]]
-    assert "box.pdb, which box.chk names, names the force field mine.xml" in (message := refused(capsys, *again))
+    assert "box.chk names mine.xml, a force field that comes neither" in (message := refused(capsys, *again))
     assert "give box.pdb as BOX" in message
     run(*RESTART)
 

@@ -16,8 +16,6 @@ from tests.support.matrices import representatives
 #: Seconds after which a test fails rather than wait.
 LIMIT = 300
 
-ON_LINUX = pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
-
 #: Locks the files that it is given and says so, until its standard input ends.
 HOLDER = """
 import sys
@@ -54,17 +52,13 @@ def names():
     return sorted(contents(Path()))
 
 
-def test_second_holder_is_refused_naming_the_first(holder):
-    first = holder("a.dcd", "a.csv")
-    with FileLocks() as locks, pytest.raises(RunError) as refusal:
-        locks.hold([Path("b.csv"), Path("a.csv")])
-    message = str(refusal.value)
-    assert message.startswith(f"a.csv is being written by process {first.pid} on {os.uname().nodename} since 20")
-    assert message.endswith(" UTC: openmm-sier a.dcd a.csv")
-    # The lock on b.csv that it got first is gone, and a second refusal says the same.
-    assert names() == [".a.csv.lock", ".a.dcd.lock"]
-    with FileLocks() as locks, pytest.raises(RunError, match=f"process {first.pid} on"):
-        locks.hold([Path("a.csv")])
+def test_second_holder_is_refused(holder):
+    holder("a.dcd", "a.csv")
+    for _ in range(2):
+        with FileLocks() as locks, pytest.raises(RunError, match=r"^a\.csv is being written by another process"):
+            locks.hold([Path("b.csv"), Path("a.csv")])
+        # The lock on b.csv that it got first is gone.
+        assert names() == [".a.csv.lock", ".a.dcd.lock"]
 
 
 def test_lock_of_a_killed_process_is_free(holder):
@@ -74,24 +68,15 @@ def test_lock_of_a_killed_process_is_free(holder):
     assert names() == [".a.dcd.lock"]
     with FileLocks() as locks:
         locks.hold([Path("a.dcd")])
-        assert Path(".a.dcd.lock").read_text().startswith(f"process {os.getpid()} on ")
+        assert names() == [".a.dcd.lock"]
     assert not names()
 
 
-@pytest.mark.parametrize(
-    ("place", "reason"),
-    [
-        # Even root makes no files there.
-        pytest.param("/proc/x.dcd", "No such file or directory", marks=ON_LINUX),
-        (f"{'x' * 250}.dcd", "File name too long"),
-    ],
-)
-def test_a_lock_that_cannot_be_made_has_no_holder(place, reason):
-    with FileLocks() as locks, pytest.raises(RunError) as refusal:
-        locks.hold([Path(place)])
-    real = Path(place).absolute()
-    expected = f"{place} cannot be written, since its lock {real.with_name(f'.{real.name}.lock')} cannot be made: "
-    assert str(refusal.value) == f"{expected}{reason}. Name a file in a directory where files can be made"
+def test_a_lock_that_cannot_be_made_is_named():
+    name = f"{'x' * 250}.dcd"
+    with FileLocks() as locks, pytest.raises(OSError, match="File name too long") as refusal:
+        locks.hold([Path(name)])
+    assert Path(refusal.value.filename).name == f".{name}.lock"
 
 
 @pytest.mark.thorough
@@ -106,41 +91,16 @@ def test_a_file_has_one_lock_by_all_its_names(holder):
             locks.hold([Path(name)])
 
 
-@pytest.mark.parametrize("make", ["file", "link", "broken link", "pipe"])
-def test_a_file_with_the_name_of_a_lock_is_the_users(make):
-    Path("mine").write_text("mine")
-    place = Path(".a.dcd.lock")
-    if make == "file":
-        place.write_text("process of science")
-    elif make == "pipe":
-        os.mkfifo(place)
-    else:
-        place.symlink_to("mine" if make == "link" else "none")
-    before = contents(Path())
-    with (
-        FileLocks() as locks,
-        pytest.raises(RunError, match=r"\.a\.dcd\.lock is not a lock of openmm-sier.*: rename it"),
-    ):
-        locks.hold([Path("a.dcd")])
-    assert contents(Path()) == before
-
-
-def test_no_output_has_the_name_of_a_lock(box, capsys):
-    message = complaint(capsys, "run", box, *SMALL, "--out", "a.dcd", "--report", ".a.chk.lock")
-    assert ".a.chk.lock has the name of a lock: give another name" in message
-    assert not names()
-
-
 OUTPUTS = ["--out", "a.dcd", "--pressure-tensor", "p.csv"]
 
 
 @pytest.mark.parametrize("taken", representatives(["a.chk", "a.dcd", "a.csv", "p.csv"], "a.csv"))
 def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
-    first = holder(taken)
+    holder(taken)
     Path("a.csv").write_text("mine\n")
     before = contents(Path())
     message = complaint(capsys, "run", box, *SMALL, *OUTPUTS, "--overwrite")
-    assert f"{taken} is being written by process {first.pid} on" in message
+    assert f"{taken} is being written by another process" in message
     assert contents(Path()) == before
 
 
@@ -148,10 +108,10 @@ def test_every_file_of_a_run_is_locked(box, holder, capsys, taken):
 def test_restart_is_refused_before_its_checkpoint_is_read(box, holder, capsys):
     run("run", box, *SMALL, "--steps", "5")
     capsys.readouterr()
-    first = holder("box.csv")
+    holder("box.csv")
     again = ["run", box, "--platform", "Reference", "--restart", "box.chk", "--steps", "10"]
     before = contents(Path())
-    assert f"box.csv is being written by process {first.pid} on" in complaint(capsys, *again)
+    assert "box.csv is being written by another process" in complaint(capsys, *again)
     assert contents(Path()) == before
     Path("box.chk").write_bytes(b"half")
     assert "not a checkpoint" in complaint(capsys, *again)

@@ -15,7 +15,7 @@ from openmm_sier.inputs import equilibration
 from openmm_sier.observe import conservation
 from openmm_sier.stability.runaway import HOTTEST, RunawayError
 from openmm_sier.system.temperature import DegreesOfFreedom, Temperatures
-from tests.support.commands import SHORT, SMALL, complaint, frames, log, run
+from tests.support.commands import SMALL, complaint, frames, log, run
 
 
 def plan(ensemble="nve", **options):
@@ -102,65 +102,27 @@ def test_other_errors_of_openmm_are_no_runaway(box, capsys, monkeypatch):
     assert complaint(capsys, "run", box, *SMALL, "--equilibrate", "0") == "openmm-sier: the device was lost\n"
 
 
-# --- the warning in the table ---
-
-
-def fluctuating(rms, time=10.0, drift=0.0, interval=0.04):
-    """A made-up log: V of rms 60 kJ/mol and H of some rms, and drift in 1/ps."""
-    rng = np.random.default_rng(3)
-    t = interval * np.arange(round(time / interval) + 1)
-    return {
-        "Time (ps)": t,
-        "Conserved Energy (kJ/mole)": rng.normal(0, rms, t.size) + drift * t,
-        "Potential Energy (kJ/mole)": rng.normal(-20000, 60, t.size),
-    }
-
-
-@pytest.mark.parametrize(
-    ("scheme", "log", "warns"),
-    [
-        # In percent of rms(V); a straight line and a mean take some of the 25 deviations in a window.
-        ("sier2", fluctuating(0.013 * 60), False),
-        ("sier2", fluctuating(0.04 * 60), True),
-        ("sier4g", fluctuating(0.0041 * 60), False),
-        ("sier4g", fluctuating(0.015 * 60), True),
-        # 0.005 kJ/mol/ps for 100 ns at 0.08 %: rms(H) is 144 kJ/mol, by drift alone.
-        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125), False),
-        ("sier4g", fluctuating(0.0008 * 60, time=4000, drift=0.125, interval=10), False),
-        ("sier4g", fluctuating(1.0, time=0.2), False),
-    ],
-    ids=["SIER2", "SIER2 long", "SIER4G", "SIER4G long", "drift", "sparse drift", "few rows"],
-)
-def test_fluctuations_that_are_warned_about(scheme, log, warns):
-    assert (run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0), log) is not None) == warns
-    assert run_checks.fluctuation_warning(plan(scheme=scheme, dt=2.0, ensemble="nvt"), log) is None
-
-
-def with_all_columns(log):
-    """A log with all that the table of a run shows."""
-    log = log | {f"Momentum {axis} (dalton nm/ps)": np.zeros(251) for axis in "xyz"}
-    return log | {name: np.full(251, 297.0) for name in conservation.TEMPERATURES}
+# --- the table ---
 
 
 def test_table_of_a_bath():
     """The mean of V, and the drift of H as heat; with OpenMM's baths H is not known, and trials have errors instead."""
-    log = with_all_columns(fluctuating(0.0, drift=2.0))
-    rows = dict(results.rows(log, "nvt", moves_volume=False))
+    time = 0.04 * np.arange(251)
+    log = {
+        "Time (ps)": time,
+        "Conserved Energy (kJ/mole)": 2.0 * time,
+        "Potential Energy (kJ/mole)": np.random.default_rng(3).normal(-20000, 60, 251),
+        **{name: np.full(251, 297.0) for name in conservation.TEMPERATURES},
+    }
+
+    def table(log, ensemble):
+        return {quantity.name: str(quantity) for quantity in results.quantities(log, ensemble, moves_volume=False)}
+
+    rows = table(log, "nvt")
     # V has an rms of 60 kJ/mol, and 251 samples.
     assert float(rows["potential energy V"].split()[0]) == pytest.approx(-20000, abs=5 * 60 / np.sqrt(251))
     assert float(rows["heat of the steps, which the bath takes up"].split()[0]) == pytest.approx(2)
     assert "rms(H)/rms(V)" not in rows
     unknown = log | {"Conserved Energy (kJ/mole)": np.full(251, np.nan)}
-    for table in (results.rows(unknown, "nvt", moves_volume=False), results.rows(log, "hmc", moves_volume=False)):
-        assert not any(name.startswith("heat") for name, _ in table)
-
-
-def test_table_warns_of_a_step_that_is_too_long(box, capsys, monkeypatch):
-    """By a log that was made up, as above."""
-    options = ["run", box, *SHORT[-4:], "--platform", "Reference", "--equilibrate", "0", "--steps", "1", "--overwrite"]
-    for dt, rms, warns in (("2", 0.013 * 60, False), ("8", 0.04 * 60, True)):
-        monkeypatch.setattr("openmm_sier.cli.run.read_log", lambda _, rms=rms: with_all_columns(fluctuating(rms)))
-        run(*options, "--scheme", "sier2", "--dt", dt)
-        out = " ".join(capsys.readouterr().out.replace("│", " ").split())
-        assert ("WARNING: rms" in out) == warns
-    assert "the step of 8 fs is too long for SIER2, for which 2 fs is usual" in out
+    for rows in (table(unknown, "nvt"), table(log, "hmc")):
+        assert not any(name.startswith("heat") for name in rows)

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 import openmm_sier
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.main import MISUSED
@@ -32,23 +30,3 @@ def test_texts_of_files_control_no_terminal(capsys):
     assert all(letter.isprintable() for line in output.splitlines() for letter in line)
     assert ESCAPED in complaint(capsys, "run", f"{ESCAPES}.pdb")
     assert ESCAPED in complaint(capsys, "run", "box.pdb", f"--{ESCAPES}", code=MISUSED)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["run", "{}.pdb"],
-        ["run", "box.pdb", "--out={}.dcd"],
-        ["run", "box.pdb", "--rigid", "{}"],
-        ["run", "box.pdb", "--config", "{}.toml"],
-        ["tune", "box.pdb", "--start", "{}.chk"],
-        ["info", "{}.pdb"],
-        ["setup", "a.pdb", "--out", "{}.pdb"],
-        ["plot", "{}.csv"],
-        ["summary", "a.csv", "--json", "{}.json"],
-    ],
-)
-def test_names_that_are_not_utf8_are_refused_at_once(capsys, command):
-    message = complaint(capsys, *(word.format("m\udcff") for word in command), code=MISUSED)
-    assert r"m\xff" in message
-    assert "is not UTF-8: give the file another name" in message

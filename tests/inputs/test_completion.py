@@ -57,8 +57,8 @@ def test_missing_parts_are_added_and_reported(whole):
     changes = dict(whole.changes)
     assert changes["residues added"] == "1 between ASP A 44 and ASP A 46"
     assert changes["missing at an end, left out"] == "26 after VAL A 50"
-    # Of phenylalanine, seven of its side chain; then those of glutamic acid, which is missing.
-    assert changes["heavy atoms added"] == "8 to PHE A 47, VAL A 50, 9 of added residues"
+    # Of phenylalanine seven of its side chain, the terminal oxygen, and nine of glutamic acid, which is missing.
+    assert changes["heavy atoms added"] == "17"
     hydrogens = sum(atom.element.symbol == "H" for atom in whole.topology.atoms())
     assert changes["hydrogens added"].startswith(f"{hydrogens},")
 
@@ -134,7 +134,7 @@ def test_a_residue_without_a_template_is_named_and_may_be_left_out(tmp_path, mon
     # PDBFixer looks for hydrogens of residues that it does not know at the archive, which tests do not ask.
     monkeypatch.setattr("pdbfixer.pdbfixer.urlopen", lambda _: (_ for _ in ()).throw(OSError("no network")))
     path = write_incomplete(tmp_path / "a.pdb", also=SULFATE)
-    with pytest.raises(ForceFieldError, match=r"has no template for SO4 B 1: leave them out with leave_out=\[.SO4.\]"):
+    with pytest.raises(ForceFieldError, match=r"No template found for residue .*SO4.*\(--leave-out\)"):
         complete(path)
     result = complete(path, leave_out=["SO4"])
     assert ("residues left out", "1 SO4") in result.changes

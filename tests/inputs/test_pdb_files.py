@@ -33,27 +33,13 @@ def with_edges(lines, a, b, c):
             lambda lines: [*lines[:-2], *(line.replace("HOH A   1", "HOH A  99") for line in lines[2:5]), *lines[-2:]],
             r"atom .* \(.* of HOH 1\) and atom .* \(.* of HOH 99\) are in the same place",
         ),
-        (
-            lambda lines: with_edges(lines, "0.000", "0.000", "0.000"),
-            "edges of 0, 0, 0 Angstrom, expected lengths above 0",
-        ),
-        (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "expected the edges of the box in Angstrom, got"),
+        (lambda lines: with_edges(lines, "9.323", "9.323", "wide"), "cannot read .* as a PDB file: could not convert"),
         (
             lambda lines: with_edges(lines, "1.000", "1.000", "1.000"),
             "a volume of 0.001 nm3, too small for atoms of 486",
         ),
-        # A sliver of enough volume, in which OpenMM minimizes the energy without end.
-        (
-            lambda lines: with_edges(lines, "99.000", "99.000", "1.000"),
-            r"9\.9000 x 9\.9000 x 0\.1000 nm, has opposite faces 0\.1 nm apart",
-        ),
         (lambda lines: with_edges(lines, "10000.00", "10000.00", "10000.00"), "needs a mesh of"),
         (lambda lines: with_edges(lines, "1000000.0", "1000.000", "1000.000"), r"edge of 1e\+05 nm, expected 10000 or"),
-        # The last number of the last atom would be 1.
-        (
-            lambda lines: [*lines[:-3], lines[-3][:49]],
-            "line 83 ends within the coordinates of an atom, before column 54",
-        ),
         (lambda lines: [*lines[:2], f"{lines[2][:30]}     nan{lines[2][38:]}", *lines[3:]], "that are not numbers"),
         # A bond between the hydrogens of a molecule, left from another file.
         (
@@ -90,29 +76,10 @@ def test_a_box_that_is_not_rectangular_is_reported_with_its_angles(tmp_path, lin
     assert f"residues in {expected} at" in describe(box)
 
 
-@pytest.mark.parametrize("ending", [[], ["END\n"]])
-@pytest.mark.parametrize("name", ["box.pdb", "box.cif"])
-def test_a_file_that_was_cut_off_is_recognized_by_its_density(tmp_path, lines, name, ending):
-    """Seven of 27 molecules are left, and 0.26 g/ml."""
-    path = tmp_path / "box.pdb"
-    path.write_text("".join([*lines[:23], *ending]))
-    if name == "box.cif":
-        pdb = app.PDBFile(str(path))
-        path = write_pdb(tmp_path / name, pdb.topology, np.array(pdb.positions.value_in_unit(unit.nanometer)))
-    with pytest.warns(
-        UserWarning, match=r"is 0.26 g/ml, less than that of a liquid. Unless this is a gas or has surfaces"
-    ) as caught:
-        box = read_input(path, files=["tip3p.xml"])
-    assert "at 0.259 g/ml, PME" in describe(box)
-    lacks_end = name == "box.pdb" and not ending
-    assert ("the file, which has no record END, is cut off" in str(caught[-1].message)) == lacks_end
-
-
-def test_half_a_liquid_is_reported_without_a_warning(tmp_path, lines, recwarn):
+def test_the_density_of_half_a_liquid_is_reported(tmp_path, lines):
     path = tmp_path / "box.pdb"
     path.write_text("".join(lines[:44]))
     assert "at 0.517 g/ml, PME" in describe(read_input(path))
-    assert not recwarn.list
 
 
 @pytest.mark.parametrize(

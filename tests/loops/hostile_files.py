@@ -102,6 +102,21 @@ class Case(NamedTuple):
     arguments: list[str]
 
 
+#: The settings of the run of `make_run` in TOML.
+SETTINGS = f"""\
+box = "box.pdb"
+out = "run.dcd"
+scheme = "sier2"
+dt = 2.0
+platform = "Reference"
+equilibrate = 0.0
+steps = {STEPS}
+every = 0.008
+report_every = 0.008
+checkpoint_every = 0.02
+"""
+
+
 @contextmanager
 def working_in(directory: Path) -> Iterator[None]:
     """Make a directory the current one; `contextlib.chdir` came with Python 3.11."""
@@ -122,9 +137,10 @@ def make_run(directory: Path) -> None:
     with working_in(directory):
         box = write_lattice(Path("box.pdb"), molecules=8)
         steps = f"--steps {STEPS} --every 0.008 --report-every 0.008 --checkpoint-every 0.02"
-        options = f"--scheme sier2 --dt 2 --platform Reference --equilibrate 0 {steps} --save-config run.toml"
+        options = f"--scheme sier2 --dt 2 --platform Reference --equilibrate 0 {steps}"
         if main.main(["run", str(box), "--out", "run.dcd", *options.split()]):
             raise ValueError("the run of the test failed")
+        Path("run.toml").write_text(SETTINGS)
         system = read_input(box).system
         Path("system.xml").write_text(openmm.XmlSerializer.serialize(system))
         with zipfile.ZipFile("run.chk") as archive:

@@ -1,6 +1,6 @@
 """`openmm-sier run` on a small box of water, ended by signals at random moments and continued again and again.
 
-    python -m tests.loops.kill_loop [--kills N] [--suffix .dcd] [--signals KILL TERM] [--resume]
+    python -m tests.loops.kill_loop [--kills N] [--signals KILL TERM] [--resume]
 
 At the end the trajectory must have every frame once, in order. Trajectory and log must be those of an undisturbed run,
 byte for byte. A signal that can be handled must give its exit code and, after the first step, leave a checkpoint of the
@@ -143,13 +143,11 @@ class LoopSettings(Settings):
 
     Attributes:
         kills: how many.
-        suffix: of the trajectory.
         signals: which take turns.
         resume: whether the command finds its checkpoint by itself.
     """
 
     kills: int = 50
-    suffix: Literal[".dcd", ".xtc"] = ".dcd"
     signals: tuple[Literal["KILL", "TERM", "INT", "HUP"], ...] = SIGNALS
     resume: bool = False
     out: Path = Path("killed")
@@ -164,7 +162,7 @@ def kill_loop(settings: LoopSettings) -> Counter[str]:
     Raises:
         Lost: something did not survive.
     """
-    directory, out, whole = settings.out, f"killed{settings.suffix}", f"whole{settings.suffix}"
+    directory, out, whole = settings.out, "killed.dcd", "whole.dcd"
     write_lattice(directory / "box.pdb", 27)
     rng, met = np.random.default_rng(settings.seed), Counter[str]()
     for number in range(settings.kills):

@@ -15,7 +15,7 @@ def test_one_command_line_continues_after_every_kill(tmp_path):
 
     The fourth kill comes early, before there is a checkpoint or while the command reads it.
     """
-    met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), suffix=".xtc", resume=True))
+    met = kill_loop(LoopSettings(out=tmp_path, kills=4, signals=("KILL", "TERM"), resume=True))
     # One more checkpoint after each of three kills.
     assert met["steps"] >= 30
 

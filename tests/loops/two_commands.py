@@ -133,7 +133,7 @@ def meeting(two: tuple[int, str], one: tuple[int, str]) -> str:
     if not refused:
         return "second came after the first"
     lines = [line for line in refused[0].splitlines() if line.startswith("openmm-sier: ")]
-    if len(lines) != 1 or "is being written by process" not in lines[0]:
+    if len(lines) != 1 or "is being written by another process" not in lines[0]:
         raise Disturbed(f"a refused command said: {refused[0]}")
     return "second refused" if two[0] == 1 else "first refused"
 

@@ -14,7 +14,6 @@ import openmm
 from openmm import unit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from openmm_sier.cli import platforms
 from openmm_sier.cli.fields import Name
 from openmm_sier.cli.files import records
 from openmm_sier.cli.settings import MOST_STEPS
@@ -24,14 +23,14 @@ from openmm_sier.system.untrusted_files import ContentError, open_regular, read_
 #: Version of the content of checkpoints.
 FORMAT = 1
 
+#: The name of the platform in the notes.
+PLATFORM = "Platform"
+
 #: Most bytes of notes; a hundred thousand bodies named by --rigid take some four million.
 MOST_NOTES = 2**24
 
 #: Most values in them, counted by the characters before values. As objects of Python they need far more memory.
 MOST_VALUES = 2**20
-
-#: First bytes of a zip archive that holds a file.
-LOCAL_HEADER = b"PK\x03\x04"
 
 #: Errors of zip, JSON and OpenMM for other content. A RuntimeError is raised for passwords and for lists that are
 #: nested too deeply.
@@ -46,7 +45,7 @@ class Notes(BaseModel):
         plan: settings of the run by name, which `openmm_sier.cli.planning.noted_settings` checks.
         step: of the run.
         potential_energy: at that step, kJ/mol.
-        platform: as `openmm_sier.cli.platforms.platform_of` returns it.
+        platform: its name under `PLATFORM`; those of earlier versions have more.
         inputs: SHA-256 of the files that the run read, by purpose.
         unsettled: how a doubtful equilibration ended, in words.
         trajectory, log, tensors: notes on the files that the run writes.
@@ -73,8 +72,8 @@ class Notes(BaseModel):
     @field_validator("platform")
     @classmethod
     def _check_platform(cls, platform: dict[str, str]) -> dict[str, str]:
-        if platforms.NAME not in platform:
-            raise ValueError(f"expected a {platforms.NAME}")
+        if PLATFORM not in platform:
+            raise ValueError(f"expected a {PLATFORM}")
         return platform
 
     @field_validator("tensors")
@@ -156,20 +155,7 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     except ContentError as error:
         raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run: {error}") from None
     except _UNREADABLE as error:
-        raise records.RecordError(_complaint(path)) from error
-
-
-def _complaint(path: Path) -> str:
-    """Return a message about a file that cannot be read: an incomplete checkpoint, or none."""
-    with open_regular(path) as file:
-        begin = file.read(len(LOCAL_HEADER))
-        is_cut_off = LOCAL_HEADER.startswith(begin) and not zipfile.is_zipfile(file)
-    if is_cut_off:
-        return (
-            f"{path} is incomplete: a checkpoint of openmm-sier run was cut off, for example while it was copied. Give "
-            "the whole file"
-        )
-    return f"{path} is not a checkpoint of openmm-sier run"
+        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run, or was cut off") from error
 
 
 def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:

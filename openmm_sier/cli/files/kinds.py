@@ -9,7 +9,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_sier.cli.files.records import GrowingFile, Log, Noted
-from openmm_sier.cli.files.trajectories import FORMATS, Trajectory
+from openmm_sier.cli.files.trajectories import Trajectory
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.observe import conservation, pressure
 
@@ -25,23 +25,13 @@ class OutputKind(NamedTuple):
         option, every: the options that name the file and set its interval.
         open: function that opens the file at a path for a simulated system and its Context, new or cut to the length in
             a checkpoint.
-        format: function that returns the class of a file at a path.
+        format: class of the file.
     """
 
     option: str
     every: str
     open: Callable[[Path, SimulatedSystem, openmm.Context, Noted | None], Opened]
-    format: Callable[[Path], type[GrowingFile]]
-
-
-def trajectory_format(path: Path) -> type[Trajectory]:
-    """Return the class of a trajectory, by the ending of its name."""
-    return FORMATS[path.suffix.lower()]
-
-
-def table_format(path: Path) -> type[Log]:
-    """Return the class of a table, the same for all."""
-    return Log
+    format: type[GrowingFile]
 
 
 def open_trajectory(path: Path, simulated: SimulatedSystem, context: openmm.Context, noted: Noted | None) -> Opened:
@@ -49,7 +39,7 @@ def open_trajectory(path: Path, simulated: SimulatedSystem, context: openmm.Cont
     settings, box = simulated.settings, simulated.box
     is_wrapped = box.system.usesPeriodicBoundaryConditions() and not settings.unwrapped
     topology, interval = _subset(box.topology, box.listed), settings.interval(settings.every)
-    file = trajectory_format(path)(path, topology, settings.step_time, interval, noted)
+    file = Trajectory(path, topology, settings.step_time, interval, noted)
 
     def write(values: Mapping[str, float]) -> None:
         state = context.getState(positions=True, enforcePeriodicBox=is_wrapped)
@@ -81,9 +71,9 @@ def open_tensors(path: Path, simulated: SimulatedSystem, context: openmm.Context
 
 #: All kinds by their names in checkpoints, in the order in which they are checked and written.
 KINDS = {
-    "trajectory": OutputKind("out", "every", open_trajectory, trajectory_format),
-    "log": OutputKind("report", "report_every", open_log, table_format),
-    "tensors": OutputKind("pressure_tensor", "pressure_tensor_every", open_tensors, table_format),
+    "trajectory": OutputKind("out", "every", open_trajectory, Trajectory),
+    "log": OutputKind("report", "report_every", open_log, Log),
+    "tensors": OutputKind("pressure_tensor", "pressure_tensor_every", open_tensors, Log),
 }
 
 

@@ -6,16 +6,13 @@ from pathlib import Path
 
 import openmm
 
-from openmm_sier.cli import config
+from openmm_sier.cli import pictures
 from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.fields import is_utf8
 from openmm_sier.cli.files import checkpoints, records
 from openmm_sier.cli.files.checkpoints import FORMAT, Notes
 from openmm_sier.cli.files.kinds import KINDS
-from openmm_sier.cli.files.places import check_place, refuse_to_replace
-from openmm_sier.cli.pictures import canvas
-from openmm_sier.cli.platforms import platform_of
-from openmm_sier.cli.settings import FILES, RunSettings
+from openmm_sier.cli.files.places import check_place
+from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.inputs.source_files import FilePath
 
@@ -26,7 +23,6 @@ class Outputs:
     Attributes:
         checkpoint: its path.
         paths: of all files that a restart continues, the checkpoint first.
-        extras: paths of the picture and the settings, which are written as a whole.
         saved_step: step of the last checkpoint; None before the first.
     """
 
@@ -36,7 +32,6 @@ class Outputs:
         self._settings = settings
         self._grown = {name: path for name, kind in KINDS.items() if (path := getattr(settings, kind.option))}
         self.paths = [checkpoint, *self._grown.values()]
-        self.extras = [path for path in (settings.plot, settings.save_config) if path]
         self._intervals = {name: settings.interval(getattr(settings, KINDS[name].every)) for name in self._grown}
         self._intervals["checkpoint"] = settings.interval(settings.checkpoint_every)
 
@@ -47,25 +42,20 @@ class Outputs:
 
         Args:
             sources: files that the command reads.
-            may_replace: whether a picture and settings of an earlier run are replaced.
+            may_replace: whether a picture of an earlier run is replaced.
 
         Raises:
             RunError: naming the file.
             ModuleNotFoundError: there is no matplotlib for the picture.
         """
-        for path in map(self._settings.noted(self.checkpoint).get, FILES):
-            if path and not is_utf8(path):
-                raise RunError(f"the directory of {os.fsencode(path)!r} is not UTF-8: run in another directory")
         start = self._settings.start
         inputs = [*sources, *([start] if start else [])]
         # The user names the trajectory, and the checkpoint follows from it.
-        paths = [*self._grown.values(), *self.extras, self.checkpoint]
+        paths = [*self._grown.values(), self.checkpoint]
         for number, path in enumerate(paths):
             check_place(path, inputs, paths[:number])
         if self._settings.plot:
-            canvas.check(self._settings.plot, inputs, may_replace)
-        if self._settings.save_config:
-            refuse_to_replace(self._settings.save_config, "--save-config", config.MARK if may_replace else b"")
+            pictures.check(self._settings.plot, inputs, may_replace, paths)
 
     def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.
@@ -93,7 +83,7 @@ class Outputs:
         if path == self.checkpoint or not path.is_file():
             return False
         kind = next(KINDS[name] for name, grown in self._grown.items() if grown == path)
-        return kind.format(path).is_beginning(path)
+        return records.is_beginning(path, kind.format)
 
     def check_noted(self, notes: Notes) -> None:
         """Check, without changing them, that the outputs are those of the run of a checkpoint.
@@ -103,7 +93,11 @@ class Outputs:
             OSError: one cannot be read.
         """
         for name, path in self._grown.items():
-            records.check(path, notes.file(name), KINDS[name].format(path))
+            records.check(path, notes.file(name), KINDS[name].format)
+
+    def files_beyond(self, notes: Notes) -> list[Path]:
+        """Return the files with records after a checkpoint, which a restart cuts."""
+        return [path for name, path in self._grown.items() if os.path.getsize(path) > notes.file(name).size]
 
     def _remove(self) -> None:
         """Remove all files, the checkpoint first, so that it never remains with files of another run."""
@@ -167,7 +161,7 @@ class Outputs:
             plan=self._settings.noted(self.checkpoint),
             step=step,
             potential_energy=potential,
-            platform=platform_of(context),
+            platform={checkpoints.PLATFORM: context.getPlatform().getName()},
             inputs=self._inputs,
             unsettled=self._unsettled,
             **{name: file.noted() for name, file in self._files.items()},

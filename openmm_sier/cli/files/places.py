@@ -5,13 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from openmm_sier.cli.errors import RunError
-from openmm_sier.cli.files import records
-from openmm_sier.cli.files.locks import is_name_of_a_lock
-from openmm_sier.cli.streams import PROGRAM
 from openmm_sier.inputs.source_files import FilePath
-
-#: Number of bytes at the beginning of a file that contain the mark of its kind.
-BEGINNING = 2**12
 
 
 def check_place(path: Path, inputs: Iterable[FilePath], outputs: Iterable[Path] = ()) -> None:
@@ -35,32 +29,16 @@ def check_place(path: Path, inputs: Iterable[FilePath], outputs: Iterable[Path] 
         raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
         raise RunError(f"there is no directory {path.parent} for {path.name}")
-    if is_name_of_a_lock(path):
-        raise RunError(f"{path} has the name of a lock: give another name")
 
 
-def refuse_to_replace(path: Path, option: str, mark: bytes = b"") -> None:
-    """Refuse a file that exists, unless it is an earlier one of the same kind.
-
-    Args:
-        path: of the file.
-        option: the option that names the file.
-        mark: bytes within the first `BEGINNING` of every file of this kind, if such a file may be replaced.
+def refuse_to_replace(path: Path) -> None:
+    """Refuse a file that exists.
 
     Raises:
         RunError: naming the file.
     """
-    if not os.path.lexists(path):
-        return
-    if not mark:
-        raise RunError(f"{path} exists: give another name with {option}, or replace it with --overwrite")
-    if not path.is_file() or mark not in _beginning(path):
-        raise RunError(f"{path} exists, and is no earlier file of {PROGRAM}: give another name, or remove it")
-
-
-def _beginning(path: Path) -> bytes:
-    with records.naming(path), open(path, "rb") as file:
-        return file.read(BEGINNING)
+    if os.path.lexists(path):
+        raise RunError(f"{path} exists: give another name, or replace it with --overwrite")
 
 
 def same_file(one: FilePath, two: FilePath) -> bool:

@@ -8,7 +8,6 @@ repeated frame. The checkpoint also notes a fingerprint of their content, so tha
 import hashlib
 import os
 import secrets
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,11 +26,8 @@ WINDOW = 2**16
 #: Bytes at the beginning that change while a file grows: a DCD file counts its frames there.
 CHANGING = 48
 
-#: First columns of every table of a run.
-FIRST_COLUMNS = b"Step,Time (ps),"
-
-#: Bytes; upper bound of the length of a heading and a row.
-LONGEST_BEGINNING = 2**13
+#: Number of bytes at the end of a log that contain its last row.
+LAST_ROW = 2**13
 
 #: A number of bytes or of records in a file.
 Count = Annotated[int, Field(ge=0, lt=2**62)]
@@ -88,14 +84,19 @@ class Noted:
     fingerprint: Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
 
 
-class GrowingFile(ABC):
+class GrowingFile:
     """A file that only grows, by whole records.
 
     Attributes:
+        begins: the first bytes of each file of this format.
+        most_at_first: upper bound of the number of bytes that a run writes before its first checkpoint.
         path: of the file.
         size: bytes written.
         count: records written, a header not counted.
     """
+
+    begins: bytes
+    most_at_first: int
 
     def __init__(self, path: Path, noted: Noted | None = None):
         """
@@ -114,35 +115,6 @@ class GrowingFile(ABC):
             self._file = open(path, "r+b" if self.size else "wb", buffering=0)  # noqa: SIM115
             self._file.truncate(self.size)
             self._file.seek(self.size)
-
-    @staticmethod
-    @abstractmethod
-    def records_after(path: Path, size: int) -> int:
-        """Count the records of a file after its first `size` bytes, and an incomplete one at its end.
-
-        Raises:
-            OSError: it cannot be read.
-        """
-
-    @staticmethod
-    @abstractmethod
-    def are_records(path: Path, size: int) -> bool:
-        """Return whether the first `size` bytes of a file are whole records of this format, with its header.
-
-        Where the format has no header, and `size` is 0, the bytes that follow decide.
-
-        Raises:
-            OSError: it cannot be read.
-        """
-
-    @staticmethod
-    @abstractmethod
-    def is_beginning(path: Path) -> bool:
-        """Return whether a file holds no more than a run writes before its first checkpoint.
-
-        Raises:
-            OSError: it cannot be read.
-        """
 
     def append(self, record: bytes, counts: bool = True) -> None:
         """Write a record. The restart cuts off an incomplete one.
@@ -193,11 +165,37 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
             "run from the checkpoint with --start"
         )
     # A checkpoint may be crafted and name any file, so that the fingerprint alone is not enough.
-    if _fingerprint(path, noted.size) != noted.fingerprint or not format.are_records(path, noted.size):
+    is_of_format = noted.size > CHANGING and _first_bytes(path, len(format.begins)) == format.begins
+    if _fingerprint(path, noted.size) != noted.fingerprint or not is_of_format:
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
             "Put the old file back, or begin a new run from the checkpoint with --start"
         )
+
+
+def is_beginning(path: Path, format: type[GrowingFile]) -> bool:
+    """Return whether a file holds no more than a run writes before its first checkpoint."""
+    first = _first_bytes(path, len(format.begins))
+    # They may have been cut off too.
+    return format.begins.startswith(first) and path.stat().st_size <= format.most_at_first
+
+
+def last_step(log: Path) -> int:
+    """Return the step of the last complete row of a log.
+
+    Raises:
+        ValueError: there is none.
+        OSError: it cannot be read.
+    """
+    with open(log, "rb") as file:
+        file.seek(max(0, os.path.getsize(log) - LAST_ROW))
+        *rows, _ = file.read().split(b"\n")
+    return int(rows[-1].split(b",")[0])
+
+
+def _first_bytes(path: Path, count: int) -> bytes:
+    with naming(path), open_regular(path) as file:
+        return file.read(count)
 
 
 def _fingerprint(path: Path, size: int) -> str:
@@ -211,34 +209,14 @@ def _fingerprint(path: Path, size: int) -> str:
 class Log(GrowingFile):
     """A CSV file of numbers with a heading."""
 
+    begins = b"Step,Time (ps),"
+    most_at_first = 2**10
+
     def __init__(self, path: Path, columns: Sequence[str], noted: Noted | None):
         super().__init__(path, noted)
         self.columns = tuple(columns)
         if not self.size:
             self.append(csv_line(self.columns).encode(), counts=False)
-
-    @staticmethod
-    def records_after(path: Path, size: int) -> int:
-        with naming(path), open(path, "rb") as file:
-            file.seek(size)
-            return sum(1 for _ in file)
-
-    @staticmethod
-    def are_records(path: Path, size: int) -> bool:
-        if size < len(FIRST_COLUMNS):
-            return False
-        with naming(path), open(path, "rb") as file:
-            begins = file.read(len(FIRST_COLUMNS)) == FIRST_COLUMNS
-            file.seek(size - 1)
-            return begins and file.read(1) == b"\n"
-
-    @staticmethod
-    def is_beginning(path: Path) -> bool:
-        with naming(path), open(path, "rb") as file:
-            heading, _, later = file.read(LONGEST_BEGINNING).partition(b"\n")
-        # The heading may have been cut off too.
-        begins = heading.startswith(FIRST_COLUMNS) or FIRST_COLUMNS.startswith(heading)
-        return begins and later.count(b"\n") <= 1 and len(later) + len(heading) + 1 < LONGEST_BEGINNING
 
     def write(self, values: Sequence[float]) -> None:
         self.append(csv_line(values).encode())

@@ -1,31 +1,27 @@
 """The command `openmm-sier run --seeds`: parallel runs, their progress in one table, and their means."""
 
 import logging
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from openmm_sier.cli import summary
+from openmm_sier.cli import pictures, summary
 from openmm_sier.cli.arguments import flag
-from openmm_sier.cli.console import note
+from openmm_sier.cli.console import note, progress_bar
 from openmm_sier.cli.errors import Misused, RunError
-from openmm_sier.cli.files.places import same_file
 from openmm_sier.cli.many.members import Member, RunsError, named, run_many
-from openmm_sier.cli.many.seeds import shown
-from openmm_sier.cli.many.table import watching
-from openmm_sier.cli.pictures import canvas
 from openmm_sier.cli.planning import new_settings
-from openmm_sier.cli.platforms import check_platform
 from openmm_sier.cli.results import FEWEST_ROWS
 from openmm_sier.cli.settings import RunSettings
+from openmm_sier.cli.simulated_system import check_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.threads import cores
 from openmm_sier.engines.choice import is_on_host
 from openmm_sier.inputs.equilibration import platform_for
 
 #: Options that name an output of each member.
-OF_MEMBERS = ("report", "pressure_tensor", "save_config")
+OF_MEMBERS = ("report", "pressure_tensor")
 
 #: Words of a warning that the table of means repeats.
 UNSETTLED = "not equilibrated"
@@ -54,15 +50,21 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     settings = new_settings(options)
     members = [named(settings.out, seed) for seed in seeds]
     if picture:
-        canvas.check(picture, [settings.box, *members], may_replace=True)
-    _refuse_one_file(options, settings, seeds)
+        pictures.check(picture, [settings.box, *members], overwrite=True)
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
     number = "1 run" if len(seeds) == 1 else f"{len(seeds)} runs"
     note(f"{number} of {settings.title}, to step {settings.length(settings.steps)}, {where}")
-    with _dask_in_silence(), StopRequests() as requests, watching(settings.steps) as watch:
+    bar = progress_bar(number, settings.steps * len(seeds))
+    with _dask_in_silence(), StopRequests() as requests, bar as show:
         requests.defer()
+
+        def watch(members: Sequence[Member]) -> None:
+            states = Counter(member.state for member in members)
+            done = sum(min(member.step, settings.steps) for member in members)
+            show(done, ", ".join(f"{count} {state}" for state, count in states.items()))
+
         try:
             ended = run_many(
                 box,
@@ -87,7 +89,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     if settings.steps // settings.interval(settings.report_every) + 1 < FEWEST_ROWS:
         note(f"no means: a log needs {FEWEST_ROWS} rows or more. Lower --report-every")
         return
-    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None)
+    summary.execute([member.log for member in ended], json=None, plot=picture, skip=None, overwrite=True)
 
 
 @contextmanager
@@ -111,17 +113,9 @@ def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | Non
         raise Misused("--seed and --seeds both set seeds: give one of them")
     if workers and scheduler:
         raise Misused("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
-
-
-def _refuse_one_file(options: dict[str, Any], settings: RunSettings, seeds: Sequence[int]) -> None:
-    """Refuse a name of a file that each member would write."""
     for name in OF_MEMBERS:
         if options.get(name):
             raise Misused(f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}")
-    for seed in seeds:
-        for source in (settings.box, settings.topology):
-            if source and same_file(named(settings.out, seed), source):
-                raise RunError(f"{named(settings.out, seed)} would overwrite {source}: give another name with --out")
 
 
 def _is_usual(name: str, value: object) -> bool:
@@ -143,24 +137,20 @@ def _counted(members: Sequence[Member]) -> str:
 
 
 def _print_warnings(members: Sequence[Member]) -> None:
-    """Print each warning once, with its seeds. The means name the runs that were not equilibrated."""
-    warnings = [(text, member) for member in members for text in member.warnings if UNSETTLED not in text]
-    for text, seeds in _grouped(warnings):
-        note(f"{text} ({seeds})")
+    """Print each warning once, with its seeds. The means say how many runs were not equilibrated."""
+    for line in _grouped((text, member) for member in members for text in member.warnings if UNSETTLED not in text):
+        note(line)
 
 
 def _complaints(members: Sequence[Member]) -> str:
     """Return the complaints of members, each once."""
-    failed = [(member.error or "it was stopped", member) for member in members if member.state != "complete"]
-    return "; ".join(f"{seeds}: {text}" for text, seeds in _grouped(failed))
+    incomplete = [member for member in members if member.state != "complete"]
+    return "; ".join(_grouped((member.error or "it was stopped", member) for member in incomplete))
 
 
-def _grouped(messages: Sequence[tuple[str, Member]]) -> list[tuple[str, str]]:
-    """Return texts and their seeds; texts that differ only in numbers count as one."""
-    first: dict[str, str] = {}
-    seeds: dict[str, list[int]] = {}
+def _grouped(messages: Iterable[tuple[str, Member]]) -> list[str]:
+    """Return each text once, with the seeds of its members."""
+    seeds: dict[str, list[str]] = {}
     for text, member in messages:
-        alike = re.sub(r"\d+(\.\d+)?", "#", text)
-        first.setdefault(alike, text)
-        seeds.setdefault(alike, []).append(member.seed)
-    return [(first[alike], shown(seeds[alike])) for alike in first]
+        seeds.setdefault(text, []).append(str(member.seed))
+    return [f"{text} (--seed {', '.join(numbers)})" for text, numbers in seeds.items()]

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from openmm_sier.cli.arguments import argument, arguments
+from openmm_sier.cli.files.records import last_step
 from openmm_sier.dynamics.threads import cores
 
 if TYPE_CHECKING:
@@ -41,9 +42,6 @@ STOPPED = 128 + signal.SIGTERM
 
 #: Address of the HTTP servers that Dask requires: any port, for this machine only.
 OWN_MACHINE = "127.0.0.1:0"
-
-#: Number of bytes at the end of a log that contain its last row.
-LAST_ROW = 2**13
 
 State = Literal["waiting", "running", "complete", "failed", "stopped"]
 
@@ -287,10 +285,8 @@ def _gone(client: Client) -> RunsError:
 
 def _update_step(member: Member) -> None:
     """Read the last step of a member from its log."""
-    with suppress(OSError, ValueError), open(member.log, "rb") as file:
-        file.seek(max(0, os.path.getsize(member.log) - LAST_ROW))
-        *rows, _ = file.read().split(b"\n")
-        step = int(rows[-1].split(b",")[0])
+    with suppress(OSError, ValueError):
+        step = last_step(member.log)
         if member.state == "waiting" and step != member.step:
             member.state = "running"
         member.step = step

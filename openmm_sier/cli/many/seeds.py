@@ -1,7 +1,6 @@
 """Seeds of many runs on a command line."""
 
 import re
-from collections.abc import Sequence
 
 from openmm_sier.cli.errors import Misused
 
@@ -30,15 +29,3 @@ def read_seeds(text: str) -> list[int]:
     if len(set(seeds)) < len(seeds):
         raise Misused(f"--seeds: expected each seed once, got {text!r}")
     return seeds
-
-
-def shown(seeds: Sequence[int]) -> str:
-    """Return seeds in the form that `read_seeds` reads."""
-    ranges: list[list[int]] = []
-    for seed in sorted(set(seeds)):
-        if ranges and seed == ranges[-1][-1] + 1:
-            ranges[-1].append(seed)
-        else:
-            ranges.append([seed])
-    words = [f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in ranges]
-    return f"{'seed' if len(set(seeds)) == 1 else 'seeds'} {','.join(words)}"

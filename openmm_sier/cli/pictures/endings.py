@@ -1,3 +1,0 @@
-"""Endings of the names of pictures."""
-
-ENDINGS = (".png", ".svg", ".html")
