@@ -11,7 +11,7 @@ import openmm
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.inputs.file_kinds import PDB, kind_of
+from openmm_sier.inputs.file_kinds import PDB, file_kind
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, has_end, read_pdb, refusing
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.observe.conservation import density
@@ -327,7 +327,7 @@ def warn_about_thin_box(path: FilePath, box: Box) -> None:
     box_density = density_of(box)
     if box_density is None or box_density >= THINNEST or not meshed_forces(box.system):
         return
-    end = "" if kind_of(path) != PDB or has_end(path) else ", which has no record END,"
+    end = "" if file_kind(path) != PDB or has_end(path) else ", which has no record END,"
     warn(
         f"{path}: the density of its {box.topology.getNumResidues()} residues in their box is {box_density:.2g} g/ml, "
         f"less than that of a liquid. Unless this is a gas or has surfaces, the file{end} is cut off, or its box is "

@@ -9,7 +9,7 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.inputs.file_kinds import MMCIF, PDB, file_kind
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system.boxes import reduced
 from openmm_sier.system.user_warnings import warn
@@ -71,7 +71,7 @@ def check_records(path: FilePath) -> str:
         ForceFieldError: the file has another format, or is cut off.
         OSError: the file cannot be read.
     """
-    kind = kind_of(path)
+    kind = file_kind(path)
     if kind not in READERS:
         raise ForceFieldError(f"{path} is not a PDB file with atoms")
     if kind == PDB:
