@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from openmm import app, unit
 
-from openmm_sier.inputs.file_kinds import kind_of
+from openmm_sier.inputs.file_kinds import file_kind
 from openmm_sier.inputs.forcefields import REMARK, add_virtual_sites, load
 from openmm_sier.inputs.pdb_files import (
     READERS,
@@ -88,7 +88,7 @@ def complete(
     """
     names = tuple(map(str, files))
     forcefield = load(names, Path(path).parent)
-    if kind_of(path) not in READERS:
+    if file_kind(path) not in READERS:
         raise ForceFieldError(f"{path} is not a PDB file with atoms")
     fixer = _fixer(path)
     warn_about_alternates(path, fixer.topology)

@@ -8,7 +8,7 @@ import numpy as np
 from openmm import app, unit
 from openmm.unit import Quantity
 
-from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, kind_of
+from openmm_sier.inputs.file_kinds import AMBER_COORDINATES, CRD, GRO, STATE, STRUCTURES, file_kind
 from openmm_sier.inputs.pdb_files import ForceFieldError, box_of, named_atom, read_pdb, refusing
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system.untrusted_files import read_state
@@ -46,7 +46,7 @@ def read_coordinates(path: FilePath, edges: Sequence[float] | None = None) -> Co
         OSError: the file cannot be read.
     """
     source = SourceFile.of(path)
-    kind = kind_of(source)
+    kind = file_kind(source)
     if kind in STRUCTURES:
         pdb = read_pdb(source, edges)
         names = [atom.name for atom in pdb.topology.atoms()]

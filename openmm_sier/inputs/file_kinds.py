@@ -38,7 +38,7 @@ _LINES = {
 }
 
 
-def kind_of(path: FilePath) -> str:
+def file_kind(path: FilePath) -> str:
     """Return the kind of a file, one of the constants above.
 
     Raises:

@@ -14,7 +14,7 @@ from openmm import app, unit
 
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.coordinates import Coordinates, read_coordinates, refuse_other_atoms
-from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, kind_of
+from openmm_sier.inputs.file_kinds import POSITIONS, PRMTOP, PSF, STATE, SYSTEM, TOP, TOPOLOGIES, file_kind
 from openmm_sier.inputs.forcefields import USUAL, Box, Interactions
 from openmm_sier.inputs.pdb_files import ForceFieldError, check_positions, named_atom, refusing
 from openmm_sier.inputs.source_files import FilePath, SourceFile
@@ -76,7 +76,7 @@ def topology_kind(path: FilePath) -> str:
         ForceFieldError: the file is not a topology.
         OSError: the file cannot be read.
     """
-    if (kind := kind_of(path)) not in TOPOLOGIES:
+    if (kind := file_kind(path)) not in TOPOLOGIES:
         raise ForceFieldError(
             f"{path} is {kind}, but the topology must be a prmtop file of AMBER, a top file of GROMACS, a psf file of "
             "CHARMM or a System of OpenMM in XML"
@@ -95,7 +95,7 @@ class _Source(NamedTuple):
 
 def _refuse_half(path: FilePath) -> None:
     """Refuse files that require a second file."""
-    kind = kind_of(path)
+    kind = file_kind(path)
     if kind in TOPOLOGIES:
         raise ForceFieldError(
             f"{path} is {kind}, but coordinates are expected: give these, and this file as `topology` (--topology)"
@@ -127,7 +127,7 @@ def _box_of_topology(
     source: _Source, files: Sequence[FilePath], constraints: str | None, interactions: Interactions
 ) -> Box:
     path, coordinates, topology, kind = source
-    if kind_of(path) == STATE:
+    if file_kind(path) == STATE:
         raise ForceFieldError(
             f"{path} is {STATE} and needs a System of OpenMM as its topology, but {topology} is {kind}: give the "
             "System of that State"

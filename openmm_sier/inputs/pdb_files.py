@@ -9,7 +9,7 @@ from openmm import Vec3, app, unit
 from openmm.unit import Quantity
 
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
-from openmm_sier.inputs.file_kinds import MMCIF, PDB, kind_of
+from openmm_sier.inputs.file_kinds import MMCIF, PDB, file_kind
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.system.boxes import reduced
 from openmm_sier.system.user_warnings import warn
@@ -43,7 +43,7 @@ def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFil
         OSError: the file cannot be read.
     """
     source = SourceFile.of(path)
-    if (kind := kind_of(source)) not in READERS:
+    if (kind := file_kind(source)) not in READERS:
         raise ForceFieldError(f"{path} is not a PDB file with atoms")
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)

@@ -31,15 +31,19 @@ class ForceKind(NamedTuple):
     """Properties of a class of Forces. The defaults are those of most classes of OpenMM.
 
     Attributes:
-        acts_on: "terms" of a few listed atoms or of donors and acceptors, to which particles of frames can be added;
-            "pairs" of all its particles, or functions of these, and the "whole", a function of many atoms: both need
-            parameters for each particle, so that copies with frames refuse unknown ones; "particles" one by one, so
-            that a lone body feels a torque and momentum is not conserved; or "nothing", if it exerts no forces.
+        acts_on: what its energy depends on. "terms" of a few listed atoms, or of donors and acceptors: particles of
+            frames can be added, and a motion of two atoms is judged as a bond. "pairs" of all its particles, or
+            functions of these, with an entry for each particle: copies with frames refuse classes that they do not
+            know. "particles" one by one: a lone body feels a torque, and momentum is not conserved. The "whole", any
+            other function of many atoms: copies with frames refuse it too. "nothing": it exerts no forces, and is
+            never fast. "terms" without `terms` and the "whole" may fix an angle, so that no warning says that nothing
+            fixes it.
         stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
             expressions and collective variables of few atoms; or "unknown".
         terms: XML form of the terms of a bonded Force, which can be fast; None for other Forces.
         term_particles: for a Force of terms whose XML has another form; None otherwise.
-        joins: whether its terms join atoms into molecules, as bonds do.
+        joins: whether its terms join atoms into molecules, beside those of HarmonicBondForces and CustomBondForces,
+            which do in any case.
         charges: whether it has point charges, or multipoles.
         meshes: nonbonded methods with a mesh; None: never; empty: always.
         has_coordinates: whether its expression may depend on absolute coordinates, such as x1.
@@ -96,6 +100,7 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.CustomCompoundBondForce: ForceKind(
         "terms", "measured", term_particles=_compound_bonds, has_coordinates=True
     ),
+    # A donor or an acceptor is up to three listed atoms, and other particles have no entry.
     openmm.CustomHbondForce: ForceKind("terms", "soft"),
     # Nonbonded Forces.
     openmm.NonbondedForce: ForceKind(
@@ -115,8 +120,7 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.CustomGBForce: ForceKind("pairs", "soft"),
     openmm.GBSAOBCForce: ForceKind("pairs", "soft"),
     openmm.LCPOForce: ForceKind("pairs", "soft"),
-    # The energy of ellipsoids depends on the atoms that define their axes.
-    openmm.GayBerneForce: ForceKind("whole", "soft"),
+    openmm.GayBerneForce: ForceKind("pairs", "soft"),
     openmm.CustomManyParticleForce: ForceKind("whole", "soft", has_coordinates=True),
     # Fields and collective variables.
     openmm.CustomExternalForce: ForceKind("particles", "measured"),

@@ -13,7 +13,7 @@ from openmm import app, unit
 from scipy.io import netcdf_file
 
 from openmm_sier.cli.files.checkpoints import read_checkpoint
-from openmm_sier.inputs.file_kinds import kind_of
+from openmm_sier.inputs.file_kinds import file_kind
 from openmm_sier.inputs.forcefields import CUTOFF, EWALD_TOLERANCE, LARGEST_CUTOFF, SWITCH
 from openmm_sier.inputs.inputs import read_input
 from openmm_sier.prepare.masses import set_hydrogen_masses
@@ -443,4 +443,4 @@ def test_restart_files_of_amber_may_be_netcdf():
 )
 def test_kinds_follow_from_contents(text, kind):
     Path("file").write_text(text)
-    assert kind_of("file") == kind
+    assert file_kind("file") == kind

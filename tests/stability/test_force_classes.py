@@ -142,6 +142,12 @@ def judged(force):
 def test_every_class_is_in_one_of_the_tables():
     """A class that is new in OpenMM needs an example here, unless it is softer than bonds for certain."""
     assert {kind for kind, row in FORCES.items() if row.exerts_forces} == STIFF.keys() | UNKNOWN.keys() | SOFT
+    without_forces = {kind for kind, row in FORCES.items() if not row.exerts_forces}
+    # That of bonds is known.
+    assert {FORCES[kind].stiffness for kind in SOFT | without_forces | {openmm.HarmonicBondForce}} == {"soft"}
+    # Where the Forces in a container are not known, its own row counts.
+    containers = {openmm.ATMForce, openmm.CustomCVForce}
+    assert {FORCES[kind].stiffness for kind in UNKNOWN.keys() | containers} == {"unknown"}
 
 
 @pytest.mark.parametrize("kind", STIFF, ids=lambda kind: kind.__name__)

@@ -77,6 +77,23 @@ def test_the_state_is_that_of_its_positions(cluster):
             assert one == two
 
 
+@pytest.mark.parametrize(("engine", "is_same"), [("exact", True), ("native", False)])
+def test_reading_the_energy_draws_random_numbers_of_openmm(cluster, engine, is_same):
+    """The Reference platform draws for each evaluation of the kinetic energy of a CustomIntegrator.
+
+    The noise of the exact engine is not of OpenMM, see docs/guide/restarts.md.
+    """
+    _, system, point = cluster
+    ends = []
+    for reads in (False, True):
+        integrator = seeded(SIERLangevinIntegrator(297.0, 1.0, 0.001, engine=engine))
+        context = context_at(system, integrator, point, steps=2)
+        context.getState(energy=reads)
+        integrator.step(2)
+        ends.append(phase_point(context)[0])
+    assert np.array_equal(*ends) == is_same
+
+
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_force_groups_choose_the_forces_that_move(cluster, engine):
     topology, system, point = cluster
