@@ -35,9 +35,6 @@ from studies.gpu import calls as gpu_calls
 from studies.gpu import energies as gpu_energies
 from studies.gpu import methods as gpu_methods
 from studies.gpu import study as gpu_study
-from studies.harmonic_bath import __main__ as harmonic_bath_command
-from studies.harmonic_bath import study as harmonic_bath
-from studies.harmonic_bath.steps import Case
 from studies.hmc import exactness, mixture, solvated, trials
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -65,7 +62,7 @@ MINIATURES: dict[str, Miniature] = {}
 DRAWN = {"bench", "domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "gpu", "harmonic-bath", "speed", "water"}
+MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
 
 #: The one whose runs have a process of their own, as those of all studies have outside of tests.
 IN_ITS_PROCESS = "schemes"
@@ -300,20 +297,6 @@ def bias_in_a_field(found):
     assert (rows["bias"].abs() < 6.5 * rows["bias_error"] + 0.1).all()
     assert rows["rotation"].between(290, 304).all()
     assert rows["weak_rotation"].dropna().to_list() == pytest.approx([297])
-
-
-@miniature(
-    "harmonic-bath",
-    harmonic_bath_command,
-    "--starts 1 --molecules 2 --equilibrate 0.02 --minimize 100",
-    patches=((harmonic_bath, "CASES", {"9 fs": Case(), "4 fs": Case(step=4.0, has_neighbours=False)}),),
-)
-def errors_around_a_solute(found):
-    rows = found["rows"].set_index("case")
-    assert (rows["molecules"] == 2).all()
-    # The minimum is not reached, so that some modes are anything; errors are per cent all the same.
-    assert (rows[["angles", "angles_law", "bonds", "bonds_law"]].abs() < 30).all(axis=None)
-    assert rows.loc["4 fs", "angles_law"] != rows.loc["9 fs", "angles_law"]
 
 
 @miniature(
