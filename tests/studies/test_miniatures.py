@@ -24,7 +24,6 @@ from studies import (
     speed_boxes,
     whole_run,
 )
-from studies.bath_bias import __main__ as bath_bias_command
 from studies.bench import accuracy, peers, usual_inputs
 from studies.domains import __main__ as domains_command
 from studies.domains import energy as domains_energy
@@ -287,16 +286,6 @@ def bath_averages(found):
     rows = found["rows"].set_index("method")
     assert (rows[["water", "solute", "bonds"]] > 0).all(axis=None)
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
-
-
-@miniature("bath-bias", bath_bias_command, '--models "TIP3P in a field" --shorter 25')
-def bias_in_a_field(found):
-    rows = found["rows"].set_index("method")
-    assert list(rows.index) == ["SIER2", "RATTLE, by the mean", "exact, by the mean", "SIER2", "half-way, by the mean"]
-    # 60 ps of 1024 bodies leave an error of some 0.02 of kT.
-    assert (rows["bias"].abs() < 6.5 * rows["bias_error"] + 0.1).all()
-    assert rows["rotation"].between(290, 304).all()
-    assert rows["weak_rotation"].dropna().to_list() == pytest.approx([297])
 
 
 @miniature(
