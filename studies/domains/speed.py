@@ -12,11 +12,11 @@ import openmm
 
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.inputs.equilibration import make_context
-from studies.bench.timing import median_and_error, turns
 from studies.domains import bath, energy, lammps
 from studies.domains.methods import METHODS, TRIAL
 from studies.domains.models import Model
 from studies.domains.plans import Plan
+from studies.timing import median_and_error, turns
 from studies.units import md
 
 #: s of processor time that a turn should take, and steps of LAMMPS in one.

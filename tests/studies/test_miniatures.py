@@ -24,7 +24,6 @@ from studies import (
     speed_boxes,
     whole_run,
 )
-from studies.bench import accuracy, peers, usual_inputs
 from studies.domains import __main__ as domains_command
 from studies.domains import energy as domains_energy
 from studies.domains import speed as domains_speed
@@ -58,10 +57,10 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"bench", "domains", "equipartition", "water", "whole-run"}
+DRAWN = {"domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
+MADE_AT_ONCE = {"dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
 
 #: The one whose runs have a process of their own, as those of all studies have outside of tests.
 IN_ITS_PROCESS = "schemes"
@@ -110,17 +109,6 @@ SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1
 @miniature("free-rotation", paper_command, "free-rotation --quick", patches=((free_rotation, "QUICK", FREE),))
 def any_tables(found):
     assert found
-
-
-@miniature(
-    "bench",
-    accuracy,
-    "{box} --time 0.1 --equilibrate 0.02 --platform Reference",
-    patches=((accuracy, "METHODS", {"verlet": (2.0,), "sier4g": (1.0,)}), (peers, "installed", list)),
-)
-def benchmarks(found):
-    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4G"]
-    assert found["points"]["percent"].between(1e-3, 50).all()
 
 
 @miniature(
@@ -213,7 +201,6 @@ def schemes_by_step(found):
     "--platform CPU",
     patches=(
         (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
-        (usual_inputs, "installed", list),
         # The cut-off that fits the box.
         (speed_boxes, "INTERACTIONS", Interactions()),
         (speed_boxes, "SOLUTES", {"dipeptide": DIPEPTIDE}),
