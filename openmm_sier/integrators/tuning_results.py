@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 from openmm_sier.dynamics.acceptance import spread_at
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.system.arguments import warn_of_former_name
 
 
 class StepFound(NamedTuple):
@@ -135,12 +134,6 @@ class Tuning(NamedTuple):
     script: str = ""
     isSet: bool = True
     substeps: int | None = None
-
-    @property
-    def stepSize(self) -> float:
-        """Return `schemeStepSize`, by its former name."""
-        warn_of_former_name("stepSize", "schemeStepSize")
-        return self.schemeStepSize
 
     def __str__(self) -> str:
         trial = f"{self.stepsPerTrial} in a trial"

@@ -69,8 +69,6 @@ def test_equal_seeds_tune_alike(monkeypatch):
     one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))
     assert str(one) == str(other)
     assert one.schemeStepSize == other.schemeStepSize
-    with pytest.warns(FutureWarning, match="use schemeStepSize"):
-        assert one.stepSize == one.schemeStepSize
     assert str(one) != str(third)
 
 
