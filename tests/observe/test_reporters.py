@@ -173,7 +173,7 @@ def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
 def test_a_heading_that_was_cut_is_refused(tmp_path):
     path, heading = tmp_path / "log.csv", ",".join(conservation.COLUMNS)
     path.write_text(heading)
-    with pytest.raises(ValueError, match="log.csv cannot be continued: its heading was cut off"):
+    with pytest.raises(ValueError, match=r"log\.csv cannot be continued: its heading was cut off"):
         ConservationReporter(path, 1, append=True)
     assert path.read_text() == heading
 
