@@ -2,8 +2,8 @@
 
 This makes XML, copies and XML-keyed caches distinguish integrators. Stored settings may be crafted. They are checked by
 the constructors that users call: `Settings`, `Scheme`, `RigidBodies` and those of ensembles. No module is imported by
-name: free-rotation maps are those of this package and those of integrators made in this process; classes are those of
-this package and subclasses in modules that are already imported.
+name: free-rotation maps are those of this package, and classes are those of this package and subclasses in modules that
+are already imported.
 """
 
 import json
@@ -37,7 +37,7 @@ NAME = "sier settings"
 #: Bytes of text in each value: a double represents whole numbers of six bytes exactly.
 WIDTH = 6
 
-#: Free-rotation maps by name: those of this package, and those of integrators made in this process.
+#: Free-rotation maps by name.
 ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
 
 
@@ -160,7 +160,7 @@ def as_json(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values, each under the name of its field."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     values["scheme"] = asdict(settings.scheme)
-    values["rotation"] = name_of_rotation(settings.rotation)
+    values["rotation"] = _name_of_rotation(settings.rotation)
     values["ensemble"] = {"name": type(settings.ensemble).__name__, **asdict(settings.ensemble)}
     if isinstance(settings.bodies, BodySet):
         values["bodies"] = _table_of_bodies(settings.bodies)
@@ -200,25 +200,16 @@ def _bodies(table: dict[str, Any]) -> BodySet:
     return RigidBodies(species, whole_number("particles", table["particles"]))
 
 
-def name_of_rotation(function: Rotation) -> str:
-    """Return the name by which a free-rotation map is stored, and register it in `ROTATIONS`.
-
-    Functions without a name, such as lambdas, cannot be restored, but have different texts.
-    """
-    stored_name = next((name for name, rotation_map in ROTATIONS.items() if rotation_map is function), None)
-    if stored_name is not None:
-        return stored_name
-    if "<" in getattr(function, "__qualname__", "<"):
-        return repr(function)
-    ROTATIONS[place_of(function)] = function
-    return place_of(function)
+def _name_of_rotation(function: Rotation) -> str:
+    """Return the name of a free-rotation map; a map of users, which cannot be restored, has a text of its own."""
+    return next((name for name, known in ROTATIONS.items() if known is function), repr(function))
 
 
 def _rotation(name: Any) -> Rotation:
     if name not in ROTATIONS:
         raise SettingsError(
             f"The free-rotation map {name} of a stored SIER integrator is not known here; known are "
-            f"{', '.join(ROTATIONS)}. Make an integrator with this map first; a lambda cannot be restored"
+            f"{', '.join(ROTATIONS)}. A map of your own cannot be restored"
         )
     return ROTATIONS[name]
 

@@ -174,8 +174,6 @@ class _Choice(NamedTuple):
 
 
 def _integrator_of(context: openmm.Context) -> SIERHMCIntegrator:
-    if not isinstance(context, openmm.Context):
-        raise TypeError(f"tune needs a Context, such as simulation.context, got a {type(context).__name__}")
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERHMCIntegrator):
         raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")

@@ -50,11 +50,6 @@ def nudged(scheme: Scheme) -> Scheme:
     return Scheme(scheme.name, tuple(map(tuple, stages)), scheme.source)
 
 
-def own_map(A, L, moments, h):
-    """A free-rotation map that XML can name."""
-    return rotation.mrdl(A, L, moments, h)
-
-
 def stretched_molecules():
     """Bodies of the masses of water with other shapes."""
     topology, positions, system = cluster_system()
@@ -70,7 +65,6 @@ DISTINCT = {
     "SIER4G": lambda: SIERIntegrator(0.002, SIER4G),
     "a last bit": lambda: SIERIntegrator(0.002, nudged(SIER4G)),
     "other rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=rotation.mrdl),
-    "own rotation": lambda: SIERIntegrator(0.002, SIER2, rotation=own_map),
     "bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=RigidBodies.from_system(cluster_system()[2])),
     "other bodies": lambda: SIERIntegrator(0.002, SIER2, bodies=stretched_molecules()),
     "Langevin": langevin,
@@ -241,7 +235,7 @@ def test_names_that_xml_readers_damage(name):
     assert back.scheme == scheme
 
 
-def test_rotation_without_a_name():
+def test_a_rotation_of_users():
     """XML cannot contain it and refuses; copies within the process can."""
     integrator = SIERIntegrator(0.001, SIER2, rotation=lambda A, L, moments, h: rotation.mrdl(A, L, moments, h))
     assert copy.deepcopy(integrator).rotation is integrator.rotation
