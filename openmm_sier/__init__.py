@@ -7,10 +7,6 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.integrators.named import SIER2Integrator as SIER2Integrator
-from openmm_sier.integrators.named import SIER4GIntegrator as SIER4GIntegrator
-from openmm_sier.integrators.named import SIER4Integrator as SIER4Integrator
-from openmm_sier.integrators.named import SIER4PIntegrator as SIER4PIntegrator
 from openmm_sier.integrators.tuning import tune
 from openmm_sier.integrators.tuning_results import Tuning
 from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces

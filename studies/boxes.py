@@ -121,7 +121,6 @@ class BoxSystem(NamedTuple):
         system: with PME.
         name: of the box, for tables.
         has_solute: whether there is more than water.
-        vectors: periodic box vectors, (3, 3), nm; None: those of the System.
     """
 
     molecules: int
@@ -129,7 +128,6 @@ class BoxSystem(NamedTuple):
     system: openmm.System
     name: str = ""
     has_solute: bool = False
-    vectors: np.ndarray | None = None
 
 
 def is_water(path: Path) -> bool:

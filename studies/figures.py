@@ -1,6 +1,6 @@
 """Figures of the documentation, drawn from the numbers in `studies/data`.
 
-    python -m studies.figures [--names energy speed]
+    python -m studies.figures [--names energy walk]
 
 The site draws them when it is built. README shows files, which this command draws into `docs`, and these figures alone
 if no names are given.
@@ -17,7 +17,6 @@ import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
 from studies import equipartition, records, step_study, style, whole_run
-from studies.bench import accuracy
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
 from studies.paper import water
@@ -93,7 +92,6 @@ FIGURES = {
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),
     "paper-water": Drawn(water.figure, "paper-water.json"),
-    "speed": Drawn(accuracy.figure, "cost.json"),
     "step-study": Drawn(step_study.figure, "step-study.json"),
     "walk": Drawn(whole_run.figure, "whole-run.json"),
 }

@@ -4,23 +4,20 @@
 
 takes boxes of water, a peptide and a protein, with OpenMM's default tolerance. OpenMM's integrators have the System as
 OpenMM makes it, those of this package have it prepared; in a heat bath all have heavy hydrogens. All take turns; ratios
-are those within a round, of processor time on the CPU platform and of wall time on others. Small boxes of water also go
-to LAMMPS (lmp) and GROMACS (gmx) at their own settings where they are on the PATH; they use no GPU unless they were
-built to. For water it also gives the speed at equal energy error: the steps that have it are found in the box of 512
-molecules. Set OPENMM_CPU_THREADS to 1 for a machine that does other work: ns/day are then those of processor time too.
-Writes speed.json.
+are those within a round, of processor time on the CPU platform and of wall time on others. For water it also gives the
+speed at equal energy error: the steps that have it are found in the box of 512 molecules. Set OPENMM_CPU_THREADS to 1
+for a machine that does other work: ns/day are then those of processor time too. Writes speed.json.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,11 +28,10 @@ from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.equilibration import make_context
 from studies import speed_boxes, text
-from studies.bench import accuracy, peers, usual_inputs
-from studies.bench.timing import ON_PROCESSORS, median_and_error, turns
 from studies.boxes import BoxSystem
 from studies.command import BoxSettings, chosen, command
 from studies.methods import (
+    CONSTANT_ENERGY,
     HEAVY,
     MIDDLE,
     VERLET,
@@ -48,8 +44,9 @@ from studies.methods import (
 )
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.sampling import equilibrated_liquid
+from studies.sampling import conserved, equilibrated_liquid
 from studies.speed_boxes import SOLUTES
+from studies.timing import ON_PROCESSORS, median_and_error, turns
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -62,9 +59,6 @@ FRICTION = 1.0
 
 #: Force evaluations of the shortest turn, a multiple of those in a step of every method, and of the longest.
 EVALUATIONS, MOST_EVALUATIONS = 12, 12000
-
-#: Fewest steps of a turn of another program, whose lists of pairs are made every 20 to 40 steps.
-PEER_STEPS = 200
 
 #: fs per force evaluation at which energy errors are measured, and the errors in per cent at which speeds are compared,
 #: which these steps of all methods enclose: at OpenMM's default tolerance none has less than 0.06 %.
@@ -85,11 +79,10 @@ class SpeedSettings(BoxSettings):
         box: of 512 water molecules of three sites, which larger boxes repeat.
         boxes: water-N, N a multiple of the molecules of `box`, peptide, dhfr; water-512, water-4096, water-32768,
             peptide and dhfr unless given.
-        methods: by name, beside the two that ratios are taken over; unless given all, other programs, and the speed at
-            equal energy error.
+        methods: by name, beside the two that ratios are taken over; unless given all, and the speed at equal energy
+            error.
         rounds: in which all methods take their turns.
         turn: least seconds of a turn.
-        largest_for_peers: most molecules of water that LAMMPS and GROMACS get.
         time: of each run that measures an energy error, ps.
         equilibrate: before these, ps.
         starts: of these.
@@ -99,7 +92,6 @@ class SpeedSettings(BoxSettings):
     methods: tuple[str, ...] = ()
     rounds: int = 5
     turn: float = 0.5
-    largest_for_peers: int = 4096
     time: float = 1.0
     equilibrate: float = 2.0
     starts: int = 3
@@ -145,20 +137,18 @@ def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report:
         name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
         for name, method in methods.items()
     }
-    if not settings.methods:
-        actions |= _actions_of_peers(box, state, evaluations, settings)
     platform = contexts[REFERENCE].getPlatform().getName()
     times = turns(actions, settings.rounds)
     rows = rows_of(times, platform)
     for row in rows:
-        method = methods.get(row["name"])
+        method = methods[row["name"]]
         row |= {
             "box": box.name,
             "atoms": box.system.getNumParticles(),
             "platform": platform,
-            "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", "") if method else "",
-            "method": method.method.name if method else row["name"].partition(",")[0],
-            "fs_per_force": method.step / method.forces if method else usual_inputs.STEP,
+            "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", ""),
+            "method": method.method.name,
+            "fs_per_force": method.step / method.forces,
         }
         report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
     return rows
@@ -206,36 +196,21 @@ def _evaluations(context: openmm.Context, least: float) -> int:
     return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
 
 
-def _actions_of_peers(
-    box: BoxSystem, state: openmm.State, evaluations: int, settings: SpeedSettings
-) -> dict[str, Callable[[], Turn]]:
-    """Return turns of LAMMPS and GROMACS, where they are installed and the box is for them."""
-    if box.has_solute or box.molecules > settings.largest_for_peers:
-        return {}
-    liquid = peers.liquid_of(box.system, state)
-    if liquid is None:
-        return {}
-    steps = max(evaluations, PEER_STEPS)
-    named = {f"{peer.name}, {usual_inputs.STEP:g} fs": peer for peer in usual_inputs.installed()}
-    return {name: partial(_turn_of_peer, peer, liquid, steps) for name, peer in named.items()}
-
-
-def _turn_of_peer(peer: peers.Peer, liquid: peers.Liquid, steps: int) -> Turn:
-    with tempfile.TemporaryDirectory() as directory:
-        run = peer.simulate(liquid, usual_inputs.STEP, steps, steps, Path(directory))
-    return Turn(steps * usual_inputs.STEP, run.seconds, run.processor)
-
-
 # --- at equal energy error ---
 
 
 def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
-    """Return points of `accuracy.measure` with the seed of their start, in the box of water, prepared."""
+    """Return errors within a run of each method at each of `STEPS`, by the seed of their start, in prepared water."""
     rows = []
     for seed in range(settings.seed, settings.seed + settings.starts):
         with_seed = replace(settings, seed=seed)
         liquid = equilibrated_liquid(with_seed, settings.equilibrate, report, speed_boxes.TOLERANCE)
-        rows += [row | {"seed": seed} for row in accuracy.measure(liquid, STEPS, settings.time, report)]
+        for name, steps in STEPS.items():
+            method = CONSTANT_ENERGY[name]
+            for dt in steps:
+                row, _ = conserved(liquid, method, dt, settings.time)
+                rows.append({"method": method.name, "fs_per_force": dt, "seed": seed} | row)
+                report.note(text.cell("{method} at {fs_per_force:g} fs per force: {percent:.4f} %", rows[-1]))
     return pd.DataFrame(rows)
 
 
@@ -261,9 +236,26 @@ def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(results)
 
 
+def step_at(points: pd.DataFrame, level: float) -> float:
+    """Return the fs per force at which a method reaches an error; NaN where its points do not enclose it.
+
+    Between two points the error is taken as a power of the step. The longest such step is returned.
+
+    Args:
+        points: of one method and start.
+        level: rms(H)/rms(V) in per cent.
+    """
+    known = points.dropna(subset=["percent"]).sort_values("fs_per_force")
+    for (h1, e1), (h2, e2) in reversed(list(pairwise(zip(known["fs_per_force"], known["percent"], strict=True)))):
+        if e1 <= level < e2:
+            return float(h1 * (h2 / h1) ** (math.log(level / e1) / math.log(e2 / e1)))
+    return math.nan
+
+
 def _steps_at(points: pd.DataFrame, method: str, level: float) -> tuple[float, float]:
     """Return the fs per force that have an error, with the error over starts; NaN where a start has none."""
-    each = np.array([accuracy.step_at(of_seed, method, level) for _, of_seed in points.groupby("seed")])
+    of_method = points[points["method"] == method]
+    each = np.array([step_at(of_seed, level) for _, of_seed in of_method.groupby("seed")])
     return float(each.mean()), float(each.std(ddof=1) / math.sqrt(len(each))) if len(each) > 1 else math.nan
 
 
@@ -305,8 +297,7 @@ def study(settings: SpeedSettings, report: Report = SILENT) -> Record:
     if len(with_solute) < len(settings.boxes) and not settings.methods:
         tables["points"] = energy_errors(settings, report)
         tables["equal"] = at_equal_error(tables["speeds"], tables["points"])
-    builds = {peer.name: peer.build for peer in usual_inputs.installed()}
-    record = Record(settings.recorded(), tables, {"peers": builds, "threads": threads.count()})
+    record = Record(settings.recorded(), tables, {"threads": threads.count()})
     tell(record, report)
     return record.write(settings.out / "speed.json")
 

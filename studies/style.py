@@ -43,9 +43,6 @@ METHODS = {
     "Verlet, RATTLE": ("#7f7f7f", "s"),
     "OpenMM LangevinMiddle": ("#b5651d", "X"),
     "OpenMM MTSLangevin": ("#8a4b08", "P"),
-    "LAMMPS rigid/nve/small": ("#8c6d31", "d"),
-    "GROMACS md-vv, mixed": ("#9c9ede", ">"),
-    "GROMACS md-vv, double": ("#5254a3", "p"),
 }
 
 UNKNOWN = ("#000000", "x")
@@ -145,17 +142,6 @@ def curves(axes: Axes, frame: pd.DataFrame, x: str, y: str, apart: float = 0.0, 
 def shared_legend(picture: Figure, axes: Axes) -> None:
     """Draw one legend for all panels, next to them, with the labels of one."""
     picture.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
-
-
-def logarithmic(axes: Axes) -> None:
-    """Make axes logarithmic, with their numbers written out."""
-    from matplotlib.ticker import LogLocator
-
-    axes.set(xscale="log", yscale="log")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("")
 
 
 def plain_ticks(axis: Any, values: Sequence[float]) -> None:

@@ -13,7 +13,6 @@ import openmm
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.ensembles.ensemble import ConstantTemperature, Move, make_number
-from openmm_sier.ensembles.thermal_motion import ThermalMotion
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,13 @@ class VelocityRescaling(ConstantTemperature):
     def _scale(self, engine: Engine) -> None:
         """Draw the kinetic energy anew, of which a fraction is kept."""
         kept = math.exp(-self.rate * self.every * engine.method.step)
-        motion = ThermalMotion.of(engine, engine.conserves_momentum(self.has_friction))
-        if motion.freedoms > 0:
-            motion.scale(self._factor(motion.energy, motion.freedoms, kept, engine.tally.noise()))
+        is_conserved = engine.conserves_momentum(self.has_friction)
+        freedoms = engine.degrees_of_freedom(is_conserved)
+        if freedoms > 0:
+            # Where the total momentum is conserved, the motion of the centre of mass is no heat, and stays as it is.
+            centre = engine.centre_velocity() if is_conserved else np.zeros(3)
+            kinetic = engine.kinetic_energy() - 0.5 * engine.moving.mass * float(centre @ centre)
+            engine.scale_velocities(self._factor(kinetic, freedoms, kept, engine.tally.noise()), centre)
         engine.tally.draws += 1
 
     def _factor(self, kinetic: float, freedoms: float, kept: float, noise: np.random.Generator) -> float:

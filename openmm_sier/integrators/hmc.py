@@ -11,7 +11,7 @@ from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2V2, Scheme
 from openmm_sier.ensembles.metropolis import ACCEPTED, CHECKED_STEP, ERROR, REVERSAL, TRIALS, Metropolis
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import ForceGroups, Quantity, renamed, step_size
+from openmm_sier.system.arguments import ForceGroups, Quantity, step_size
 
 
 class SIERHMCIntegrator(SIERThermostatIntegrator):
@@ -54,7 +54,6 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     (1991); Campos and Sanz-Serna, J. Comput. Phys. 281, 365 (2015).
     """
 
-    @renamed("stepSize", "schemeStepSize")
     def __init__(
         self,
         temperature: Quantity,

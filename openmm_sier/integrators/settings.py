@@ -2,13 +2,13 @@
 
 This makes XML, copies and XML-keyed caches distinguish integrators. Stored settings may be crafted. They are checked by
 the constructors that users call: `Settings`, `Scheme`, `RigidBodies` and those of ensembles. No module is imported by
-name: free-rotation maps are those of this package and those of integrators made in this process; classes are those of
-this package and subclasses in modules that are already imported.
+name: free-rotation maps are those of this package, and classes are those of this package and subclasses in modules that
+are already imported.
 """
 
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -37,7 +37,7 @@ NAME = "sier settings"
 #: Bytes of text in each value: a double represents whole numbers of six bytes exactly.
 WIDTH = 6
 
-#: Free-rotation maps by name: those of this package, and those of integrators made in this process.
+#: Free-rotation maps by name.
 ROTATIONS: dict[str, Rotation] = {name: getattr(rotation, name) for name in ("exact", "mrdl", "sej4", "rattle")}
 
 
@@ -139,14 +139,14 @@ def stored(integrator: openmm.CustomIntegrator) -> Settings:
     """Return the settings in an openmm.CustomIntegrator, see `is_stored`.
 
     Raises:
-        SettingsError: they are damaged, of another version, or contain an unknown name; the message names the field.
+        SettingsError: they are damaged, of another version, or contain an unknown name.
     """
     values = integrator.getTabulatedFunction(_functions(integrator).index(NAME)).getFunctionParameters()
     try:
         text = b"".join(int(value).to_bytes(WIDTH, "big").lstrip(b"\0") for value in values)
         return from_json(json.loads(text.decode()))
-    except (ValueError, TypeError, OverflowError, RecursionError) as error:
-        raise SettingsError(f"The settings stored in this SIER integrator are damaged: {error}") from None
+    except (ValueError, TypeError, AttributeError, LookupError, OverflowError, RecursionError) as error:
+        raise SettingsError(f"The settings stored in this SIER integrator are damaged: {error!r}") from None
 
 
 def _functions(integrator: openmm.CustomIntegrator) -> list[str]:
@@ -160,7 +160,7 @@ def as_json(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values, each under the name of its field."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
     values["scheme"] = asdict(settings.scheme)
-    values["rotation"] = name_of_rotation(settings.rotation)
+    values["rotation"] = _name_of_rotation(settings.rotation)
     values["ensemble"] = {"name": type(settings.ensemble).__name__, **asdict(settings.ensemble)}
     if isinstance(settings.bodies, BodySet):
         values["bodies"] = _table_of_bodies(settings.bodies)
@@ -171,50 +171,22 @@ def from_json(table: Any) -> Settings:
     """Return settings from the result of `as_json`.
 
     Raises:
-        SettingsError: the table is of another version, or contains an unknown name or a value that cannot be used.
-        TypeError, ValueError, OverflowError: it is not a table, or a number or name in it is refused.
+        SettingsError: the table is of another version, or contains an unknown name.
+        TypeError, ValueError, LookupError, OverflowError: a constructor refuses a value.
     """
-    if not isinstance(table, dict):
-        raise TypeError(f"expected a table, got {repr(table)[:80]}")
     values = dict(table)
     if (layout := values.pop("layout", None)) != LAYOUT:
         raise SettingsError(
             f"This SIER integrator was stored by another version of openmm_sier, in layout {layout!r}, and this "
             f"version reads layout {LAYOUT}: create a new integrator"
         )
-    readers = {"scheme": _scheme, "bodies": _bodies, "rotation": _rotation, "ensemble": _ensemble}
-    for name in values.keys() & readers.keys():
-        try:
-            values[name] = readers[name](values[name])
-        except (ValueError, TypeError, OverflowError) as error:
-            raise SettingsError(
-                f"The {name} of a stored SIER integrator cannot be used: {error}; it is {repr(values[name])[:80]}"
-            ) from None
-    return _from_table(Settings, values)
-
-
-def _from_table(kind: Any, values: Any) -> Any:
-    """Return a dataclass from a table of all its fields."""
-    names = {field.name for field in fields(kind)}
-    if not isinstance(values, dict):
-        raise TypeError(f"expected a table with the fields {_listed(names)}")
-    if values.keys() != names:
-        raise TypeError(f"expected a table with the fields {_listed(names)}, got the fields {_listed(values.keys())}")
-    return kind(**values)
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names)) or "nothing"
-
-
-def _scheme(values: Any) -> Scheme:
-    return _from_table(Scheme, values)
-
-
-def _ensemble(values: Any) -> Ensemble:
-    if not isinstance(values, dict) or values.get("name") not in ENSEMBLES:
-        raise ValueError(f"expected a table with a name, one of {', '.join(ENSEMBLES)}")
-    return _from_table(ENSEMBLES[values["name"]], {name: value for name, value in values.items() if name != "name"})
+    values["scheme"] = Scheme(**values["scheme"])
+    values["rotation"] = _rotation(values["rotation"])
+    ensemble = dict(values["ensemble"])
+    values["ensemble"] = ENSEMBLES[ensemble.pop("name")](**ensemble)
+    if values["bodies"] is not None:
+        values["bodies"] = _bodies(values["bodies"])
+    return Settings(**values)
 
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
@@ -223,41 +195,21 @@ def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     return {"particles": bodies.n_particles, "species": arrays}
 
 
-def _bodies(values: Any) -> BodySet | None:
-    if values is None:
-        return None
-    if (
-        not isinstance(values, dict)
-        or values.keys() != {"particles", "species"}
-        or not isinstance(values["species"], list)
-    ):
-        raise TypeError("expected a table with `particles` (a number) and `species` (a list)")
-    species = []
-    for kind in values["species"]:
-        arrays = {name: np.array(numbers) for name, numbers in dict(kind).items()}
-        species.append(_from_table(Species, arrays))
-    return RigidBodies(species, whole_number("particles", values["particles"]))
+def _bodies(table: dict[str, Any]) -> BodySet:
+    species = [Species(**{name: np.array(numbers) for name, numbers in kind.items()}) for kind in table["species"]]
+    return RigidBodies(species, whole_number("particles", table["particles"]))
 
 
-def name_of_rotation(function: Rotation) -> str:
-    """Return the name by which a free-rotation map is stored, and register it in `ROTATIONS`.
-
-    Functions without a name, such as lambdas, cannot be restored, but have different texts.
-    """
-    stored_name = next((name for name, rotation_map in ROTATIONS.items() if rotation_map is function), None)
-    if stored_name is not None:
-        return stored_name
-    if "<" in getattr(function, "__qualname__", "<"):
-        return repr(function)
-    ROTATIONS[place_of(function)] = function
-    return place_of(function)
+def _name_of_rotation(function: Rotation) -> str:
+    """Return the name of a free-rotation map; a map of users, which cannot be restored, has a text of its own."""
+    return next((name for name, known in ROTATIONS.items() if known is function), repr(function))
 
 
 def _rotation(name: Any) -> Rotation:
     if name not in ROTATIONS:
         raise SettingsError(
             f"The free-rotation map {name} of a stored SIER integrator is not known here; known are "
-            f"{', '.join(ROTATIONS)}. Make an integrator with this map first; a lambda cannot be restored"
+            f"{', '.join(ROTATIONS)}. A map of your own cannot be restored"
         )
     return ROTATIONS[name]
 

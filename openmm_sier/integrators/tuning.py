@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.acceptance import acceptance_at, best_acceptance, spread_at
 from openmm_sier.dynamics.correlation import inefficiency_and_error
-from openmm_sier.dynamics.schemes import CATALOGUE, SIER2P3, SIER2V2, SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
 from openmm_sier.engines.choice import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.tuning_results import LengthFound, SchemeFound, StepFound, Tuning
@@ -68,7 +68,7 @@ def tune(
     less than their errors, take more samples.
 
     It tries other schemes and substeps than the integrator's in Contexts of their own. An integrator keeps its own: if
-    others are the best, it gets the best step for its own, and the result has the line that makes a new integrator.
+    others are the best, it gets the best step for its own, and the result says that they need a new integrator.
 
     An interrupt or error restores the step and length that the integrator had. The same seed makes the same trials if
     the platform's forces are deterministic, but the choice also depends on the time that they take.
@@ -108,17 +108,16 @@ def tune(
     start = _Start.of(integrator)
     if not start.time:
         raise ValueError("the integrator's step must be above zero, got 0")
-    bill = _Bill(integrator.forceEvaluations)
     try:
         candidates = [
-            _try_scheme(context, _Choice.of(scheme, integrator, start), start.time, acceptance, trials, bill)
+            _try_scheme(context, _Choice.of(scheme, integrator, start), start.time, acceptance, trials)
             for scheme in compared
         ]
         best = _cheapest(candidates)
         others = [_Choice(best.scheme, number, best.step) for number in divisions]
-        candidates += [_try_scheme(context, other, start.time, acceptance, trials, bill) for other in others]
+        candidates += [_try_scheme(context, other, start.time, acceptance, trials) for other in others]
         best = _cheapest(candidates)
-        of_lengths = _compare_lengths(context, best, start, samples, counts, bill)
+        of_lengths = _compare_lengths(context, best, start, samples, counts)
         steps = _best_length(of_lengths).steps
         own = next((each for each in candidates if each.is_of(integrator.scheme, integrator.substeps)), None)
         if own is not None:
@@ -128,9 +127,7 @@ def tune(
         integrator.setStepsPerTrial(start.steps)
         raise
     integrator.resetStatistics()
-    script = _script(integrator, best, steps)
-    forces, is_set = bill.total(integrator), best is own
-    return Tuning(best.scheme, best.step, steps, tuple(candidates), of_lengths, forces, script, is_set, best.substeps)
+    return Tuning(best.scheme, best.step, steps, tuple(candidates), of_lengths, best is own, best.substeps)
 
 
 class _Start(NamedTuple):
@@ -176,24 +173,7 @@ class _Choice(NamedTuple):
         return cls(scheme, integrator.substeps, start.per_force * scheme.force_evaluations)
 
 
-class _Bill:
-    """Counts force evaluations, of the integrator that is tuned and of those of other schemes."""
-
-    def __init__(self, before: int):
-        self._before = before
-        self._of_others = 0
-
-    def add(self, integrator: SIERHMCIntegrator) -> None:
-        """Count those of another integrator, which is not used any more."""
-        self._of_others += integrator.forceEvaluations
-
-    def total(self, integrator: SIERHMCIntegrator) -> int:
-        return integrator.forceEvaluations - self._before + self._of_others
-
-
 def _integrator_of(context: openmm.Context) -> SIERHMCIntegrator:
-    if not isinstance(context, openmm.Context):
-        raise TypeError(f"tune needs a Context, such as simulation.context, got a {type(context).__name__}")
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERHMCIntegrator):
         raise TypeError(f"tune needs a Context with a SIERHMCIntegrator, got a {type(integrator).__name__}")
@@ -263,18 +243,14 @@ def _chances(errors: Sequence[float]) -> float:
 
 
 def _try_scheme(
-    context: openmm.Context, choice: _Choice, time: float, acceptance: float | None, trials: int, bill: _Bill
+    context: openmm.Context, choice: _Choice, time: float, acceptance: float | None, trials: int
 ) -> SchemeFound:
     """Return the best step of a choice for trials of a length in ps, and what its accepted trajectories cost."""
     scheme, substeps, first = choice
     wanted = best_acceptance(scheme.order) if acceptance is None else acceptance
     try:
         tried_in = _context_for(context, scheme, substeps)
-        try:
-            tried, step = _find_step(tried_in, first, time, wanted, trials)
-        finally:
-            if tried_in is not context:
-                bill.add(tried_in.getIntegrator())
+        tried, step = _find_step(tried_in, first, time, wanted, trials)
     except openmm.OpenMMException as error:
         return SchemeFound(scheme, math.nan, 0.0, math.inf, (), " ".join(str(error).split()), substeps)
     nearest = min((each for each in tried if math.isfinite(each.spread)), key=lambda each: abs(each.step - step))
@@ -345,7 +321,7 @@ def _try_step(context: openmm.Context, step: float, steps: int, trials: int) -> 
 
 
 def _compare_lengths(
-    context: openmm.Context, best: SchemeFound, start: _Start, samples: int, counts: list[int] | None, bill: _Bill
+    context: openmm.Context, best: SchemeFound, start: _Start, samples: int, counts: list[int] | None
 ) -> tuple[LengthFound, ...]:
     """Return what trials of several numbers of steps cost, of the best scheme at its step."""
     if counts is None:
@@ -358,8 +334,6 @@ def _compare_lengths(
             lengths.append(_try_length(tried_in, best.step, steps, several))
         except openmm.OpenMMException as error:
             lengths.append(LengthFound(steps, refused=" ".join(str(error).split())))
-    if tried_in is not context:
-        bill.add(tried_in.getIntegrator())
     return tuple(lengths)
 
 
@@ -381,26 +355,3 @@ def _best_length(lengths: Sequence[LengthFound]) -> LengthFound:
     if best.refused:
         raise openmm.OpenMMException(best.refused)
     return best
-
-
-def _script(integrator: SIERHMCIntegrator, best: SchemeFound, steps: int) -> str:
-    """Return the line of a script that makes the integrator that was found, its other arguments as they were."""
-    scheme = best.scheme
-    known = CATALOGUE.get(scheme.name.lower()) == scheme
-    words = [
-        f"{integrator.getTemperature().value_in_unit(unit.kelvin):g}*kelvin",
-        f"{1e3 * best.step:.4g}*femtoseconds",
-        repr(scheme.name) if known else scheme.name,
-        f"stepsPerTrial={steps}",
-    ]
-    if (engine := integrator.impl.settings.engine) != "auto":
-        words.append(f"engine={engine!r}")
-    if best.substeps is not None:
-        words.append(f"substeps={best.substeps}")
-    friction = integrator.getFriction().value_in_unit(unit.picosecond**-1)
-    if math.isfinite(friction):
-        words.append(f"frictionCoeff={friction:g}/picosecond")
-    if (pressure := integrator.getPressure()) is not None:
-        words.append(f"pressure={pressure.value_in_unit(unit.bar):g}*bar")
-        words.append(f"barostatInterval={integrator.getBarostatInterval()}")
-    return f"integrator = SIERHMCIntegrator({', '.join(words)})"

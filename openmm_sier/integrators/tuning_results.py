@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 from openmm_sier.dynamics.acceptance import spread_at
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.system.arguments import warn_of_former_name
 
 
 class StepFound(NamedTuple):
@@ -120,8 +119,6 @@ class Tuning(NamedTuple):
             `refused`.
         lengths: the lengths that were compared with the cheapest scheme; each has `steps`, `acceptance`, `forces`,
             `inefficiency`, `seconds` and `refused`.
-        forceEvaluations: number of force evaluations in the whole tuning.
-        script: the line of a script that makes the integrator.
         isSet: whether the Context has it; otherwise scheme or substeps are others, which need a new integrator.
         substeps: number of steps into which a drift is divided; None for the usual one.
     """
@@ -131,23 +128,15 @@ class Tuning(NamedTuple):
     stepsPerTrial: int
     schemes: tuple[SchemeFound, ...]
     lengths: tuple[LengthFound, ...]
-    forceEvaluations: int
-    script: str = ""
     isSet: bool = True
     substeps: int | None = None
-
-    @property
-    def stepSize(self) -> float:
-        """Return `schemeStepSize`, by its former name."""
-        warn_of_former_name("stepSize", "schemeStepSize")
-        return self.schemeStepSize
 
     def __str__(self) -> str:
         trial = f"{self.stepsPerTrial} in a trial"
         if self.substeps is not None:
             trial += f", drifts in {self.substeps} substeps"
         lines = [
-            f"Hybrid Monte Carlo tuned, by {self.forceEvaluations} forces:",
+            "Hybrid Monte Carlo tuned:",
             f"{self.scheme.name}, steps of {1e3 * self.schemeStepSize:.4g} fs, {trial}",
             "",
             "    scheme   step/fs     sd/kT  acceptance  s for an accepted ps",
@@ -155,7 +144,9 @@ class Tuning(NamedTuple):
         lines += [str(each) for each in self.schemes]
         lines += ["", "     steps  acceptance  trials, forces and s for an independent potential energy"]
         lines += [str(each) for each in self.lengths]
-        lines += ["", "In a script:", f"    {self.script}"]
         if not self.isSet:
-            lines.append("The Context has the best step of its own scheme and substeps: make a new one for this.")
+            lines += [
+                "",
+                "The Context keeps its scheme and substeps, with the best step: make a new integrator for this.",
+            ]
         return "\n".join(lines)

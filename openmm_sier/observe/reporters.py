@@ -1,6 +1,5 @@
 """Reporters of rigid bodies for OpenMM's Simulation."""
 
-import os
 from os import PathLike
 from pathlib import Path
 
@@ -10,9 +9,6 @@ from openmm import app
 from openmm_sier.observe import body_states, conservation, pressure
 from openmm_sier.system.arguments import whole_number
 from openmm_sier.system.user_warnings import warn
-
-#: Maximum length of a row, bytes.
-LONGEST_ROW = 2**16
 
 
 class _Reporter:
@@ -70,15 +66,8 @@ class _TableReporter(_Reporter):
 
     def _cut_incomplete_row(self) -> None:
         with self._path.open("r+b") as file:
-            end = file.seek(0, os.SEEK_END)
-            file.seek(max(0, end - LONGEST_ROW))
             row = file.read().rpartition(b"\n")[2]
-            if len(row) == LONGEST_ROW:
-                raise ValueError(
-                    f"{self._path} cannot be continued: its last row has no end within {LONGEST_ROW} bytes. Name "
-                    "another file"
-                )
-            file.truncate(end - len(row))
+            file.truncate(file.tell() - len(row))
         if row:
             warn(f"{self._path} ended within a row, as a killed run leaves it: removed the {len(row)} bytes of the row")
 

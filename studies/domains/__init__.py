@@ -1,1 +1,1 @@
-"""Rigid domains and elastic networks: coarse-grained proteins, C60, gas in a zeolite, and patchy particles."""
+"""Rigid domains and elastic networks: coarse-grained proteins, gas in a zeolite, and patchy particles."""

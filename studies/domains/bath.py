@@ -21,7 +21,7 @@ from studies.records import replace_file
 from studies.units import md
 
 #: What a sample has. Temperatures in K, energies in kJ/mol without springs, nm, nm^3.
-OBSERVED = ("temperature", "translation", "rotation", "linkers", "potential", "bonds", "gyration", "volume")
+OBSERVED = ("temperature", "translation", "rotation", "linkers", "potential", "bonds", "gyration")
 
 #: Step in ps and friction in 1/ps of equilibrations.
 SETTLING, SETTLING_FRICTION = 0.01, 1.0
@@ -130,7 +130,7 @@ def sample(model: Model, moving: Made, context: openmm.Context) -> dict[str, flo
     potential = md(state.getPotentialEnergy()) - model.offset
     observed = dict.fromkeys(OBSERVED, math.nan)
     observed |= temperatures(moving, state)
-    observed |= {"potential": potential, "volume": md(state.getPeriodicBoxVolume())}
+    observed["potential"] = potential
     if model.chains:
         observed["bonds"] = potential - md(interactions)
         masses = np.array([md(model.rigid.getParticleMass(i)) for i in range(len(model.positions))])

@@ -1,9 +1,8 @@
 """Crystals of C60 with rotating molecules: Lennard-Jones atoms with Girifalco's parameters.
 
-The interactions are those of L. A. Girifalco, J. Phys. Chem. 96, 858 (1992). The springs join atoms up to two bonds
-apart, with the strength of the bond CA-CA of AMBER (W. D. Cornell et al., J. Am. Chem. Soc. 117, 5179 (1995)). The
-crystal is cubic and face-centred, with a lattice constant of 1.417 nm at room temperature (W. I. F. David et al.,
-Europhys. Lett. 18, 219 (1992)).
+The interactions are those of L. A. Girifalco, J. Phys. Chem. 96, 858 (1992). The crystal is
+cubic and face-centred, with a lattice constant of 1.417 nm at room temperature (W. I. F. David et al., Europhys. Lett.
+18, 219 (1992)).
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import math
 import numpy as np
 import openmm
 
-from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within, with_network
+from studies.domains.models import INTERACTIONS, Model, exclude, pairs_within
 
 #: Mass in dalton, length of a bond in nm, and Lennard-Jones of a carbon atom, nm and kJ/mol.
 CARBON, BOND, SIGMA, EPSILON = 12.011, 0.144, 0.3469, 0.2763
@@ -24,15 +23,12 @@ GOLDEN = (1 + 5**0.5) / 2
 #: nm, at 300 K and 1 bar.
 LATTICE = 1.417
 
-#: Springs: kJ/mol/nm^2 and nm.
-STIFFNESS, REACH = 392459.0, 0.26
-
 #: nm, of the interactions and of the distance from which they are switched off.
 CUTOFF, SWITCH = 1.25, 1.1
 
 
 def model(cells: int = 2) -> Model:
-    """A crystal of `cells`^3 cells of four molecules, at 300 K and 1 bar."""
+    """A crystal of `cells`^3 cells of four molecules."""
     system, force, places, bodies = openmm.System(), openmm.NonbondedForce(), [], []
     force.setNonbondedMethod(force.CutoffPeriodic)
     # Reaction fields do not matter without charges.
@@ -52,9 +48,7 @@ def model(cells: int = 2) -> Model:
     exclude(force, pairs_within(bodies))
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(cells * LATTICE * np.eye(3)))
-    positions = np.concatenate(places)
-    network = with_network(system, positions, bodies, REACH, STIFFNESS)
-    return Model("C60", system, network, positions, bodies, pressure=1.0, usual=1.0)
+    return Model("C60", system, None, np.concatenate(places), bodies)
 
 
 def buckminsterfullerene() -> np.ndarray:

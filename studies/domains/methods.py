@@ -58,7 +58,6 @@ def _sier2(model: Model, step: float, friction: float, seed: int, fast: set[int]
         friction,
         step,
         SIER2,
-        pressure=model.pressure,
         bodies=model.rigid_bodies,
         fastForceGroups=fast,
     )
@@ -81,7 +80,6 @@ def _hybrid(model: Model, step: float, friction: float, seed: int) -> Made:
         step,
         stepsPerTrial=TRIAL,
         frictionCoeff=friction,
-        pressure=model.pressure,
         bodies=model.rigid_bodies,
     )
     trials.setRandomNumberSeed(seed)
@@ -89,32 +87,23 @@ def _hybrid(model: Model, step: float, friction: float, seed: int) -> Made:
 
 
 def _hybrid_springs(model: Model, step: float, friction: float, seed: int) -> Made:
-    trials = SIERHMCIntegrator(
-        model.temperature, step, stepsPerTrial=TRIAL, frictionCoeff=friction, pressure=model.pressure
-    )
+    trials = SIERHMCIntegrator(model.temperature, step, stepsPerTrial=TRIAL, frictionCoeff=friction)
     trials.setRandomNumberSeed(seed)
     return Made(openmm.XmlSerializer.clone(model.network), trials, model.positions)
 
 
 def _middle(model: Model, step: float, friction: float, seed: int) -> Made:
     network = openmm.XmlSerializer.clone(model.network)
-    return Made(network, _langevin_middle(model, network, step, friction, seed), model.positions)
+    return Made(network, _langevin_middle(model, step, friction, seed), model.positions)
 
 
 def _frames(model: Model, step: float, friction: float, seed: int) -> Made:
     framed = with_frames(model.rigid, model.positions, model.bodies)
-    middle = _langevin_middle(model, framed.system, step, friction, seed)
+    middle = _langevin_middle(model, step, friction, seed)
     return Made(framed.system, middle, np.asarray(md(framed.positions)), framed)
 
 
-def _langevin_middle(
-    model: Model, system: openmm.System, step: float, friction: float, seed: int
-) -> openmm.LangevinMiddleIntegrator:
-    """OpenMM's integrator; a System at constant pressure gets its barostat."""
-    if model.pressure is not None:
-        barostat = openmm.MonteCarloBarostat(model.pressure, model.temperature)
-        barostat.setRandomNumberSeed(seed)
-        system.addForce(barostat)
+def _langevin_middle(model: Model, step: float, friction: float, seed: int) -> openmm.LangevinMiddleIntegrator:
     middle = openmm.LangevinMiddleIntegrator(model.temperature, friction, step)
     middle.setRandomNumberSeed(seed)
     return middle

@@ -35,7 +35,6 @@ class Model:
         bodies: atoms of each body.
         chains: atoms of each molecule of several bodies, of which there is a radius of gyration.
         temperature: K.
-        pressure: bar; None keeps the volume.
         usual: the step with which such models are run with springs, fs.
         offset: kJ/mol, of what cannot move.
     """
@@ -47,7 +46,6 @@ class Model:
     bodies: Sequence[Sequence[int]]
     chains: Sequence[Sequence[int]] = ()
     temperature: float = 300.0
-    pressure: float | None = None
     usual: float = 10.0
     offset: float = 0.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from studies.domains import chain, fullerenes, patchy, zeolite
+from studies.domains import chain, patchy, zeolite
 from studies.domains.models import Model
 
 
@@ -25,7 +25,6 @@ class Plan:
         energy_time: of a run at constant energy, ps.
         slow: averages that a run of this length remembers to its end, so that its errors are too small: they are shown,
             and not compared.
-        in_lammps: steps in fs of runs by LAMMPS.
     """
 
     build: Callable[[], Model]
@@ -38,7 +37,6 @@ class Plan:
     energy_time: float = 20.0
     interval: float = 1.0
     slow: tuple[str, ...] = ()
-    in_lammps: tuple[float, ...] = ()
 
 
 PLANS = {
@@ -64,7 +62,6 @@ PLANS = {
         energy_time=6.0,
         # The shape of chains relaxes within some ns, and contacts of linkers and domains with it.
         slow=("potential", "gyration"),
-        in_lammps=(20.0, 40.0),
     ),
     "stiff": Plan(
         chain.stiff_model,
@@ -106,19 +103,5 @@ PLANS = {
         # Molecules go from cage to cage within hundreds of ps.
         slow=("potential",),
         baths={"hmc": (12.0,), "sier2": (5.0, 10.0, 20.0), "frames": (10.0,)},
-    ),
-    "c60": Plan(
-        fullerenes.model,
-        settle=10.0,
-        step=20.0,
-        time=30.0,
-        interval=0.2,
-        most=1_500,
-        baths={
-            "hmc": (40.0,),
-            "sier2": (40.0, 80.0),
-            "frames": (40.0,),
-            "langevinmiddle": (),
-        },
     ),
 }

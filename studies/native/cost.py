@@ -20,10 +20,10 @@ from openmm_sier import SIERIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.inputs.equilibration import make_context
 from studies import boxes, text
-from studies.bench.timing import interleaved, median_and_error
 from studies.command import BoxSettings, chosen, command
 from studies.records import Record
 from studies.report import SILENT, Report
+from studies.timing import median_and_error, turns
 
 #: ps for each force evaluation, and force evaluations in a turn.
 STEP, EVALUATIONS = 0.002, 12
@@ -61,8 +61,8 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
         context.applyConstraints(1e-6)
         context.setVelocitiesToTemperature(settings.temperature, settings.seed)
         contexts.append(context)
-        actions[name] = partial(integrator.step, EVALUATIONS // n)
-    seconds = interleaved(actions, settings.rounds, process_time)
+        actions[name] = partial(_seconds, integrator, EVALUATIONS // n)
+    seconds = turns(actions, settings.rounds)
     rows: list[dict[str, Any]] = []
     for scheme in schemes:
         native = seconds[f"{scheme.name} native"]
@@ -73,6 +73,13 @@ def study(settings: CostSettings, report: Report = SILENT) -> Record:
     shown = text.table(table, text.columns("scheme", "what", "ratio"))
     report.table(f"{settings.box.stem} on {settings.platform}", shown)
     return Record(settings.recorded(), {"rows": table}, {}).write(settings.out / "native-cost.json")
+
+
+def _seconds(integrator: openmm.Integrator, steps: int) -> float:
+    """Make steps, and return the processor time that they take."""
+    begin = process_time()
+    integrator.step(steps)
+    return process_time() - begin
 
 
 main = command(CostSettings, study, __doc__, __name__)

@@ -5,7 +5,6 @@ from functools import partial
 import pytest
 from openmm import unit
 
-import openmm_sier
 from openmm_sier import (
     SIER2,
     Scheme,
@@ -96,12 +95,3 @@ def test_arguments_of_a_heat_bath_name_the_temperature():
 def test_impossible_arguments_are_named(make, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make()
-
-
-@pytest.mark.parametrize("name", ["SIER2", "SIER4", "SIER4G", "SIER4P"])
-def test_former_names_of_integrators_are_accepted_with_a_warning(name):
-    with pytest.warns(
-        FutureWarning, match=rf'{name}Integrator is deprecated.*: use SIERIntegrator\(stepSize, "{name}"'
-    ):
-        integrator = getattr(openmm_sier, f"{name}Integrator")(0.001, engine="native")
-    assert (integrator.scheme.name, integrator.engine) == (name, "native")

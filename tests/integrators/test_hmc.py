@@ -82,14 +82,6 @@ def test_trials_have_a_usual_length(step):
     assert SIERHMCIntegrator(300, 0).getStepsPerTrial() == 1
 
 
-def test_the_former_name_of_the_step_is_accepted_with_a_warning():
-    with pytest.warns(FutureWarning, match="stepSize is deprecated.*: use schemeStepSize"):
-        integrator = SIERHMCIntegrator(300, stepSize=0.002)
-    assert integrator.getSchemeStepSize() == 0.002 * unit.picosecond
-    with pytest.raises(TypeError, match="stepSize"):
-        SIERHMCIntegrator(300, schemeStepSize=0.002, stepSize=0.002)
-
-
 def test_steps_of_trials_and_of_the_scheme(cluster, tmp_path):
     """The Context's time, and the time between frames in OpenMM's trajectories, are those of trials."""
     integrator = SIERHMCIntegrator(300, 0.002, SIER2, stepsPerTrial=5)

@@ -170,16 +170,12 @@ def test_a_row_that_was_cut_is_not_continued(tmp_path, box, make, lost):
     assert [line.split(",")[0] for line in path.read_text().splitlines()] == ["Step", "2", "6"]
 
 
-def test_a_heading_that_was_cut_and_a_row_without_end_are_refused(tmp_path):
+def test_a_heading_that_was_cut_is_refused(tmp_path):
     path, heading = tmp_path / "log.csv", ",".join(conservation.COLUMNS)
-    for text, reason in (
-        (heading, "its heading was cut off"),
-        (f"{heading}\n{2**17 * '1'}", "its last row has no end"),
-    ):
-        path.write_text(text)
-        with pytest.raises(ValueError, match=f"log.csv cannot be continued: {reason}"):
-            ConservationReporter(path, 1, append=True)
-        assert path.read_text() == text
+    path.write_text(heading)
+    with pytest.raises(ValueError, match=r"log\.csv cannot be continued: its heading was cut off"):
+        ConservationReporter(path, 1, append=True)
+    assert path.read_text() == heading
 
 
 def test_body_states(tmp_path, box):

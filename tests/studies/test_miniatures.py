@@ -24,8 +24,6 @@ from studies import (
     speed_boxes,
     whole_run,
 )
-from studies.bath_bias import __main__ as bath_bias_command
-from studies.bench import accuracy, peers, usual_inputs
 from studies.domains import __main__ as domains_command
 from studies.domains import energy as domains_energy
 from studies.domains import speed as domains_speed
@@ -35,9 +33,6 @@ from studies.gpu import calls as gpu_calls
 from studies.gpu import energies as gpu_energies
 from studies.gpu import methods as gpu_methods
 from studies.gpu import study as gpu_study
-from studies.harmonic_bath import __main__ as harmonic_bath_command
-from studies.harmonic_bath import study as harmonic_bath
-from studies.harmonic_bath.steps import Case
 from studies.hmc import exactness, mixture, solvated, trials
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
@@ -62,10 +57,10 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"bench", "domains", "equipartition", "water", "whole-run"}
+DRAWN = {"domains", "equipartition", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"bench", "dipole", "exactness", "free-rotation", "gpu", "harmonic-bath", "speed", "water"}
+MADE_AT_ONCE = {"dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
 
 #: The one whose runs have a process of their own, as those of all studies have outside of tests.
 IN_ITS_PROCESS = "schemes"
@@ -114,17 +109,6 @@ SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1
 @miniature("free-rotation", paper_command, "free-rotation --quick", patches=((free_rotation, "QUICK", FREE),))
 def any_tables(found):
     assert found
-
-
-@miniature(
-    "bench",
-    accuracy,
-    "{box} --time 0.1 --equilibrate 0.02 --platform Reference",
-    patches=((accuracy, "METHODS", {"verlet": (2.0,), "sier4g": (1.0,)}), (peers, "installed", list)),
-)
-def benchmarks(found):
-    assert list(found["points"]["method"]) == ["OpenMM Verlet", "SIER4G"]
-    assert found["points"]["percent"].between(1e-3, 50).all()
 
 
 @miniature(
@@ -217,7 +201,6 @@ def schemes_by_step(found):
     "--platform CPU",
     patches=(
         (speed, "STEPS", {"verlet": (0.5, 2.0), "sier2": (0.5,), "sier2p3": (1.0,), "sier4g": (1.0,)}),
-        (usual_inputs, "installed", list),
         # The cut-off that fits the box.
         (speed_boxes, "INTERACTIONS", Interactions()),
         (speed_boxes, "SOLUTES", {"dipeptide": DIPEPTIDE}),
@@ -290,30 +273,6 @@ def bath_averages(found):
     rows = found["rows"].set_index("method")
     assert (rows[["water", "solute", "bonds"]] > 0).all(axis=None)
     assert rows.loc["LangevinMiddle, 4 fs", "over"] == 1
-
-
-@miniature("bath-bias", bath_bias_command, '--models "TIP3P in a field" --shorter 25')
-def bias_in_a_field(found):
-    rows = found["rows"].set_index("method")
-    assert list(rows.index) == ["SIER2", "RATTLE, by the mean", "exact, by the mean", "SIER2", "half-way, by the mean"]
-    # 60 ps of 1024 bodies leave an error of some 0.02 of kT.
-    assert (rows["bias"].abs() < 6.5 * rows["bias_error"] + 0.1).all()
-    assert rows["rotation"].between(290, 304).all()
-    assert rows["weak_rotation"].dropna().to_list() == pytest.approx([297])
-
-
-@miniature(
-    "harmonic-bath",
-    harmonic_bath_command,
-    "--starts 1 --molecules 2 --equilibrate 0.02 --minimize 100",
-    patches=((harmonic_bath, "CASES", {"9 fs": Case(), "4 fs": Case(step=4.0, has_neighbours=False)}),),
-)
-def errors_around_a_solute(found):
-    rows = found["rows"].set_index("case")
-    assert (rows["molecules"] == 2).all()
-    # The minimum is not reached, so that some modes are anything; errors are per cent all the same.
-    assert (rows[["angles", "angles_law", "bonds", "bonds_law"]].abs() < 30).all(axis=None)
-    assert rows.loc["4 fs", "angles_law"] != rows.loc["9 fs", "angles_law"]
 
 
 @miniature(

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from studies import equipartition, schemes, speed, step_study, whole_run
-from studies.bench import accuracy, timing
+from studies import equipartition, schemes, speed, step_study, timing, whole_run
 from studies.equipartition import MEASURED
 from studies.hmc import solvated
 from studies.speed import Turn
@@ -107,17 +106,13 @@ def test_errors_are_shared_by_rows_of_one_box_and_method():
 
 
 def power_law(factor, power):
-    rows = [("m", h, factor * h**power, 100 * h) for h in (0.25, 0.5, 1.0, 2.0)]
-    return pd.DataFrame(rows, columns=["method", "fs_per_force", "percent", "fs_per_second"])
+    rows = [(h, factor * h**power) for h in (0.25, 0.5, 1.0, 2.0)]
+    return pd.DataFrame(rows, columns=["fs_per_force", "percent"])
 
 
 @pytest.mark.parametrize("power", [2, 4])
-def test_step_and_cost_at_a_level_of_a_power_law(power):
-    assert accuracy.step_at(power_law(0.1, power), "m", 0.1 * 0.7**power) == pytest.approx(0.7, rel=1e-12)
-    row = accuracy.costs_of(power_law(0.1 / 0.8**power, power)).to_dict("records")[-1]
-    # 0.8 fs per force reach 0.1 %, and a force takes 10 ms.
-    expected = {"percent": 0.1, "fs_per_force": 0.8, "forces_per_ps": 1250.0, "fs_per_second": 80.0}
-    assert row == pytest.approx(expected | {"method": "m"})
+def test_step_at_a_level_of_a_power_law(power):
+    assert speed.step_at(power_law(0.1, power), 0.1 * 0.7**power) == pytest.approx(0.7, rel=1e-12)
 
 
 def test_median_comes_with_its_standard_error(rng):

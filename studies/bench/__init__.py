@@ -1,1 +1,0 @@
-"""Energy error against cost, compared with other programs, and timing."""
