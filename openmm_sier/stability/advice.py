@@ -38,7 +38,6 @@ CONSTRAIN = (
 )
 LESS_MASS = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
 ONE_BODY = "put the atoms of both ends of the bond into one rigid body of `bodies` (--rigid)"
-STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
 CHECK_FORCES = "if the energy drifts as much with half the step, call print(check_forces(context))"
 
 

@@ -1,6 +1,7 @@
 """Forces within Forces, and Forces with charges and a mesh of their own: prepared and judged like a NonbondedForce."""
 
 import copy
+import math
 
 import numpy as np
 import openmm
@@ -149,8 +150,7 @@ def test_a_factor_of_energies_counts():
         system.addForce(scaled(copy.deepcopy(inner), factor))
         steps.append(longest(system))
     assert steps[:2] == pytest.approx([longest(plain), 2 * longest(plain)], rel=1e-12)
-    # Spins of water are left, which are slower than its librations.
-    assert steps[2] > 2 * steps[1]
+    assert steps[2] == math.inf
     # Of an expression that is not linear nothing is known, and it is said.
     bare.addForce(scaled(inner, energy="factor*U^2"))
     with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce \(CustomCVForce\)"):

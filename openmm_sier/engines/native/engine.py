@@ -82,9 +82,7 @@ class NativeEngine(Engine):
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         fraction = program.inner_fraction
-        self.step_check = StepCheck(
-            system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
-        )
+        self.step_check = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction)
         self._step_at_first = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
         #: Whether OpenMM still has the forces of the end of the last step.
