@@ -22,7 +22,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_frequencies
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import SystemForce, all_forces, is_linear
+from openmm_sier.system.inner_forces import SystemForce, all_forces
 from openmm_sier.system.mobilities import COARSE, mobilities
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
@@ -78,7 +78,7 @@ class Motions:
     1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Angles are
     ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only those with
     charges count, and the Lennard-Jones terms of NonbondedForces. Forces of expressions or collective variables are
-    measured by `measure`, at positions. Forces within Forces count by their weight (`inner_forces`).
+    measured by `measure`, at positions.
 
     Attributes:
         bodies: all that move in the System.
@@ -99,9 +99,9 @@ class Motions:
         self._mobility = mobilities(bodies)
         links = Links(system)
         self.remedies = Remedies(system, bodies, links)
-        forces = list(all_forces(system))
-        with_charges = [entry for entry in forces if kind_of(entry.force).charges and entry.weight is not None]
-        stiffnesses = [abs(entry.weight or 0.0) * _stiffness_around(entry.force) for entry in with_charges]
+        forces = [entry for entry in all_forces(system) if not entry.is_variable]
+        with_charges = [entry for entry in forces if kind_of(entry.force).charges]
+        stiffnesses = [_stiffness_around(entry.force) for entry in with_charges]
         #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
@@ -129,7 +129,7 @@ class Motions:
         measured, hidden = [], []
         for entry in self._to_measure:
             try:
-                vibration = fastest_motion(entry.force, context, self._linked, entry.weight or 0.0)
+                vibration = fastest_motion(entry.force, context, self._linked)
             except HiddenError:
                 hidden.append(entry)
                 continue
@@ -183,7 +183,6 @@ class Motions:
         for entry in forces:
             if isinstance(entry.force, openmm.HarmonicBondForce):
                 atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
-                squares = (entry.weight or 0.0) * squares
                 if squares.max(initial=0) > 0:
                     fastest = int(squares.argmax())
                     yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
@@ -210,8 +209,7 @@ def _described(forces: Sequence[SystemForce]) -> list[tuple[int, str]]:
 def _is_measured(entry: SystemForce) -> bool:
     """Return whether the fastest motion by a Force is measured: it acts on few atoms, or is cheap for all of them."""
     # The close pairs of `prepare_system` are nonbonded interactions.
-    is_close_pairs = entry.force.getName().startswith("openmm_sier: ")
-    return entry.weight is not None and not is_close_pairs and not _is_sum(entry.force) and _is_cheap(entry.force)
+    return _is_cheap(entry.force) and not entry.force.getName().startswith("openmm_sier: ")
 
 
 def _is_cheap(force: openmm.Force) -> bool:
@@ -221,15 +219,13 @@ def _is_cheap(force: openmm.Force) -> bool:
     return kind_of(force).stiffness == "measured"
 
 
-def _is_sum(force: openmm.Force) -> bool:
-    """Return whether a Force is a sum of Forces, which are judged one by one."""
-    return isinstance(force, openmm.ATMForce) or (isinstance(force, openmm.CustomCVForce) and is_linear(force))
-
-
 def _is_unknown(entry: SystemForce) -> bool:
-    """Return whether no stiffness of a Force is known, as of a collective variable of all pairs."""
-    is_known = kind_of(entry.force).stiffness != "unknown" or _is_sum(entry.force) or _is_cheap(entry.force)
-    return entry.weight is not None and not is_known
+    """Return whether no stiffness of a Force is known, as of a collective variable of all pairs.
+
+    An ATMForce is a sum of Forces, which are judged one by one.
+    """
+    is_known = kind_of(entry.force).stiffness != "unknown" or isinstance(entry.force, openmm.ATMForce)
+    return not (is_known or _is_cheap(entry.force))
 
 
 def _stiffness_around(force: openmm.Force) -> np.ndarray:
