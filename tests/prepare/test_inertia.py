@@ -75,7 +75,7 @@ def test_moments_that_no_masses_have():
     system, positions, bodies = patchy()
     texts = openmm.XmlSerializer.serialize(system)
     # All mass on the patches has 2/3 of M R^2, 16.7 dalton nm^2, less what the centre must have.
-    with pytest.raises(ValueError, match="no masses near equal ones give atoms 0-6 the moments .*further out"):
+    with pytest.raises(ValueError, match=r"no masses near equal ones give atoms 0-6 the moments .*further out"):
         set_inertia(system, positions, bodies, 100, 3 * [20.0])
     with pytest.raises(ValueError, match="no masses near equal ones"):
         set_inertia(system, np.where([1, 1, 0], positions, 0.0), bodies, 100, 3 * [5.0])
