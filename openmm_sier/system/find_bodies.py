@@ -19,9 +19,8 @@ from openmm_sier.system.arguments import Positions, checked_positions, checked_s
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
+from openmm_sier.system.geometries import Cluster, Kind, Lengths
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.user_warnings import warn
 
 #: The value of `rigid` that makes each heavy atom and its hydrogens one body.
 HYDROGEN_GROUPS = "heavy atoms with hydrogens"
@@ -68,7 +67,7 @@ class RigidBodies(dynamics.BodySet):
         >>> integrator = SIERIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
-        geometry. A warning is issued if they differ by more than the rounding of a PDB file.
+        geometry.
 
         Args:
             system: the System.
@@ -141,33 +140,16 @@ class BodyPlan:
                 )
             positions = np.empty((0, 3))
         species: list[Species] = []
-        shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
             if kind.needs_positions:
                 self._demand_extent(kind, positions)
             if kind.model is None:
-                fitted, sharing = geometries.from_positions(kind, positions, self._describe)
-                species += fitted
-                shared += sharing
+                species += geometries.from_positions(kind, positions, self._describe)
             elif kind.needs_positions:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        self._warn_about_averages(shared)
         return self._links.link(RigidBodies(species, self._n, self._labels))
-
-    def _warn_about_averages(self, shared: list[Sharing]) -> None:
-        shared = [sharing for sharing in shared if sharing.deviations.max() > geometries.ROUNDING]
-        if not shared:
-            return
-        first = max(shared, key=lambda sharing: sharing.deviations.max())
-        others = sum(len(sharing.clusters) for sharing in shared) - len(first.clusters)
-        rest = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
-        warn(
-            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
-            f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
-            f"{self._describe(first.clusters[first.deviations.argmax()])}){rest}"
-        )
 
     # --- which particles ---
 

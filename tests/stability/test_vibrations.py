@@ -111,12 +111,12 @@ def test_the_longest_step_is_the_longest_without_a_warning(flexible, scheme):
 
 def test_bonds_inside_bodies_do_not_count(flexible):
     _, positions, system = flexible
-    with silence("3 bodies like .* get one shape"):
+    with silence():
         bodies = RigidBodies.from_system(system, rigid=[[0, 1, 2], [3, 4, 5], [6, 7, 8]], positions=positions)
     named = SIERIntegrator(0.004, SIER4G, bodies=bodies)
     context = context_at(system, named, (positions, 0 * positions), steps=1)
     assert context.getStepCount() == 1
-    with silence("2 bodies like .* get one shape"):
+    with silence():
         bodies = RigidBodies.from_system(system, rigid=[[0, 1, 2], [6, 7, 8]], positions=positions)
     partly = SIERIntegrator(0.006, SIER4G, bodies=bodies)
     context = context_at(system, partly, (positions, 0 * positions))
