@@ -61,8 +61,8 @@ class Species:
         moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
 
     Raises:
-        ValueError: the moments are not those of the masses at the sites: velocities of atoms would then carry another
-            angular momentum.
+        ValueError: the arrays have other shapes, or the moments are not those of the masses at the sites: velocities of
+            atoms would then carry another angular momentum.
     """
 
     atoms: np.ndarray
@@ -71,6 +71,10 @@ class Species:
     moments: np.ndarray
 
     def __post_init__(self) -> None:
+        k = self.masses.size
+        shapes = self.atoms.shape[1:], self.masses.shape, self.sites.shape, self.moments.shape
+        if self.atoms.ndim != 2 or k == 0 or shapes != ((k,), (k,), (3, k), (3,)):
+            raise ValueError(f"species need atoms (m, k), masses (k,), sites (3, k) and moments (3,), got {shapes}")
         squares = (self.masses * self.sites**2).sum(axis=1)
         expected = squares.sum() - squares
         if not (np.abs(self.moments - expected) <= OTHER_MOMENT * expected.max()).all():
