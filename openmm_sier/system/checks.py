@@ -51,12 +51,11 @@ def refuse_drude_particles(system: openmm.System) -> None:
             )
 
 
-def refuse_impossible_numbers(system: openmm.System) -> None:
-    """Refuse impossible masses and constraints, which OpenMM accepts.
+def refuse_impossible_masses(system: openmm.System) -> None:
+    """Refuse impossible masses, which OpenMM accepts.
 
     Raises:
-        openmm.OpenMMException: a mass is negative or not finite; a constraint has a length that is not positive or not
-            finite, or does not join two particles of the System.
+        openmm.OpenMMException: a mass is negative or not finite.
     """
     masses = tables.masses(system)
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
@@ -64,19 +63,6 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
         raise openmm.OpenMMException(
             f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
             "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
-        )
-    rows = tables.constraint_rows(system)
-    ends = rows[:, :2]
-    is_particle = (ends >= 0) & (ends < len(masses))
-    if (wrong := ~is_particle.all(axis=1) | (ends[:, 0] == ends[:, 1])).any():
-        i, j = ends[wrong.argmax()].tolist()
-        raise openmm.OpenMMException(
-            f"A constraint joins particles {i:.0f} and {j:.0f}: they must be two different particles of {len(masses)}"
-        )
-    if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
-        i, j, length = rows[wrong.argmax()].tolist()
-        raise openmm.OpenMMException(
-            f"The constraint of particles {i:.0f} and {j:.0f} has a length of {length:g} nm: it must be positive"
         )
 
 
@@ -135,16 +121,6 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
                 "prepare_system(system, bodies) before the Context is made; or remove the barostat, and give the "
                 "integrator pressure=…"
             )
-
-
-def warn_about_moving_frozen_atoms(system: openmm.System) -> None:
-    """Warn if a barostat of OpenMM will move the frozen atoms of a System."""
-    if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
-        warn(
-            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, including frozen atoms (mass 0, "
-            f"such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To hold atoms in "
-            "place at constant pressure, restrain them by forces"
-        )
 
 
 def warn_about_other_temperatures(context: openmm.Context, temperature: float) -> bool:
