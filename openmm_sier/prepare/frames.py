@@ -206,7 +206,7 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of a body of this kind."""
-    if len(species.masses) > MOST_HELD or checks.is_line(species.masses, species.sites.T):
+    if len(species.masses) > MOST_HELD:
         return False
     model = openmm.System()
     for mass in species.masses.tolist():

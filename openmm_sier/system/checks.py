@@ -11,7 +11,6 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.solver_test import LINE_REMEDY
 from openmm_sier.system.user_warnings import warn
 
 
@@ -141,35 +140,6 @@ def warn_about_other_temperatures(context: openmm.Context, temperature: float) -
                 f"{temperature:g})"
             )
     return others
-
-
-def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
-    """Return whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
-    arms = places - masses @ places / masses.sum()
-    _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
-    return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
-
-
-def refuse_constrained_lines(system: openmm.System, bodies: BodySet) -> None:
-    """Refuse fully constrained rigid bodies of three or more atoms on a line, within `RESOLUTION`.
-
-    OpenMM's constraint solvers divide by zero for them: minimization, `applyConstraints` and
-    `setVelocitiesToTemperature` give NaN. Bodies that are not quite lines would spin about their axes by several
-    radians in a usual step, and their constraints differ from those of a line by less than the resolution of force
-    fields.
-
-    Raises:
-        RigidityError: such a body exists; the message names the first.
-    """
-    for species in bodies.species:
-        if species.atoms.shape[1] < 3 or not is_line(species.masses, species.sites.T):
-            continue
-        for row in species.atoms[tables.constraints(system).hold(species.atoms)]:
-            raise RigidityError(
-                f"{bodies.describe_atoms(row)}: these atoms lie on a line (within {RESOLUTION:g} nm), and all pairs of "
-                "them are constrained. OpenMM cannot solve such constraints and sets the positions to NaN. "
-                f"{LINE_REMEDY}"
-            )
 
 
 def warn_about_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:

@@ -85,8 +85,7 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
             mean = table[0] if (table[near] == table[0]).all() else table[near].mean(axis=0)
             kind = Kind(np.array(kind_masses), clusters_left[near], pairs, mean)
             complete = len(pairs) == len(kind_masses) * (len(kind_masses) - 1) // 2
-            resolution = RESOLUTION if (table[near] != mean).any() else 0.0
-            sorted_kinds.append(kind._replace(model=_embedded(kind, resolution, describe)) if complete else kind)
+            sorted_kinds.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
             clusters_left, table = clusters_left[~near], table[~near]
     return sorted_kinds
 
@@ -94,7 +93,7 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
 # --- from constraints -------------------------------------------------------------------------------------------------
 
 
-def _embedded(kind: Kind, resolution: float, describe: Callable) -> Species:
+def _embedded(kind: Kind, describe: Callable) -> Species:
     """Return bodies with the geometry defined by the lengths of all pairs of atoms, up to a reflection."""
     coordinates, excess = embed(len(kind.masses), kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
@@ -103,7 +102,7 @@ def _embedded(kind: Kind, resolution: float, describe: Callable) -> Species:
             f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one is off by {excess:.4f} nm. "
             "Correct these lengths, or remove some of the constraints"
         )
-    return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
+    return Species.from_coordinates(kind.clusters, kind.masses, coordinates, RESOLUTION)
 
 
 def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
