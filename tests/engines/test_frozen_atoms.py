@@ -202,7 +202,7 @@ def test_body_states_of_a_system_without_bodies(tmp_path):
 def test_named_bodies_may_be_frozen_as_wholes():
     topology, positions, system = cluster_system(3, rigidWater=False)
     freeze(system, range(3))
-    bodies = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
+    bodies = RigidBodies.from_system(system, topology, np.arange(9).reshape(3, 3), positions)
     assert (bodies.owners >= 0).tolist() == 3 * [False] + 6 * [True]
     assert RigidBodies.from_system(system, rigid=[[0, 1, 2], [3, 4, 5]], positions=positions).n == 4
     system.setParticleMass(4, 0)

@@ -8,7 +8,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, RigidityError, prepare_system, with_frames
+from openmm_sier import RigidBodies, RigidityError, prepare_system, select_bodies, with_frames
 from tests.support.framed import (
     SHAPES,
     atom_velocities,
@@ -169,7 +169,7 @@ def test_rigid_bodies_and_names_are_taken_too():
     known = RigidBodies.from_system(system, rigid=bodies, positions=positions)
     made = [
         with_frames(system, positions, known),
-        with_frames(system, positions * unit.nanometer, {"DOM": "rigid"}, topology),
+        with_frames(system, positions * unit.nanometer, select_bodies(topology, "DOM"), topology),
         with_frames(system, (10 * positions) * unit.angstrom, bodies),
     ]
     for framed in made:

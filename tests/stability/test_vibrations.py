@@ -246,8 +246,8 @@ ADVICE = {
     "a restraint": (restrained, SLOW, "make CustomExternalForce softer", "constrain the bond"),
     "a term of two atoms": (coupled, SLOW, "constraints=AllBonds", "prepare_system"),
     "a collective variable": (biased, SLOW, "make bias softer", "constrain the bond"),
-    "a bond of two bodies": (between_bodies, FAST, "into one rigid body", "constraints="),
-    "a bond beside a body": (beside_a_body, FAST, "into one rigid body", "constraints="),
+    "a bond of two bodies": (between_bodies, FAST, "into one rigid body", "HBonds"),
+    "a bond beside a body": (beside_a_body, FAST, "into one rigid body", "HBonds"),
 }
 
 

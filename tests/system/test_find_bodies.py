@@ -8,11 +8,11 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import RigidBodies, RigidityError
+from openmm_sier import RigidBodies, RigidityError, select_bodies
 from tests.support import methanols
+from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.silence import silence
 from tests.support.systems import assembled
-from tests.support.waters import cluster_system
 
 OH, HH = 0.09572, 0.15139
 WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
@@ -206,7 +206,7 @@ def test_molecules_of_a_pdb_file_are_of_one_species(constrained, digit):
     positions, topology = methanols.positions_of(125, digit=digit), methanols.topology_of(125)
     pairs = list(combinations(range(6), 2)) if constrained else []
     system = methanols.system_of(125, pairs, positions)
-    rigid = None if constrained else {"MOH": "rigid"}
+    rigid = None if constrained else select_bodies(topology, "MOH")
     with silence():
         bodies = RigidBodies.from_system(system, topology, rigid, positions)
     (species,) = bodies.species
@@ -253,9 +253,8 @@ def test_conformations_are_species_of_their_own(rng):
     assert results == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
 
 
-# --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------
+# --- bodies within molecules ------------------------------------------------------------------------------------------
 
-GROUPS = "heavy atoms with hydrogens"
 X_H = [(0, 1), (0, 2), (0, 3), (4, 5)]
 
 
@@ -264,7 +263,7 @@ def test_each_heavy_atom_with_its_hydrogens_is_a_body(pairs):
     positions, topology = methanols.positions_of(20), methanols.topology_of(20)
     system = methanols.system_of(20, pairs, positions)
     with silence():
-        bodies = RigidBodies.from_system(system, topology, GROUPS, positions * unit.nanometer)
+        bodies = RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions * unit.nanometer)
     results = sorted(lists(bodies))
     assert results == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
     assert len(bodies.species) == 2
@@ -278,43 +277,17 @@ def test_groups_satisfy_the_constraints_inside_them():
     longer = methanols.GEOMETRY * 0.111 / np.linalg.norm(methanols.GEOMETRY[1])
     constraints = methanols.positions_of(4, longer, digit=None)
     positions, topology = methanols.positions_of(4), methanols.topology_of(4)
-    bodies = RigidBodies.from_system(methanols.system_of(4, X_H, constraints), topology, GROUPS, positions)
+    bodies = RigidBodies.from_system(
+        methanols.system_of(4, X_H, constraints), topology, hydrogen_groups(topology), positions
+    )
     methyl = next(species for species in bodies.species if len(species.masses) == 4)
     assert np.abs(lengths_in(methyl)[0, 1:] - 0.111).max() < 1e-12
     # H-H is free: the projection moves hydrogens along their bonds by 0.002 nm, and H-H by sqrt(8/3) of that.
     assert lengths_in(methyl)[1, 2] == pytest.approx(np.sqrt(8 / 3) * 0.111, abs=1e-3)
 
 
-def test_water_keeps_the_geometry_of_its_constraints():
-    topology, positions, system = cluster_system(3)
-    bodies = RigidBodies.from_system(system, topology, GROUPS)
-    assert len(bodies.species) == 1
-    assert lengths_in(bodies.species[0])[0, 1] == pytest.approx(OH, abs=1e-15)
-    topology, positions, system = cluster_system(3, rigidWater=False)
-    with silence():
-        flexible = RigidBodies.from_system(system, topology, GROUPS, positions)
-    assert sorted(lists(flexible)) == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
-
-
 def test_constraints_between_groups_are_refused():
     positions, topology = methanols.positions_of(2), methanols.topology_of(2)
     system = methanols.system_of(2, [*X_H, (0, 4)], positions)
     with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
-        RigidBodies.from_system(system, topology, GROUPS, positions)
-    # A molecule all of whose distances are constrained is one body, as without groups.
-    system = methanols.system_of(2, list(combinations(range(6), 2)), positions)
-    with silence():
-        assert RigidBodies.from_system(system, topology, GROUPS, positions).n == 2
-
-
-def test_groups_that_cannot_be_found():
-    positions, topology = methanols.positions_of(1), methanols.topology_of(1)
-    system = methanols.system_of(1)
-    with pytest.raises(ValueError, match="require a topology"):
-        RigidBodies.from_system(system, None, GROUPS, positions)
-    with pytest.raises(ValueError, match="or \"heavy atoms with hydrogens\", got 'hydrogens'"):
-        RigidBodies.from_system(system, topology, "hydrogens", positions)
-    with pytest.raises(RigidityError, match="give positions"):
-        RigidBodies.from_system(system, topology, GROUPS)
-    with pytest.raises(ValueError, match="none of the 0 bonds of the topology"):
-        RigidBodies.from_system(system, topology_of(("MOH", 6)), GROUPS, positions)
+        RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions)
