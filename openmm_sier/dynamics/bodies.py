@@ -248,8 +248,7 @@ class BodySet:
             (q, A), shapes (3, n) and (3, 3, n).
 
         Raises:
-            RigidityError: an atom is further than `Species.tolerance` from its site, positions form a mirror image, or
-                a position is not finite.
+            RigidityError: an atom is further than `Species.tolerance` from its site, or a position is not finite.
         """
         return self.fit_with_misfit(positions, previous)[:2]
 
@@ -268,22 +267,8 @@ class BodySet:
                 raise RigidityError(f"the positions of {self.describe(body)} are not finite")
             arms = x - centre[:, None, :]
             A[:, :, columns], misfit[columns] = s.fit(arms, None if previous is None else previous.A[:, :, columns])
-            self._refuse_mirrored(s, columns, misfit[columns], arms)
         self._refuse_torn(misfit)
         return q, A, misfit
-
-    def _refuse_mirrored(self, species: Species, columns: slice, misfit: np.ndarray, arms: np.ndarray) -> None:
-        # Atoms less than half way from the body to its mirror image cannot fit the image better by the margin.
-        suspects = np.flatnonzero(misfit > 0.5 * species.mirror_distance)
-        if species.mirror_distance == 0 or not suspects.size:
-            return
-        mirrored = species.are_mirrored(arms[suspects], misfit[suspects])
-        if mirrored.any():
-            raise RigidityError(
-                f"{self.describe(columns.start + int(suspects[mirrored.argmax()]))} is the mirror image of its rigid "
-                f"shape ({np.count_nonzero(mirrored)} bodies of this kind in all). Correct the positions, or make "
-                "the bodies from them"
-            )
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
         tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])

@@ -26,10 +26,6 @@ FIT_TOLERANCE = 0.02
 #: its own place than to that of any other atom, so that none can be mistaken for another.
 FIT_FRACTION = 0.25
 
-#: Positions that fit the mirror image this many times better than the body are those of the mirror image. If the two
-#: fit about equally, the body is planar within the deviation, and its handedness cannot be determined.
-MIRROR_MARGIN = 2.0
-
 #: Sites at most this far apart, in nm, are at one place and need not be distinguished.
 ONE_PLACE = 1e-9
 
@@ -65,8 +61,8 @@ class Species:
         moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
 
     Raises:
-        ValueError: the arrays have other shapes, numbers are not finite, particle indices are not whole, or the moments
-            are not those of the masses at the sites: velocities of atoms would then carry another angular momentum.
+        ValueError: the arrays have other shapes, or the moments are not those of the masses at the sites: velocities of
+            atoms would then carry another angular momentum.
     """
 
     atoms: np.ndarray
@@ -75,18 +71,10 @@ class Species:
     moments: np.ndarray
 
     def __post_init__(self) -> None:
-        numbers = self.masses, self.sites, self.moments
         k = self.masses.size
-        shapes = self.atoms.shape[1:], *(each.shape for each in numbers)
+        shapes = self.atoms.shape[1:], self.masses.shape, self.sites.shape, self.moments.shape
         if self.atoms.ndim != 2 or k == 0 or shapes != ((k,), (k,), (3, k), (3,)):
-            raise ValueError(
-                "species need atoms (m, k), masses (k,), sites (3, k) and moments (3,), got "
-                f"{self.atoms.shape}, {', '.join(str(each.shape) for each in numbers)}"
-            )
-        if self.atoms.dtype.kind not in "iu":
-            raise ValueError(f"species need particle indices, got atoms of type {self.atoms.dtype}")
-        if not all(each.dtype.kind == "f" and np.isfinite(each).all() for each in numbers):
-            raise ValueError("species need masses, sites and moments that are finite numbers")
+            raise ValueError(f"species need atoms (m, k), masses (k,), sites (3, k) and moments (3,), got {shapes}")
         squares = (self.masses * self.sites**2).sum(axis=1)
         expected = squares.sum() - squares
         if not (np.abs(self.moments - expected) <= OTHER_MOMENT * expected.max()).all():
@@ -155,21 +143,6 @@ class Species:
             apart = np.linalg.norm(self.sites[:, :i] - self.sites[:, i, None], axis=0)
             shortest = apart[apart > ONE_PLACE].min(initial=shortest)
         return float(min(FIT_TOLERANCE, FIT_FRACTION * shortest))
-
-    @cached_property
-    def mirror_distance(self) -> float:
-        """Largest distance in nm between a site and its mirror image; 0 for a planar body."""
-        return float(self.mirrored().fit(self.sites.T[None])[1][0]) if self.sites.any(axis=1).all() else 0.0
-
-    def are_mirrored(self, arms: np.ndarray, misfit: np.ndarray) -> np.ndarray:
-        """Return which bodies are mirror images, (m,): their atoms fit the image, and `MIRROR_MARGIN` times better.
-
-        Args:
-            arms: atom positions relative to the centres of mass, (m, k, 3), nm.
-            misfit: misfits to the body itself, (m,), nm.
-        """
-        mirror_misfit = self.mirrored().fit(arms)[1]
-        return (mirror_misfit * MIRROR_MARGIN < misfit) & (mirror_misfit <= self.tolerance)
 
     def fit(self, arms: np.ndarray, previous: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (3, 3, m) of m bodies, and the largest distance of an atom from its place, (m,), nm.

@@ -165,7 +165,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     path, coordinates, topology, kind = source
     with refusing(f"cannot read {topology} as {kind}"):
         system = read_system(io.BytesIO(topology.content))
-        checks.refuse_impossible_numbers(system)
+        checks.refuse_impossible_masses(system)
     for force in system.getForces():
         if forces.kind_of(force).sets:
             raise ForceFieldError(

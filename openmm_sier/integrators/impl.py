@@ -27,7 +27,6 @@ from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodie
 from openmm_sier.prepare.pme import warn_about_pme
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import bound_systems, checks
-from openmm_sier.system.unconstrained_angles import warn_about_unconstrained_angles
 from openmm_sier.system.user_warnings import warn
 
 
@@ -192,7 +191,7 @@ class IntegratorImpl:
                 "with its Context: make a new integrator"
             )
         checks.refuse_drude_particles(system)
-        checks.refuse_impossible_numbers(system)
+        checks.refuse_impossible_masses(system)
         installation.refuse_additions(self._integrator, self._computations)
         refuse_other_bodies(system, self.settings.bodies)
         if self.settings.fast_groups is None:
@@ -244,8 +243,6 @@ class IntegratorImpl:
         if not keeps_tally:
             tally.clear()
         system = context.getSystem()
-        checks.warn_about_moving_frozen_atoms(system)
-        warn_about_unconstrained_angles(system)
         self._engine = None
         self._context = weakref.ref(context)
         self._compared_temperature = 0.0

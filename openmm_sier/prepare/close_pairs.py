@@ -17,7 +17,6 @@ import openmm
 
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
-from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
 
 #: Maximum number of bonds between atoms of a close pair; pairs further apart make no difference.
@@ -47,9 +46,9 @@ def fast_force_groups(system: openmm.System) -> int:
 def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray, group: int, periodic: bool) -> int:
     """Add the interactions of close pairs to a fast group, and subtract them from the group of the NonbondedForce.
 
-    Interactions are those of the present NonbondedForces and ConstantPotentialForces, including Forces inside others,
-    with global parameters at their defaults, and without cut-off and switch. The potential energy is unchanged. Without
-    close pairs the fast group gets an empty Force, which identifies the System, and nothing is subtracted.
+    Interactions are those of the present NonbondedForces, including those inside an ATMForce, with global parameters at
+    their defaults, and without cut-off and switch. The potential energy is unchanged. Without close pairs the fast
+    group gets an empty Force, which identifies the System, and nothing is subtracted.
 
     Args:
         system: openmm.System without `added_forces`.
@@ -61,15 +60,17 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
     Returns:
         Number of pairs.
     """
-    # Forces of multipoles are softer at close distance, by Thole's damping.
-    pairwise = [entry for entry in all_forces(system) if kind_of(entry.force).charges == "points"]
-    weighted = [(entry, weight) for entry in pairwise if (weight := entry.weight)]
+    nonbonded = [
+        entry
+        for entry in all_forces(system)
+        if isinstance(entry.force, openmm.NonbondedForce) and not entry.is_variable
+    ]
     close = _close(edges, owner)
     fast = _pair_force(NAME, "", group, periodic)
-    opposite = _pair_force(OPPOSITE, "-", weighted[0][0].group if weighted else 0, periodic)
-    for entry, weight in weighted:
+    opposite = _pair_force(OPPOSITE, "-", nonbonded[0].group if nonbonded else 0, periodic)
+    for entry in nonbonded:
         for a, b, (q, sigma, epsilon) in _interactions(entry.force, close):
-            parameters = [weight * COULOMB * q, 4 * weight * epsilon * sigma**12, 4 * weight * epsilon * sigma**6]
+            parameters = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
             fast.addBond(a, b, parameters)
             opposite.addBond(a, b, parameters)
     system.addForce(fast)
@@ -89,10 +90,8 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
     return force
 
 
-def _interactions(force: openmm.Force, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
+def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Yield interacting close pairs of a Force: both atoms, and charge product, sigma and epsilon."""
-    if isinstance(force, openmm.ConstantPotentialForce):
-        force = _of_charges(force)
     offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
     atoms = {
         i: tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) + offsets[i]
@@ -113,17 +112,6 @@ def _interactions(force: openmm.Force, close: list[tuple[int, int]]) -> Iterator
             )
         if interaction[0] or interaction[2]:
             yield a, b, interaction
-
-
-def _of_charges(force: openmm.ConstantPotentialForce) -> openmm.NonbondedForce:
-    """Return a NonbondedForce with the charges and exceptions of a ConstantPotentialForce."""
-    charges = openmm.NonbondedForce()
-    for i in range(force.getNumParticles()):
-        charges.addParticle(force.getParticleParameters(i), 1, 0)
-    for i in range(force.getNumExceptions()):
-        a, b, product = force.getExceptionParameters(i)
-        charges.addException(a, b, product, 1, 0)
-    return charges
 
 
 def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[int, np.ndarray]:

@@ -46,7 +46,7 @@ class FastForces:
         inner = [
             (entry, working_terms(entry.force, owner))
             for entry in all_forces(system)
-            if entry.containers and entry.weight
+            if entry.containers and not entry.is_variable
         ]
         self.inner = [entry.name for entry, between in inner if len(between) and self.moving[between].all()]
 

@@ -57,12 +57,11 @@ class FrameShape:
     axes: np.ndarray
 
     @classmethod
-    def of(cls, species: Species, places: np.ndarray) -> "FrameShape":
+    def of(cls, species: Species) -> "FrameShape":
         """Return the frame of a rigid body.
 
         Args:
             species: masses and sites of the body, at least two of them distinct.
-            places: points in the principal frame that corners must avoid, (k, 3), nm.
         """
         squares = (species.masses * species.sites**2).sum(axis=1) / species.mass
         # The largest first.
@@ -73,7 +72,9 @@ class FrameShape:
             extents[1:] = 0.0
         axes = np.eye(3)[order]
         axes[2] = np.cross(axes[0], axes[1])
-        best = max(_candidates(extents), key=lambda candidate: min(_clearance(candidate[1] @ axes, places), CLEAR))
+        best = max(
+            _candidates(extents), key=lambda candidate: min(_clearance(candidate[1] @ axes, species.sites.T), CLEAR)
+        )
         masses, corners = best
         return cls(species.mass * masses, np.ascontiguousarray((corners @ axes).T), axes)
 

@@ -56,10 +56,9 @@ def set_inertia(
 
     Raises:
         TypeError: `system` is not a System, or a value is not a number.
-        ValueError: moments are not in ascending order; the largest exceeds the sum of the others; no masses of the
-            atoms have these moments (the message gives the range of possible multiples: add particles without
-            interactions, further out or further in); or the System already has a Context with a SIER integrator. The
-            System is unchanged then.
+        ValueError: moments are not in ascending order; the largest exceeds the sum of the others; the masses that are
+            nearest to equal ones are not positive or do not have these moments; or the System already has a Context
+            with a SIER integrator. The System is unchanged then.
         RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)
@@ -114,53 +113,10 @@ def _masses(shape: Species, mass: float, moments: np.ndarray, name: str) -> np.n
     mean = 1 / r.shape[1]
     # The least deviation from equal shares.
     shares = mean + np.linalg.lstsq(rows, target - rows.sum(axis=1) * mean, rcond=None)[0]
-    if not _are_right(rows, target, shares, LEAST * mean):
-        shares = _bounded(rows, target, LEAST * mean, name, moments)
+    if (shares < LEAST * mean).any() or np.abs(rows @ shares - target).max() > ACCURACY:
+        raise ValueError(
+            f"no masses near equal ones give {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} "
+            "dalton nm^2 about their centre and axes. Add particles without interactions to the body, further out for "
+            "larger moments and at its centre for smaller ones"
+        )
     return mass * shares
-
-
-def _are_right(rows: np.ndarray, target: np.ndarray, shares: np.ndarray, least: float) -> bool:
-    return bool((shares >= 0.5 * least).all() and np.abs(rows @ shares - target).max() <= ACCURACY)
-
-
-def _bounded(rows: np.ndarray, target: np.ndarray, least: float, name: str, moments: np.ndarray) -> np.ndarray:
-    """Return shares of the mass, (k,), of at least `least`, that minimize the largest share."""
-    from scipy.optimize import linprog
-
-    count = rows.shape[1]
-    largest = np.column_stack([np.eye(count), -np.ones(count)])
-    equations = np.column_stack([rows, np.zeros(len(rows))])
-    cost = np.append(np.zeros(count), 1.0)
-    bounds = [*[(least, None)] * count, (None, None)]
-    solution = linprog(cost, A_ub=largest, b_ub=np.zeros(count), A_eq=equations, b_eq=target, bounds=bounds)
-    if solution.success:
-        shares = solution.x[:count]
-        free = shares > 1.1 * least
-        # linprog is accurate to 1e-7; correcting the free shares makes the solution exact to rounding.
-        shares[free] += np.linalg.lstsq(rows[:, free], target - rows @ shares, rcond=None)[0]
-        if _are_right(rows, target, shares, least):
-            return shares
-    raise ValueError(
-        f"no choice of masses gives {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} dalton nm^2 "
-        f"about their centre and axes; {_range(rows, target, least)}. "
-        "Add particles without interactions to the body, further out for larger moments and at its centre for smaller "
-        "ones"
-    )
-
-
-def _range(rows: np.ndarray, target: np.ndarray, least: float) -> str:
-    """Return a clause with the range of multiples of the moments that masses can have."""
-    from scipy.optimize import linprog
-
-    count = rows.shape[1]
-    squares = np.where((np.arange(len(target)) >= 4) & (np.arange(len(target)) < 7), target, 0.0)
-    equations = np.column_stack([rows, -squares])
-    bounds = [*[(least, None)] * count, (0, None)]
-    ends = []
-    for sign in (1, -1):
-        cost = np.append(np.zeros(count), sign)
-        solution = linprog(cost, A_eq=equations, b_eq=target - squares, bounds=bounds)
-        if not solution.success:
-            return "no others in these proportions are possible either"
-        ends.append(solution.x[count])
-    return f"possible are {ends[0]:.3g} to {ends[1]:.3g} times these"

@@ -3,13 +3,12 @@
 import math
 from functools import cached_property
 
-import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import working_terms
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, Links
+from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
 
@@ -27,18 +26,13 @@ PREPARE = (
 MORE_SUBSTEPS = "take more substeps or a shorter step (--dt)"
 HEAVIER = f"if you need averages but no dynamics, make all hydrogens heavy: {_HEAVY} (--hydrogen-mass 4)"
 CONSTRAIN_HYDROGEN = (
-    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds (--constraints hbonds); or put "
-    "hydrogens into rigid bodies with their heavy atoms, by bodies=RigidBodies.from_system(system, topology, "
-    f'rigid="{HYDROGEN_GROUPS}", positions=positions)'
+    "constrain the bond: give createSystem rigidWater=True and constraints=HBonds (--constraints hbonds)"
 )
 CONSTRAIN = (
-    "constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or make its molecule a rigid "
-    "body, by bodies=RigidBodies.from_system(system, topology, rigid={'NAME': 'rigid'}, positions=positions) (--rigid "
-    "NAME)"
+    "constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or put its atoms into one "
+    "rigid body of `bodies`, see select_bodies (--rigid)"
 )
 LESS_MASS = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
-ONE_BODY = "put the atoms of both ends of the bond into one rigid body of `bodies` (--rigid)"
-STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
 CHECK_FORCES = "if the energy drifts as much with half the step, call print(check_forces(context))"
 
 
@@ -93,9 +87,6 @@ class Remedies:
         self._owners = bodies.owners.copy()
         self._moving = bodies.owners >= 0
         self._points = bodies.point_particles
-        # Constraints cannot join rigid bodies, so that they are no remedy in a molecule with rigid bodies.
-        rigid = bodies.molecules[bodies.moments.any(axis=0)]
-        self._beside_bodies = np.isin(np.append(bodies.molecules, -1)[bodies.owners], rigid)
         # Terms between frozen atoms do no work, like those inside one body.
         self._owners[tables.frozen_atoms(system)] = bodies.n
         self._masses = tables.masses(system)
@@ -123,12 +114,7 @@ class Remedies:
 
     def hold(self, atoms: tuple[int, ...]) -> list[str]:
         """Return ways to hold a bond."""
-        if self.has_hydrogen(atoms):
-            remedies = [CONSTRAIN_HYDROGEN]
-        elif self._beside_bodies[list(atoms)].any():
-            return [ONE_BODY]
-        else:
-            remedies = [CONSTRAIN]
+        remedies = [CONSTRAIN_HYDROGEN if self.has_hydrogen(atoms) else CONSTRAIN]
         if any(self._points[i] and self._masses[i] > tables.HEAVIEST_IN_CHAINS for i in self._hydrogens):
             remedies.append(LESS_MASS)
         return remedies

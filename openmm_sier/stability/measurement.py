@@ -62,9 +62,7 @@ class HiddenError(Exception):
     """Overlaps of atoms hide the fastest motion that a Force causes."""
 
 
-def fastest_motion(
-    force: openmm.Force, context: openmm.Context, bodies: BodySet, weight: float = 1.0
-) -> Vibration | None:
+def fastest_motion(force: openmm.Force, context: openmm.Context, bodies: BodySet) -> Vibration | None:
     """Return the fastest motion that a Force causes at the positions of a Context; None if there is none.
 
     Motions are those of bodies under their constraints. Those far from their minimum, by `FAR`, are no vibrations.
@@ -73,12 +71,11 @@ def fastest_motion(
         force: of the Context's System, or within a Force of it.
         context: with positions, box and parameters.
         bodies: of that System, with the constraints between them.
-        weight: factor of the Force's energy in that of the System.
 
     Raises:
         HiddenError: there are too many overlaps of atoms.
     """
-    forces = _forces_of(force, context, weight)
+    forces = _forces_of(force, context)
     x = openmm.Context.getState(context, positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     noise = DISPLACEMENT * np.random.default_rng(1).normal(size=x.shape)
     response = forces(x - noise) - forces(x + noise)
@@ -176,8 +173,8 @@ def _largest(
     raise HiddenError
 
 
-def _forces_of(force: openmm.Force, context: openmm.Context, weight: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of positions (N, 3) that returns the forces (N, 3) of one Force, times its weight."""
+def _forces_of(force: openmm.Force, context: openmm.Context) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of positions (N, 3) that returns the forces (N, 3) of one Force."""
     system = _without_forces(context.getSystem())
     system.addForce(openmm.XmlSerializer.clone(force))
     system.setDefaultPeriodicBoxVectors(*openmm.Context.getState(context).getPeriodicBoxVectors())
@@ -187,7 +184,7 @@ def _forces_of(force: openmm.Force, context: openmm.Context, weight: float) -> C
     def forces(positions: np.ndarray) -> np.ndarray:
         second_context.setPositions(positions)
         second_context.computeVirtualSites()
-        return weight * second_context.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
+        return second_context.getState(forces=True).getForces(asNumpy=True).value_in_unit(_FORCE)
 
     return forces
 

@@ -1,4 +1,4 @@
-"""The fastest motions of a System: unconstrained vibrations, librations of molecules among others, spins of bodies.
+"""The fastest motions of a System: unconstrained vibrations, and librations of molecules among others.
 
 The frequencies of librations are estimated without positions. An atom with an inverse effective mass u, its body's
 rotation included, in surroundings of the stiffness k swings with the angular frequency sqrt(k u). For the hydrogens of
@@ -15,8 +15,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.measurement import HiddenError, fastest_motion
@@ -24,7 +22,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_frequencies
 from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.inner_forces import SystemForce, all_forces, is_linear
+from openmm_sier.system.inner_forces import SystemForce, all_forces
 from openmm_sier.system.mobilities import COARSE, mobilities
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
@@ -72,24 +70,6 @@ class Motion(NamedTuple):
     can_be_fast: bool = False
 
 
-class Spin(NamedTuple):
-    """The rotation of a rigid body about its smallest moment of inertia.
-
-    Attributes:
-        moment: dalton nm^2.
-        name: of the body, in words.
-        groups: bit mask of the force groups that may turn it.
-    """
-
-    moment: float
-    name: str
-    groups: int
-
-    def rate(self, temperature: float) -> float:
-        """Return its thermal angular velocity sqrt(kT/I), 1/ps, at a temperature in K."""
-        return math.sqrt(GAS_CONSTANT * temperature / self.moment)
-
-
 class Motions:
     """The fastest motions of a System.
 
@@ -98,32 +78,30 @@ class Motions:
     1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Angles are
     ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only those with
     charges count, and the Lennard-Jones terms of NonbondedForces. Forces of expressions or collective variables are
-    measured by `measure`, at positions. Forces within Forces count by their weight (`inner_forces`).
+    measured by `measure`, at positions.
 
     Attributes:
         bodies: all that move in the System.
         harmonic: the fastest bond of each HarmonicBondForce.
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
-        spin: of the slimmest rigid body; None if no body turns.
         unknown: force group and name of each Force of unknown stiffness, including those that overlaps hide.
         remedies: for these motions.
     """
 
-    def __init__(self, system: openmm.System, bodies: BodySet, rigid: Sequence[Species]):
+    def __init__(self, system: openmm.System, bodies: BodySet):
         """
         Args:
             system: openmm.System.
             bodies: all that move in it.
-            rigid: the kinds of rigid body.
         """
         self.bodies = bodies
         self._mobility = mobilities(bodies)
         links = Links(system)
         self.remedies = Remedies(system, bodies, links)
-        forces = list(all_forces(system))
-        with_charges = [entry for entry in forces if kind_of(entry.force).charges and entry.weight is not None]
-        stiffnesses = [abs(entry.weight or 0.0) * _stiffness_around(entry.force) for entry in with_charges]
+        forces = [entry for entry in all_forces(system) if not entry.is_variable]
+        with_charges = [entry for entry in forces if kind_of(entry.force).charges]
+        stiffnesses = [_stiffness_around(entry.force) for entry in with_charges]
         #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
@@ -133,7 +111,6 @@ class Motions:
         self.harmonic = list(self._fastest_bonds(forces, links.constraints))
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
-        self.spin = _slimmest(system, bodies, rigid, is_alone)
         self._to_measure = [entry for entry in forces if _is_measured(entry)]
 
     @property
@@ -152,7 +129,7 @@ class Motions:
         measured, hidden = [], []
         for entry in self._to_measure:
             try:
-                vibration = fastest_motion(entry.force, context, self._linked, entry.weight or 0.0)
+                vibration = fastest_motion(entry.force, context, self._linked)
             except HiddenError:
                 hidden.append(entry)
                 continue
@@ -206,7 +183,6 @@ class Motions:
         for entry in forces:
             if isinstance(entry.force, openmm.HarmonicBondForce):
                 atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
-                squares = (entry.weight or 0.0) * squares
                 if squares.max(initial=0) > 0:
                     fastest = int(squares.argmax())
                     yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
@@ -233,8 +209,7 @@ def _described(forces: Sequence[SystemForce]) -> list[tuple[int, str]]:
 def _is_measured(entry: SystemForce) -> bool:
     """Return whether the fastest motion by a Force is measured: it acts on few atoms, or is cheap for all of them."""
     # The close pairs of `prepare_system` are nonbonded interactions.
-    is_close_pairs = entry.force.getName().startswith("openmm_sier: ")
-    return entry.weight is not None and not is_close_pairs and not _is_sum(entry.force) and _is_cheap(entry.force)
+    return _is_cheap(entry.force) and not entry.force.getName().startswith("openmm_sier: ")
 
 
 def _is_cheap(force: openmm.Force) -> bool:
@@ -244,15 +219,13 @@ def _is_cheap(force: openmm.Force) -> bool:
     return kind_of(force).stiffness == "measured"
 
 
-def _is_sum(force: openmm.Force) -> bool:
-    """Return whether a Force is a sum of Forces, which are judged one by one."""
-    return isinstance(force, openmm.ATMForce) or (isinstance(force, openmm.CustomCVForce) and is_linear(force))
-
-
 def _is_unknown(entry: SystemForce) -> bool:
-    """Return whether no stiffness of a Force is known, as of a collective variable of all pairs."""
-    is_known = kind_of(entry.force).stiffness != "unknown" or _is_sum(entry.force) or _is_cheap(entry.force)
-    return entry.weight is not None and not is_known
+    """Return whether no stiffness of a Force is known, as of a collective variable of all pairs.
+
+    An ATMForce is a sum of Forces, which are judged one by one.
+    """
+    is_known = kind_of(entry.force).stiffness != "unknown" or isinstance(entry.force, openmm.ATMForce)
+    return not (is_known or _is_cheap(entry.force))
 
 
 def _stiffness_around(force: openmm.Force) -> np.ndarray:
@@ -275,17 +248,3 @@ def _charges(force: openmm.Force) -> np.ndarray:
         charges = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
     in_e = [charge.value_in_unit(unit.elementary_charge) if unit.is_quantity(charge) else charge for charge in charges]
     return np.array(in_e, dtype=float)
-
-
-def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
-    """Return the spin about the smallest moment of inertia; only fields turn a single molecule."""
-    moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
-    smallest = min(moments, default=math.inf)
-    if smallest == math.inf:
-        return None
-    groups = 0
-    for force in system.getForces():
-        kind = kind_of(force)
-        if kind.exerts_forces and (not is_alone or kind.acts_on == "particles"):
-            groups |= 1 << force.getForceGroup()
-    return Spin(smallest, bodies.describe_atoms(rigid[moments.index(smallest)].atoms[0]), groups)

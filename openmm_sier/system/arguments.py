@@ -40,8 +40,15 @@ def checked_bodies(bodies: Bodies) -> Bodies:
     Raises:
         TypeError: `bodies` is none of these, or a mask of booleans.
     """
-    if bodies is None or isinstance(bodies, BodySet):
-        return bodies
+    return bodies if bodies is None or isinstance(bodies, BodySet) else checked_clusters(bodies)
+
+
+def checked_clusters(bodies: Any) -> list[list[int]]:
+    """Return bodies as lists of integers.
+
+    Raises:
+        TypeError: `bodies` is something else, or a mask of booleans.
+    """
     try:
         clusters = [list(cluster) for cluster in bodies]
         lists = [[operator.index(i) for i in cluster] for cluster in clusters]

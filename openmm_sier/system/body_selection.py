@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import operator
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any
 
 from openmm import app
 
 from openmm_sier.dynamics.index_ranges import as_ranges
-from openmm_sier.system.residue_ranges import ResidueRanges
 
 #: Description of one or several bodies.
 Description = str | Sequence[int] | Sequence[Any] | Mapping[str, Any]
@@ -20,6 +19,11 @@ FORMS = (
     "residues, such as A:1-36 or A:1-36,50-60, or :1-36 in each chain; a chain, such as A: ; the name of a residue; or "
     "an MDTraj selection, such as 'name CA and resSeq 1 to 36' or 'index 0 to 35'"
 )
+
+#: A residue by number and insertion code, the first and last of a range, and ranges of a chain.
+_NUMBER = r"-?\d+[A-Za-z]?"
+_SPAN = re.compile(rf"({_NUMBER})(?:-({_NUMBER}))?")
+_RANGES = re.compile(rf"([^:\s]*):((?:{_NUMBER}(?:-{_NUMBER})?)(?:,{_NUMBER}(?:-{_NUMBER})?)*)?")
 
 
 @dataclass(frozen=True)
@@ -40,13 +44,7 @@ class SelectedBodies(Sequence[tuple[int, ...]]):
     def __len__(self) -> int:
         return len(self.atoms)
 
-    @overload
-    def __getitem__(self, index: int) -> tuple[int, ...]: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[tuple[int, ...], ...]: ...
-
-    def __getitem__(self, index: int | slice) -> Any:
+    def __getitem__(self, index: Any) -> Any:
         return self.atoms[index]
 
     def __str__(self) -> str:
@@ -69,8 +67,7 @@ def select_bodies(topology: app.Topology, description: Description) -> SelectedB
     A description is one of these strings:
 
     - `A:1-36` or `A:1-36,50-60`: residues of the chain A as one body, by the topology's numbers, both ends included.
-      `:1-36` is one body in each chain that has these residues, `A:` is a whole chain, and `A:1-36 B:4-9` is one body
-      of both.
+      `:1-36` is one body in each chain that has these residues, and `A:` is a whole chain.
     - the name of a residue: each residue of that name is one body.
     - anything else is an MDTraj selection, such as `name CA and resSeq 1 to 36`; MDTraj must be installed. The selected
       atoms of each chain are one body.
@@ -85,25 +82,21 @@ def select_bodies(topology: app.Topology, description: Description) -> SelectedB
         The bodies, in the order of their descriptions. Bodies with the same name are numbered.
 
     Raises:
-        ValueError: a string has none of these forms, or names a chain, residue or atom that the topology does not have;
-            a selection is empty; an atom is in two bodies; or MDTraj is not installed. The message quotes the string.
+        ValueError: a string has none of these forms, or names a chain or residue that the topology does not have; a
+            selection is empty; or MDTraj is not installed. The message quotes the string.
         TypeError: the topology or a description has the wrong type.
     """
     if not isinstance(topology, app.Topology):
         raise TypeError(f"topology must be an openmm.app.Topology, got a {type(topology).__name__}")
-    reader = _Reader(topology)
     atoms: list[tuple[int, ...]] = []
     names: list[str] = []
     for name, selection in _entries(description):
         is_text = isinstance(selection, str)
-        groups = reader.in_words(selection.strip()) if is_text else [reader.of_indices(name, selection)]
+        groups = _in_words(topology, selection.strip()) if is_text else [selection]
         for number, group in enumerate(groups, 1):
-            atoms.append(tuple(sorted(set(group))))
+            atoms.append(tuple(sorted(map(int, group))))
             body_name = name or (selection if is_text else f"atoms {as_ranges(group)}")
             names.append(body_name if len(groups) == 1 else f"{body_name} {number}")
-    if not atoms:
-        raise ValueError(f"the description contains no body: give {FORMS}")
-    _refuse_shared(atoms, names)
     return SelectedBodies(tuple(atoms), tuple(names))
 
 
@@ -121,68 +114,55 @@ def _entries(description: Any) -> list[tuple[str | None, Any]]:
     return [(None, item) for item in entries]
 
 
-def _refuse_shared(bodies: Sequence[tuple[int, ...]], names: Sequence[str]) -> None:
-    owner: dict[int, str] = {}
-    for atoms, name in zip(bodies, names, strict=True):
-        for atom in atoms:
-            if atom in owner:
-                raise ValueError(f"atom {atom} is in two bodies: {owner[atom]} and {name}")
-            owner[atom] = name
+def _in_words(topology: app.Topology, words: str) -> list[list[int]]:
+    """Return the atoms of each body that a string describes."""
+    residues = [residue for residue in topology.residues() if residue.name == words]
+    if residues:
+        return [[atom.index for atom in residue.atoms()] for residue in residues]
+    if match := _RANGES.fullmatch(words):
+        return _in_ranges(topology, match[1], _SPAN.findall(match[2] or ""))
+    return _selected(topology, words)
 
 
-class _Reader:
-    """Reader of descriptions for one topology."""
+def _in_ranges(topology: app.Topology, name: str, spans: Sequence[tuple[str, str]]) -> list[list[int]]:
+    """Return the atoms of ranges of residues in each chain of a name that has them all, or in any chain without a name.
 
-    def __init__(self, topology: app.Topology):
-        self._topology = topology
-        self._ranges = ResidueRanges(topology)
-        self._mdtraj: Any = None
+    Args:
+        topology: openmm.app.Topology.
+        name: of the chain; may be empty.
+        spans: first and last residue of each range; the last is empty for a single residue. Without any all residues.
+    """
+    bodies, extents = [], []
+    for chain in topology.chains():
+        residues = list(chain.residues())
+        numbers = [f"{residue.id.strip()}{residue.insertionCode.strip()}" for residue in residues]
+        extents.append(f"{chain.id.strip()}:{numbers[0]}-{numbers[-1]}")
+        ends = [(first, last or first) for first, last in spans]
+        if name not in ("", chain.id.strip()) or any(numbers.count(number) != 1 for pair in ends for number in pair):
+            continue
+        ranges = [residues[numbers.index(first) : numbers.index(last) + 1] for first, last in ends] or [residues]
+        bodies.append([atom.index for within in ranges for residue in within for atom in residue.atoms()])
+    if not bodies or not all(bodies):
+        raise ValueError(
+            f"no chain {name} has residues {', '.join(map('-'.join, spans))}, each once; there are {', '.join(extents)}"
+        )
+    return bodies
 
-    def of_indices(self, name: str | None, indices: Any) -> list[int]:
-        """Return the atoms of a list of indices."""
-        of = "" if name is None else f" of {name}"
-        try:
-            atoms = [operator.index(i) for i in indices]
-        except TypeError:
-            raise TypeError(
-                f"the particles{of} must be whole numbers, or words such as {FORMS}; got {indices!r}"
-            ) from None
-        if any(isinstance(i, bool) for i in indices):
-            raise TypeError(f"the particles{of} must be particle indices, got a mask of True and False")
-        if not atoms:
-            raise ValueError(f"the list of particles{of} is empty")
-        if len(set(atoms)) < len(atoms):
-            twice = next(i for i in atoms if atoms.count(i) > 1)
-            raise ValueError(f"the particles{of} must be different ones, got {twice} twice")
-        last = self._topology.getNumAtoms() - 1
-        if outside := [i for i in atoms if not 0 <= i <= last]:
-            raise ValueError(f"the particles{of} must be from 0 to {last}, got {outside[0]}")
-        return atoms
 
-    def in_words(self, words: str) -> list[list[int]]:
-        """Return the atoms of each body that a string describes."""
-        residues = [residue for residue in self._topology.residues() if residue.name == words]
-        if residues:
-            return [[atom.index for atom in residue.atoms()] for residue in residues]
-        if self._ranges.are_ranges(words):
-            return self._ranges.atoms(words)
-        return self._selected(words)
-
-    def _selected(self, words: str) -> list[list[int]]:
-        """Return the atoms of an MDTraj selection, chain by chain."""
-        try:
-            import mdtraj
-        except ImportError:
-            raise ValueError(
-                f"{words!r} is an MDTraj selection, but MDTraj is not installed: pip install mdtraj; or give {FORMS}"
-            ) from None
-        if self._mdtraj is None:
-            self._mdtraj = mdtraj.Topology.from_openmm(self._topology)
-        try:
-            selected = set(self._mdtraj.select(words).tolist())
-        # Its parser raises errors of many classes.
-        except Exception:
-            raise ValueError(f"{words!r} describes no body: give {FORMS}") from None
-        if not selected:
-            raise ValueError(f"{words!r} selects no atoms of the topology")
-        return self._ranges.by_chain(selected)
+def _selected(topology: app.Topology, words: str) -> list[list[int]]:
+    """Return the atoms of an MDTraj selection, chain by chain."""
+    try:
+        import mdtraj
+    except ImportError:
+        raise ValueError(
+            f"{words!r} is an MDTraj selection, but MDTraj is not installed: pip install mdtraj; or give {FORMS}"
+        ) from None
+    try:
+        atoms = set(mdtraj.Topology.from_openmm(topology).select(words).tolist())
+    # Its parser raises errors of many classes.
+    except Exception:
+        raise ValueError(f"{words!r} describes no body: give {FORMS}") from None
+    if not atoms:
+        raise ValueError(f"{words!r} selects no atoms of the topology")
+    in_chains = ([atom.index for atom in chain.atoms() if atom.index in atoms] for chain in topology.chains())
+    return [group for group in in_chains if group]

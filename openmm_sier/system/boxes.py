@@ -22,16 +22,6 @@ def wrapped(points: np.ndarray, box: np.ndarray, rounded: Callable = np.floor) -
     return moved
 
 
-def widths(box: np.ndarray) -> np.ndarray:
-    """Return the distances between opposite faces of a box, (3,), nm.
-
-    Args:
-        box: box vectors as rows, (3, 3), nm.
-    """
-    faces = np.cross(np.roll(box, -1, axis=0), np.roll(box, -2, axis=0))
-    return np.abs(np.linalg.det(box)) / np.linalg.norm(faces, axis=1)
-
-
 def reduced(box: np.ndarray) -> np.ndarray:
     """Return box vectors in OpenMM's reduced form, in which shifts by half an edge are negative, (3, 3), nm.
 

@@ -11,7 +11,6 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.solver_test import LINE_REMEDY
 from openmm_sier.system.user_warnings import warn
 
 
@@ -51,12 +50,11 @@ def refuse_drude_particles(system: openmm.System) -> None:
             )
 
 
-def refuse_impossible_numbers(system: openmm.System) -> None:
-    """Refuse impossible masses and constraints, which OpenMM accepts.
+def refuse_impossible_masses(system: openmm.System) -> None:
+    """Refuse impossible masses, which OpenMM accepts.
 
     Raises:
-        openmm.OpenMMException: a mass is negative or not finite; a constraint has a length that is not positive or not
-            finite, or does not join two particles of the System.
+        openmm.OpenMMException: a mass is negative or not finite.
     """
     masses = tables.masses(system)
     if (wrong := ~(np.isfinite(masses) & (masses >= 0))).any():
@@ -64,19 +62,6 @@ def refuse_impossible_numbers(system: openmm.System) -> None:
         raise openmm.OpenMMException(
             f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
             "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
-        )
-    rows = tables.constraint_rows(system)
-    ends = rows[:, :2]
-    is_particle = (ends >= 0) & (ends < len(masses))
-    if (wrong := ~is_particle.all(axis=1) | (ends[:, 0] == ends[:, 1])).any():
-        i, j = ends[wrong.argmax()].tolist()
-        raise openmm.OpenMMException(
-            f"A constraint joins particles {i:.0f} and {j:.0f}: they must be two different particles of {len(masses)}"
-        )
-    if (wrong := ~((rows[:, 2] > 0) & (rows[:, 2] < math.inf))).any():
-        i, j, length = rows[wrong.argmax()].tolist()
-        raise openmm.OpenMMException(
-            f"The constraint of particles {i:.0f} and {j:.0f} has a length of {length:g} nm: it must be positive"
         )
 
 
@@ -137,16 +122,6 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
             )
 
 
-def warn_about_moving_frozen_atoms(system: openmm.System) -> None:
-    """Warn if a barostat of OpenMM will move the frozen atoms of a System."""
-    if barostats(system) and (frozen := tables.frozen_atoms(system)).size:
-        warn(
-            f"{type(barostats(system)[0]).__name__} moves all molecules with the box, including frozen atoms (mass 0, "
-            f"such as atom {frozen[0]}), and counts frozen molecules among those that share the heat. To hold atoms in "
-            "place at constant pressure, restrain them by forces"
-        )
-
-
 def warn_about_other_temperatures(context: openmm.Context, temperature: float) -> bool:
     """Warn if the temperature of a barostat or thermostat of OpenMM differs from that of a heat bath, in K.
 
@@ -165,35 +140,6 @@ def warn_about_other_temperatures(context: openmm.Context, temperature: float) -
                 f"{temperature:g})"
             )
     return others
-
-
-def is_line(masses: np.ndarray, places: np.ndarray) -> bool:
-    """Return whether atoms at places (k, 3) are within `RESOLUTION` of the axis of the smallest moment of inertia."""
-    arms = places - masses @ places / masses.sum()
-    _, axes = np.linalg.eigh(np.einsum("k,kx,ky->xy", masses, arms, arms))
-    return bool(np.linalg.norm(arms @ axes[:, :2], axis=1).max() <= RESOLUTION)
-
-
-def refuse_constrained_lines(system: openmm.System, bodies: BodySet) -> None:
-    """Refuse fully constrained rigid bodies of three or more atoms on a line, within `RESOLUTION`.
-
-    OpenMM's constraint solvers divide by zero for them: minimization, `applyConstraints` and
-    `setVelocitiesToTemperature` give NaN. Bodies that are not quite lines would spin about their axes by several
-    radians in a usual step, and their constraints differ from those of a line by less than the resolution of force
-    fields.
-
-    Raises:
-        RigidityError: such a body exists; the message names the first.
-    """
-    for species in bodies.species:
-        if species.atoms.shape[1] < 3 or not is_line(species.masses, species.sites.T):
-            continue
-        for row in species.atoms[tables.constraints(system).hold(species.atoms)]:
-            raise RigidityError(
-                f"{bodies.describe_atoms(row)}: these atoms lie on a line (within {RESOLUTION:g} nm), and all pairs of "
-                "them are constrained. OpenMM cannot solve such constraints and sets the positions to NaN. "
-                f"{LINE_REMEDY}"
-            )
 
 
 def warn_about_misfit(bodies: BodySet, misfit: np.ndarray) -> bool:

@@ -12,16 +12,17 @@ from openmm import app, unit
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import harmonic_bonds
-from openmm_sier.system.boxes import widths, wrapped
+from openmm_sier.system.boxes import wrapped
 from openmm_sier.system.inner_forces import all_forces
 
 #: Energy in kJ/mol above which a stretched bond counts as broken; bonds dissociate at 400.
 BREAKING = 1000.0
 
 #: Excess length in nm above which a constraint counts as broken: a bond to hydrogen would have more energy than
-#: `BREAKING`. Gaps that differ by less than this do not decide between two places for the boundary.
+#: `BREAKING`.
 STRETCH = 0.1
 
 #: Maximum length in nm of a bond whose length no force field gives; bonds of iodine and heavy metals have 0.3.
@@ -86,16 +87,6 @@ class Bonds(NamedTuple):
         return cls.merged(*kinds)
 
     @classmethod
-    def without_strength(cls, system: openmm.System) -> Bonds:
-        """Return harmonic bonds of zero strength, which OpenMM uses to find molecules; their lengths may be wrong."""
-        kinds = [cls.of_pairs([])]
-        for force in _harmonic_bond_forces(system):
-            pairs, lengths, strengths = harmonic_bonds(force)
-            idle = strengths <= 0
-            kinds.append(cls.of_pairs(pairs[idle], lengths[idle], lengths[idle] + STRETCH))
-        return cls.merged(*kinds)
-
-    @classmethod
     def merged(cls, *kinds: Bonds) -> Bonds:
         """Return the bonds of several kinds. Of two bonds between the same atoms the first one is kept."""
         pairs, *others = map(np.concatenate, zip(*kinds, strict=True))
@@ -134,38 +125,25 @@ def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np
     """
     if box is None or not (cut := bonds.measured(positions, box) > bonds.longest).any():
         return positions
-    parents, numbers = _tree(bonds, len(positions))
-    atoms = np.flatnonzero(numbers >= 0)
-    atoms = atoms[cut[numbers[atoms]]]
-    arms = positions[atoms] - positions[parents[atoms]]
-    shifts = np.zeros((len(parents), 3))
-    shifts[atoms] = wrapped(arms, box, np.round) - arms
-    # Sums along the path to the root, over twice as many bonds in each pass.
-    while (parents != len(positions)).any():
-        shifts += shifts[parents]
-        parents = parents[parents]
-    return positions + shifts[:-1]
-
-
-def _tree(bonds: Bonds, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parent of each of n particles in a tree of bonds, and the index of the bond to the parent.
-
-    The first particle of each molecule has the parent n and no bond (-1), and so has particle n itself. Short bonds
-    take precedence over long ones: bonds must decide before a restraint between two molecules.
-    """
     from scipy import sparse
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-    ends = bonds.pairs.T
-    forest = minimum_spanning_tree(sparse.coo_array((bonds.longest, ends), (n + 1, n + 1)).tocsr()).tocoo()
+    n = len(positions)
+    # Short bonds take precedence over long ones: bonds must decide before a restraint between two molecules.
+    tree = minimum_spanning_tree(sparse.coo_array((bonds.longest, bonds.pairs.T), (n, n)).tocsr()).tocoo()
+    # One more node, n, is joined to the first particle of each molecule.
     first = np.unique(joined(n, bonds.pairs))
-    rows = np.concatenate([forest.row, np.full(len(first), n)]), np.concatenate([forest.col, first])
-    rooted = sparse.coo_array((np.ones(len(rows[0])), rows), (n + 1, n + 1)).tocsr()
-    _, parents = breadth_first_order(rooted, n, directed=False)
-    parents[n] = n
-    bond_numbers = dict(zip(map(tuple, bonds.pairs.tolist()), range(len(bonds.pairs)), strict=True))
-    numbers = [bond_numbers.get((min(i, parent), max(i, parent)), -1) for i, parent in enumerate(parents.tolist())]
-    return parents, np.array(numbers)
+    ends = np.concatenate([tree.row, np.full(len(first), n)]), np.concatenate([tree.col, first])
+    rooted = sparse.coo_array((np.ones(len(ends[0])), ends), (n + 1, n + 1)).tocsr()
+    order, parents = breadth_first_order(rooted, n, directed=False)
+    cut_pairs = set(map(tuple, bonds.pairs[cut].tolist()))
+    shifts = np.zeros((n + 1, 3))
+    for atom, parent in zip(order[1:].tolist(), parents[order[1:]].tolist(), strict=True):
+        shifts[atom] = shifts[parent]
+        if (min(atom, parent), max(atom, parent)) in cut_pairs:
+            arm = positions[[atom]] - positions[parent]
+            shifts[atom] += (wrapped(arm, box, np.round) - arm)[0]
+    return positions + shifts[:-1]
 
 
 def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, topology: app.Topology | None) -> None:
@@ -186,26 +164,23 @@ def refuse_broken(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None, t
         atoms = list(topology.atoms())
         one, two = (atoms[i] for i in bonds.pairs[worst])
         names = " and ".join(f"{atom.name} of {atom.residue.name} {atom.residue.id}" for atom in (one, two))
-    images = "" if box is None else ", at the nearest images"
-    wrong_box = "has a box cut them that the System lacks" if box is None else "is the box that of another system"
+    cause = "has a box cut them that the System lacks" if box is None else "is the box that of another system"
+    if by_topology:
+        cause = f"is the bond left from another file (a record CONECT), or {cause}"
     count = f" ({len(broken)} bonds are too long)" if len(broken) > 1 else ""
-    stale = ", is the bond left from another file (a record CONECT)" if by_topology else ""
     raise RigidityError(
-        f"a molecule is broken: {names} {expected}, but are {lengths[worst]:.4g} nm apart{images}{count}. Is an atom "
-        f"misplaced, are residues missing between the two{stale}, or {wrong_box}?"
+        f"a molecule is broken: {names} {expected}, but are {lengths[worst]:.4g} nm apart{count}. Is an atom "
+        f"misplaced, are residues missing between the two, or {cause}?"
     )
 
 
-# --- bodies and groups without bonds ----------------------------------------------------------------------------------
+# --- bodies without bonds ----------------------------------------------------------------------------------
 
 
 class Wholeness:
     """Rules by which molecules and bodies of a System are made whole.
 
-    Bonded atoms are next to each other. Atoms that belong together without such bonds, in a rigid body or by bonds of
-    zero strength, are on one side of the widest gap between them along each edge of the box. So a body without bonds
-    that is longer than half the box is whole as long as its inner gaps are narrower than the gap around it. A bond of
-    zero strength, with the length of the gap, bridges a wider one.
+    Bonded atoms are next to each other, and atoms of a body that no bonds join at the images nearest to its first atom.
 
     Attributes:
         bonds: bonds of the System and of the topology.
@@ -218,7 +193,6 @@ class Wholeness:
         self.bonds = Bonds.of_system(system)
         if topology is not None:
             self.bonds = Bonds.merged(self.bonds, Bonds.of_topology(topology))
-        self._idle = Bonds.without_strength(system)
         vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
         self.box = np.array(vectors) if system.usesPeriodicBoundaryConditions() else None
 
@@ -228,21 +202,16 @@ class Wholeness:
         Args:
             positions: (N, 3), nm.
             clusters: particle indices of each body.
+
+        Raises:
+            RigidityError: a body that no bonds join is longer than half the box.
         """
         if self.box is None:
             return positions
         # In a body the nearest images of two atoms are not enough.
         bonds = self.bonds._replace(periodic=self.bonds.periodic & (len(clusters) == 0))
         x = joined_by(bonds, positions, self.box)
-        agree = np.abs(self._idle.measured(x, None) - self._idle.lengths) <= STRETCH
-        pairs = np.concatenate([self.bonds.pairs, self._idle.pairs[agree]])
-        if len(clusters):
-            x = _gathered(clusters, joined(len(x), pairs), x, self.box)
-            pairs = np.concatenate([pairs, *(np.column_stack([each[:-1], each[1:]]) for each in clusters)])
-        if not len(self._idle.pairs):
-            return x
-        fragment = joined(len(x), pairs)
-        return _gathered(_groups(fragment, self._idle.pairs), fragment, x, self.box)
+        return _gathered(clusters, joined(len(x), self.bonds.pairs), x, self.box)
 
     def refuse_cut(self, positions: np.ndarray, clusters: np.ndarray, describe: Callable[[Any], str]) -> None:
         """Refuse positions at which a body is not whole, since they would become its shape.
@@ -265,8 +234,7 @@ class Wholeness:
         raise RigidityError(
             f"the periodic boundary cuts {describe(worst)}: it extends over {extent:.3g} nm at these positions, but "
             f"over {whole_extent:.3g} nm when it is whole. Take positions = make_whole(system, positions, topology, "
-            "bodies). If the body is longer than half the box and has a gap as wide, add a bond of the gap's length "
-            "and zero strength (HarmonicBondForce)"
+            "bodies)"
         )
 
     def _within(self, clusters: np.ndarray) -> Bonds:
@@ -277,60 +245,39 @@ class Wholeness:
         return self.bonds.selected((ends[:, 0] == ends[:, 1]) & (ends[:, 0] >= 0) & ~np.isnan(self.bonds.lengths))
 
 
-def _groups(fragment: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
-    """Return the atoms of each group of fragments joined by pairs; `fragment` has a number for each atom, (N,)."""
-    to_fragment = np.column_stack([np.arange(len(fragment)), fragment])
-    group = joined(len(fragment), np.concatenate([fragment[pairs], to_fragment]))
-    numbers = np.unique(group[pairs[fragment[pairs[:, 0]] != fragment[pairs[:, 1]]]])
-    return [np.flatnonzero(group == number) for number in numbers.tolist()]
-
-
 def _gathered(
     clusters: Sequence[Any] | np.ndarray, fragment: np.ndarray, positions: np.ndarray, box: np.ndarray
 ) -> np.ndarray:
-    """Return positions at which the fragments of each cluster are on one side of its widest gaps, (N, 3), nm.
+    """Return positions at which the fragments of each cluster are nearest to its first atom, (N, 3), nm.
 
     Args:
         clusters: particle indices of each cluster.
         fragment: number of the fragment of each atom, which bonds join, (N,).
         positions: (N, 3), nm.
         box: box vectors as rows, (3, 3), nm.
+
+    Raises:
+        RigidityError: a cluster of several fragments is longer than half the box.
     """
-    divided = [atoms for cluster in clusters if (fragment[(atoms := np.asarray(cluster))] != fragment[atoms[0]]).any()]
-    x, inverse, narrow = positions, np.linalg.inv(box), STRETCH / widths(box)
-    # Clusters that share a fragment move it in turn.
-    for _ in divided:
-        before = x
-        for atoms in divided:
-            fractions = x[atoms] @ inverse
-            if np.ptp(fractions, axis=0).max() < 0.5:
-                continue
-            _, first, number = np.unique(fragment[atoms], return_index=True, return_inverse=True)
-            periods = np.column_stack(list(map(_periods, fractions.T, narrow)))[first]
-            periods -= periods[number[0]]
-            for fragment_number, shift in zip(fragment[atoms[first]].tolist(), periods, strict=True):
-                if shift.any():
-                    x = x + np.where((fragment == fragment_number)[:, None], shift @ box, 0.0)
-        if x is before:
-            break
+    x, fragment, inverse = positions.copy(), fragment.copy(), np.linalg.inv(box)
+    for cluster in clusters:
+        atoms = np.asarray(cluster)
+        numbers, first = np.unique(fragment[atoms], return_index=True)
+        if len(numbers) == 1:
+            continue
+        arms = x[atoms[first]] - x[atoms[0]]
+        shifts = wrapped(arms, box, np.round) - arms
+        for number, shift in zip(numbers.tolist(), shifts, strict=True):
+            if shift.any():
+                x[fragment == number] += shift
+        if np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
+            raise RigidityError(
+                f"the body of atoms {as_ranges(atoms)} is longer than half the box, and no bonds join its atoms, so "
+                "that nobody knows whether the periodic boundary cuts it: join them by bonds (HarmonicBondForce)"
+            )
+        # Bodies that share a fragment move together from here on.
+        fragment[np.isin(fragment, numbers)] = numbers[0]
     return x
-
-
-def _periods(fractions: np.ndarray, narrow: float) -> np.ndarray:
-    """Return the periods by which points move to the same side of their widest gap, (k,).
-
-    Args:
-        fractions: positions of the points as fractions of the edge of the box, (k,).
-        narrow: fraction of the edge by which the gap must exceed the present one around the points.
-    """
-    on_circle = fractions % 1.0
-    ordered = np.sort(on_circle)
-    gaps = np.diff(ordered, append=ordered[0] + 1)
-    widest = int(gaps.argmax())
-    if gaps[widest] <= 1 - np.ptp(fractions) + narrow:
-        return np.zeros(len(fractions))
-    start = ordered[(widest + 1) % len(ordered)]
-    return np.round(on_circle + (on_circle < start) - fractions)
 
 
 # --- molecules that are cut -------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations
 from typing import TypeVar
 
@@ -15,16 +15,12 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Positions, checked_positions, checked_system
+from openmm_sier.system.arguments import Positions, checked_clusters, checked_positions, checked_system
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.geometries import Cluster, Kind, Lengths, Sharing
+from openmm_sier.system.geometries import Cluster, Kind, Lengths
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.user_warnings import warn
-
-#: The value of `rigid` that makes each heavy atom and its hydrogens one body.
-HYDROGEN_GROUPS = "heavy atoms with hydrogens"
 
 #: Maximum length of covalent bonds, nm: those of iodine and heavy metals.
 LONGEST_COVALENT = 0.3
@@ -32,7 +28,7 @@ LONGEST_COVALENT = 0.3
 Linked = TypeVar("Linked", bound=dynamics.BodySet)
 
 #: Values of the argument `rigid`.
-Rigid = Sequence[Sequence[int]] | Mapping[str, str] | str | None
+Rigid = Sequence[Sequence[int]] | None
 
 
 class UnknownShapeError(RigidityError):
@@ -68,24 +64,22 @@ class RigidBodies(dynamics.BodySet):
         >>> integrator = SIERIntegrator(4*femtoseconds, bodies=named)
 
         Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
-        geometry. A warning is issued if they differ by more than the rounding of a PDB file.
+        geometry.
 
         Args:
             system: the System.
-            topology: the topology, for residue names in messages, and for some choices of `rigid`.
-            rigid: rigid bodies in addition to those defined by constraints: lists of particle indices, as returned by
-                `select_bodies`; or a mapping {residue name: "rigid"}; or "heavy atoms with hydrogens", which makes each
-                heavy atom and the hydrogens bonded to it one body. The last fixes bonds to hydrogen and H-X-H angles,
-                and leaves all torsions free.
+            topology: the topology, for residue names in messages.
+            rigid: lists of particle indices, as returned by `select_bodies`, of rigid bodies in addition to those
+                defined by constraints.
             positions: (N, 3), nm or a Quantity, with the shapes of the bodies in `rigid`.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
                 body contains a massless particle that is not a virtual site, required positions are missing, or the
                 periodic boundary cuts a body that takes its shape from the positions.
-            ValueError: `rigid` names nonexistent particles or residues, or a particle twice; it contains an empty list;
-                it requires the topology; or positions have the wrong shape.
-            TypeError: `system` is not an openmm.System.
+            ValueError: `rigid` names nonexistent particles, or a particle twice; it has an empty list; or positions
+                have the wrong shape.
+            TypeError: `system` is not an openmm.System, or `rigid` contains anything but lists of particle indices.
         """
         n = checked_system(system).getNumParticles()
         coordinates = None if positions is None else checked_positions(positions, n)
@@ -109,7 +103,7 @@ class BodyPlan:
         self._masses = tables.masses(system)
         self._links = Links(system)
         lengths = self._links.constraints.by_pair()
-        named = self._checked(_named(topology, rigid, lengths, self._links), system)
+        named = self._checked(rigid, system)
         self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
         self._wholeness = Wholeness(system, topology) if self.needs_positions else None
 
@@ -141,41 +135,23 @@ class BodyPlan:
                 )
             positions = np.empty((0, 3))
         species: list[Species] = []
-        shared = [Sharing(kind.clusters, kind.deviations) for kind in self.kinds if kind.model is not None]
         for kind in self.kinds:
             if kind.needs_positions:
                 self._demand_extent(kind, positions)
             if kind.model is None:
-                fitted, sharing = geometries.from_positions(kind, positions, self._describe)
-                species += fitted
-                shared += sharing
+                species += geometries.from_positions(kind, positions, self._describe)
             elif kind.needs_positions:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        self._warn_about_averages(shared)
         return self._links.link(RigidBodies(species, self._n, self._labels))
-
-    def _warn_about_averages(self, shared: list[Sharing]) -> None:
-        shared = [sharing for sharing in shared if sharing.deviations.max() > geometries.ROUNDING]
-        if not shared:
-            return
-        first = max(shared, key=lambda sharing: sharing.deviations.max())
-        others = sum(len(sharing.clusters) for sharing in shared) - len(first.clusters)
-        rest = f". {others} bodies of {len(shared) - 1} more kinds get averages too, and differ less" if others else ""
-        warn(
-            f"{len(first.clusters)} bodies like {self._describe(first.clusters[0])} get one shape, their average. They "
-            f"differ from the average by up to {first.deviations.max():.1g} nm (most: "
-            f"{self._describe(first.clusters[first.deviations.argmax()])}){rest}"
-        )
 
     # --- which particles ---
 
-    def _checked(self, groups: Iterable[Iterable[int]], system: openmm.System) -> list[Cluster]:
+    def _checked(self, rigid: Rigid, system: openmm.System) -> list[Cluster]:
         """Return named bodies without virtual sites, and without bodies that are frozen entirely."""
         clusters: list[Cluster] = []
-        for number, indices in enumerate(groups):
-            particles = [int(i) for i in indices]
+        for number, particles in enumerate(checked_clusters([] if rigid is None else rigid)):
             if not particles:
                 raise ValueError(f"each body must have particles, but the list of body {number} is empty")
             if outside := [i for i in particles if not 0 <= i < self._n]:
@@ -240,51 +216,6 @@ def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamic
         RigidityError: see `RigidBodies.from_system` and `linked`.
     """
     return BodyPlan(system).bodies() if bodies is None else linked(system, bodies)
-
-
-# --- named bodies -----------------------------------------------------------------------------------------------------
-
-
-def _named(
-    topology: openmm.app.Topology | None, rigid: Rigid, lengths: Lengths, links: Links
-) -> Iterable[Iterable[int]]:
-    if rigid is None:
-        return []
-    if not isinstance(rigid, str | Mapping) and not any(isinstance(entry, str) for entry in rigid):
-        return rigid
-    values, keyword = (rigid.values(), "rigid") if isinstance(rigid, Mapping) else ([rigid], HYDROGEN_GROUPS)
-    if any(value != keyword for value in values):
-        raise ValueError(
-            "rigid must be lists of particle indices, a mapping {'residue name': 'rigid'} or "
-            f'"{HYDROGEN_GROUPS}", got {rigid!r}'
-        )
-    if topology is None:
-        raise ValueError("named bodies require a topology: RigidBodies.from_system(system, topology, rigid)")
-    if isinstance(rigid, str):
-        return _hydrogen_groups(topology, _constrained_clusters(lengths, links))
-    if missing := [name for name in rigid if name not in {residue.name for residue in topology.residues()}]:
-        raise ValueError(f"the topology has no residue named {missing[0]}")
-    return [[atom.index for atom in residue.atoms()] for residue in topology.residues() if residue.name in rigid]
-
-
-def _hydrogen_groups(topology: openmm.app.Topology, clusters: Iterable[tuple[Cluster, bool]]) -> list[list[int]]:
-    """Return each heavy atom with its hydrogens, except in molecules that constraints make rigid already."""
-    molecule = {i: cluster[0] for cluster, rigid in clusters if rigid for i in cluster}
-    groups: dict[int, list[int]] = {}
-    grouped: set[int] = set()
-    for bond in topology.bonds():
-        heavy, light = sorted(bond, key=lambda atom: atom.element is not None and atom.element.symbol == "H")
-        is_hydrogen = light.element is not None and light.element.symbol == "H"
-        if not is_hydrogen or heavy.element is None or heavy.element.symbol == "H" or light.index in grouped:
-            continue
-        groups.setdefault(heavy.index, [heavy.index]).append(light.index)
-        grouped.add(light.index)
-    if not groups:
-        raise ValueError(
-            f'"{HYDROGEN_GROUPS}" requires bonds between hydrogens and heavy atoms, but none of the '
-            f"{topology.getNumBonds()} bonds of the topology is one: add them to the topology"
-        )
-    return [sorted(group) for group in groups.values() if len({molecule.get(i, -i - 1) for i in group}) > 1]
 
 
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:

@@ -28,26 +28,10 @@ LENGTH_TOLERANCE = 3.5e-4
 #: of a torsion by 10 degrees moves one by 0.017 nm and makes another geometry.
 SHARING_TOLERANCE = 0.01
 
-#: Deviation in nm of positions and lengths up to which rounding by a PDB file explains it, without a warning:
-#: sqrt(3) 1e-4.
-ROUNDING = 1.74e-4
-
 Cluster = tuple[int, ...]
 
 #: Constraint lengths in nm by pairs of particles, the smaller first.
 Lengths = dict[tuple[int, int], float]
-
-
-class Sharing(NamedTuple):
-    """Bodies that share a geometry, and their deviations from it.
-
-    Attributes:
-        clusters: particle indices of each body, (m, k).
-        deviations: largest deviation of each body, (m,), nm.
-    """
-
-    clusters: np.ndarray
-    deviations: np.ndarray
 
 
 class Kind(NamedTuple):
@@ -58,7 +42,6 @@ class Kind(NamedTuple):
         clusters: particle indices of each body, (m, k).
         pairs: constrained pairs of atoms, by their indices in the cluster.
         lengths: lengths of the pairs, nm; means over the clusters.
-        deviations: largest deviation of the lengths of each body from the mean, (m,), nm.
         model: the bodies with the geometry defined by constraints; None if constraints do not define one.
     """
 
@@ -66,13 +49,12 @@ class Kind(NamedTuple):
     clusters: np.ndarray
     pairs: tuple[tuple[int, int], ...]
     lengths: np.ndarray
-    deviations: np.ndarray
     model: Species | None = None
 
     @property
     def needs_positions(self) -> bool:
-        """Whether positions must decide the geometry, or between two mirror images."""
-        return self.model is None or self.model.mirror_distance > 0
+        """Whether positions must decide the geometry, or between two mirror images of one that is not flat."""
+        return self.model is None or bool(self.model.sites.any(axis=1).all())
 
 
 def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
@@ -101,8 +83,7 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
             near = np.abs(table - table[0]).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE
             # The mean of equal lengths may differ from them by rounding.
             mean = table[0] if (table[near] == table[0]).all() else table[near].mean(axis=0)
-            deviations = np.abs(table[near] - mean).max(axis=1, initial=0.0)
-            kind = Kind(np.array(kind_masses), clusters_left[near], pairs, mean, deviations)
+            kind = Kind(np.array(kind_masses), clusters_left[near], pairs, mean)
             complete = len(pairs) == len(kind_masses) * (len(kind_masses) - 1) // 2
             sorted_kinds.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
             clusters_left, table = clusters_left[~near], table[~near]
@@ -121,8 +102,7 @@ def _embedded(kind: Kind, describe: Callable) -> Species:
             f"lengths {', '.join(f'{d:.4f}' for d in kind.lengths)} nm; the nearest one is off by {excess:.4f} nm. "
             "Correct these lengths, or remove some of the constraints"
         )
-    resolution = RESOLUTION if kind.deviations.any() else 0.0
-    return Species.from_coordinates(kind.clusters, kind.masses, coordinates, resolution)
+    return Species.from_coordinates(kind.clusters, kind.masses, coordinates, RESOLUTION)
 
 
 def embed(k: int, distances: np.ndarray) -> tuple[np.ndarray, float]:
@@ -156,7 +136,7 @@ def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
 # --- from positions ---------------------------------------------------------------------------------------------------
 
 
-def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tuple[list[Species], list[Sharing]]:
+def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> list[Species]:
     """Return bodies with geometries from positions (N, 3) in nm, as few geometries as `SHARING_TOLERANCE` allows.
 
     A geometry is the mean over the superimposed bodies that share it, and satisfies their constraints.
@@ -164,19 +144,17 @@ def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> tup
     Raises:
         RigidityError: constraints inside a body contradict each other.
     """
-    species, sharing, clusters = [], [], kind.clusters
+    species, clusters = [], kind.clusters
     while len(clusters):
         arms = _arms(kind.masses, positions[clusters])
-        model, misfit, near = _superimposed(kind, arms, describe)
-        if near.sum() > 1:
-            sharing.append(Sharing(clusters[near], misfit[near]))
+        model, near = _superimposed(kind, arms, describe)
         species.append(model.of_atoms(clusters[near]))
         clusters = clusters[~near]
-    return species, sharing
+    return species
 
 
-def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray, np.ndarray]:
-    """Return the mean geometry around the first body, the misfit of every body, (m,), and which share it, (m,)."""
+def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray]:
+    """Return the mean geometry around the first body, and which bodies share it, (m,)."""
     shape = arms[0]
     # The first body may be as far from the mean as any other, so bodies near the mean need not be near the first.
     # Superposing bodies on a mean again changes it only in second order of their deviations.
@@ -196,7 +174,7 @@ def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Spe
         if near.sum() == 1:
             break
         shape = np.einsum("axm,mkx->ka", attitudes[:, :, near], arms[near]) / near.sum()
-    return model, misfit, near
+    return model, near
 
 
 def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:

@@ -25,9 +25,8 @@ def make_whole(
     >>> whole = make_whole(system, positions, topology)
 
     If a bond or constraint is far too long, box vectors bring its atoms next to each other, together with the atoms
-    bonded to them. Whole molecules keep their positions bit for bit. If no bonds join the atoms of a body, the widest
-    gap between them along each edge of the box is taken to be the space around the body; likewise for molecules joined
-    only by bonds of zero strength.
+    bonded to them. Whole molecules keep their positions bit for bit. Atoms of a body that no bonds join are brought to
+    the images nearest to its first atom.
 
     Args:
         system: the System, with the periodic box, if any, as its default.
@@ -43,7 +42,8 @@ def make_whole(
     Raises:
         ValueError: a bond is broken even between the nearest images of its atoms: its energy exceeds 1000 kJ/mol, a
             constraint is 0.1 nm too long, or a bond known only from the topology is longer than 0.4 nm. The message
-            names the longest. Or `bodies` are refused, see `RigidBodies.from_system`.
+            names the longest. Or a body that no bonds join is longer than half the box, or `bodies` are refused, see
+            `RigidBodies.from_system`.
     """
     x = checked_positions(positions, checked_system(system).getNumParticles())
     wholeness = Wholeness(system, topology)

@@ -15,7 +15,6 @@ from openmm import unit
 
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.second_context import reference_context
 
 #: Standard deviation in nm of random displacements that solvers have to undo; a step of some fs moves hydrogens this
@@ -31,12 +30,6 @@ NOT_THERE = 0.01
 
 #: Maximum number of atoms named in a message.
 NAMED = 8
-
-#: Remedy for constraints on a line, for messages.
-LINE_REMEDY = (
-    "Give the mass to the two outer atoms and make the others virtual sites; or remove these constraints and name the "
-    "atoms in `bodies`"
-)
 
 
 def may_not_converge(system: openmm.System) -> bool:
@@ -60,7 +53,7 @@ def may_not_converge(system: openmm.System) -> bool:
 
 
 class SolverTest:
-    """Trial of the constraints of a System that form rings; OpenMM can always solve trees, such as HBonds."""
+    """Trial of the constraints of a System."""
 
     def __init__(self, system: openmm.System):
         """
@@ -70,18 +63,10 @@ class SolverTest:
         Raises:
             RigidityError: see `tables.constraints`.
         """
-        masses, (pairs, lengths) = tables.masses(system), tables.constraints(system)
-        atom_component = joined(len(masses), pairs)
-        component = atom_component[pairs[:, 0]]
-        sizes = np.bincount(atom_component, minlength=len(masses))
-        is_ring = (np.bincount(component, minlength=len(masses)) >= sizes)[component]
         self._system = system
-        self._atoms, numbers = np.unique(pairs[is_ring], return_inverse=True)
-        self._masses = masses[self._atoms]
-        self._pairs = numbers.reshape(-1, 2)
-        self._lengths = lengths[is_ring]
-        self._component = joined(len(self._atoms), self._pairs)
-        self._is_tried = not len(self._atoms)
+        self._masses = tables.masses(system)
+        self._pairs, self._lengths = tables.constraints(system)
+        self._is_tried = not len(self._pairs)
         self._unsolved: tuple[int, ...] = ()
 
     def unsolved(self, positions: Callable[[], np.ndarray]) -> tuple[int, ...]:
@@ -92,7 +77,7 @@ class SolverTest:
                 the trial is postponed to the next call.
         """
         if not self._is_tried:
-            places = positions()[self._atoms]
+            places = positions()
             if self._errors(places).max() <= NOT_THERE:
                 self._unsolved = self._tried(places)
                 self._is_tried = True
@@ -108,7 +93,7 @@ class SolverTest:
             names = ", ".join(map(str, atoms[:NAMED])) + (", …" if len(atoms) > NAMED else "")
             raise openmm.OpenMMException(
                 f"OpenMM cannot satisfy the constraints of atoms {names}. Take a SIER integrator with engine='exact', "
-                f"which any platform runs. If the atoms lie on a line, no engine can: {LINE_REMEDY}"
+                "which any platform runs"
             )
 
     def _errors(self, places: np.ndarray) -> np.ndarray:
@@ -130,32 +115,28 @@ class SolverTest:
         state = context.getState(velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         first, second = self._pairs.T
+        component = joined(len(places), self._pairs)
         along = (places[second] - places[first]) * (velocities[second] - velocities[first])
         speeds = np.abs(along.sum(axis=1)) / self._lengths
         # SETTLE moves the centre of mass of a triangle if the outer masses differ.
         drift = np.zeros_like(places)
-        np.add.at(drift, self._component, self._masses[:, None] * (x - displaced))
-        shifts = np.linalg.norm(drift, axis=1) / np.bincount(self._component, self._masses, len(places)).clip(1e-300)
-        errors = np.maximum(np.maximum(self._errors(x), speeds), shifts[self._component[first]])
+        np.add.at(drift, component, self._masses[:, None] * (x - displaced))
+        shifts = np.linalg.norm(drift, axis=1) / np.bincount(component, self._masses, len(places)).clip(1e-300)
+        errors = np.maximum(np.maximum(self._errors(x), speeds), shifts[component[first]])
         # This comparison is false for NaN.
         wrong = np.flatnonzero(~(errors <= SATISFIED))
         if not wrong.size:
             return ()
-        return tuple(self._atoms[self._component == self._component[first[wrong[0]]]].tolist())
+        return tuple(np.flatnonzero(component == component[first[wrong[0]]]).tolist())
 
     def _context(self) -> openmm.Context:
-        """Return a Context of these atoms only, with the angles from which OpenMM computes its matrix."""
-        copy, angles = openmm.System(), openmm.HarmonicAngleForce()
+        """Return a Context of the constraints, with the angles from which OpenMM computes its matrix."""
+        copy = openmm.System()
         for mass in self._masses.tolist():
             copy.addParticle(mass)
         for (i, j), length in zip(self._pairs.tolist(), self._lengths.tolist(), strict=True):
             copy.addConstraint(i, j, length)
         for force in self._system.getForces():
-            if not isinstance(force, openmm.HarmonicAngleForce):
-                continue
-            terms = bonded_terms(force)
-            for term in np.flatnonzero(np.isin(terms, self._atoms).all(axis=1)).tolist():
-                *_, angle, strength = force.getAngleParameters(term)
-                angles.addAngle(*np.searchsorted(self._atoms, terms[term]).tolist(), angle, strength)
-        copy.addForce(angles)
+            if isinstance(force, openmm.HarmonicAngleForce):
+                copy.addForce(openmm.XmlSerializer.clone(force))
         return reference_context(copy)

@@ -112,14 +112,6 @@ def masses(system: openmm.System) -> np.ndarray:
 
 
 @_once
-def constraint_rows(system: openmm.System) -> np.ndarray:
-    """Return all constraints of the System, (c, 3): two particles, and the length in nm."""
-    # An iterator, since a list of all quantities would take most of the memory.
-    parameters = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    return np.fromiter(((a, b, length._value) for a, b, length in parameters), np.dtype((float, 3)))
-
-
-@_once
 def constraints(system: openmm.System) -> Constraints:
     """Return the acting constraints in the System's order; constraints between two frozen atoms do not act.
 
@@ -127,7 +119,9 @@ def constraints(system: openmm.System) -> Constraints:
         RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
             has two different lengths.
     """
-    rows = constraint_rows(system)
+    # An iterator, since a list of all quantities would take most of the memory.
+    parameters = map(system.getConstraintParameters, range(system.getNumConstraints()))
+    rows = np.fromiter(((a, b, length._value) for a, b, length in parameters), np.dtype((float, 3)))
     pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
     frozen = masses(system)[pairs] == 0
     if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:

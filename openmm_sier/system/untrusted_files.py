@@ -2,9 +2,7 @@
 
 import errno
 import os
-import re
 import stat
-from functools import lru_cache
 from typing import IO, BinaryIO
 from xml.parsers import expat
 from xml.sax.saxutils import escape
@@ -20,31 +18,14 @@ DATA = {
     *(f"{kind}{dimensions}DFunction" for kind in ("Continuous", "Discrete") for dimensions in (1, 2, 3)),
 }
 
+#: Quotes that end values of attributes.
+QUOTES = {'"': "&quot;"}
+
 #: Values of `type` that are not classes: displacements of an ATMForce.
 DISPLACEMENTS = {"fixed", "offset"}
 
-#: Number of bytes parsed at a time. Files of OpenMM have tags in any chunk, as the longest value is an expression.
-CHUNK = 2**16
-
-#: Maximum number of chunks without the start or end of an element.
-MOST_IDLE = 16
-
-#: Maximum nesting of elements.
-DEEPEST = 32
-
-#: Maximum number of characters in the values of an element.
-LONGEST_VALUES = 2**16
-
-#: Maximum number of characters among them that XML escapes. OpenMM's time for these is quadratic in their number: a
-#: value of 28 MB takes hours.
-MOST_ESCAPED = 100
-
-#: Maximum number of elements of a State, in total and per particle; checkpoints of runs have nine per particle.
-STATE_ELEMENTS = 1000
-PARTICLE_ELEMENTS = 32
-
-#: Maximum number of bytes per element of a State.
-ELEMENT_BYTES = 128
+#: Maximum number of bytes of a State, in total and per particle; a State of a run has some 500 per particle.
+STATE_BYTES, PARTICLE_BYTES = 2**17, 2**12
 
 
 class ContentError(ValueError):
@@ -77,7 +58,7 @@ def read_within(stream: IO[bytes], most: int) -> bytes:
     """
     content = stream.read(most + 1)
     if len(content) > most:
-        raise ContentError(f"it holds more than {most} bytes of notes")
+        raise ContentError(f"it holds more than {most} bytes")
     return content
 
 
@@ -88,7 +69,7 @@ def read_system(stream: IO[bytes]) -> openmm.System:
         ContentError: the stream is not a System, or could execute code.
         openmm.OpenMMException: OpenMM cannot read it.
     """
-    return openmm.XmlSerializer.deserializeSystem(_Checked("System").text(stream))
+    return openmm.XmlSerializer.deserializeSystem(_checked_xml("System", stream.read()))
 
 
 def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
@@ -102,105 +83,45 @@ def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
         ContentError: the stream is not a State, or longer than a State of these particles can be.
         openmm.OpenMMException: OpenMM cannot read it.
     """
-    most = None if particles is None else STATE_ELEMENTS + PARTICLE_ELEMENTS * particles
-    return openmm.XmlSerializer._deserializeState(_Checked("State", most).text(stream))
+    content = stream.read() if particles is None else read_within(stream, STATE_BYTES + PARTICLE_BYTES * particles)
+    return openmm.XmlSerializer._deserializeState(_checked_xml("State", content))
 
 
-class _Checked:
-    """Sanitizer of XML, which rewrites the elements and attributes read by a strict parser.
+def _checked_xml(kind: str, content: bytes) -> str:
+    """Return XML for OpenMM, with the elements and attributes that a strict parser reads.
 
     OpenMM's parser reads elements inside comments, and OpenMM creates objects by the attribute `type`, whatever the
     tag. So OpenMM receives only checked elements and attributes.
+
+    Args:
+        kind: of the object, "System" or "State".
+        content: the XML.
+
+    Raises:
+        ContentError: the content is not such an object, or could execute code.
     """
+    pieces: list[str] = []
 
-    def __init__(self, kind: str, most: int | None = None):
-        """Expect an object of a kind, "System" or "State", with at most `most` elements."""
-        self._kind = kind
-        self._most = most
-        self._pieces: list[str] = []
-        self._elements = 0
-        self._depth = 0
-        self._parser = expat.ParserCreate("utf-8")
-        self._parser.ordered_attributes = True
-        self._parser.StartElementHandler = self._begin
-        self._parser.EndElementHandler = self._end
-        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
-
-    def text(self, stream: IO[bytes]) -> str:
-        """Return the XML of a stream for OpenMM.
-
-        Raises:
-            ContentError: the stream is not such an object, is too long, or could execute code.
-        """
-        count, idle = 0, 0
-        try:
-            while chunk := stream.read(CHUNK):
-                pieces = len(self._pieces)
-                self._parser.Parse(chunk)
-                count += len(chunk)
-                idle = idle + 1 if len(self._pieces) == pieces else 0
-                if idle > MOST_IDLE:
-                    raise ContentError(
-                        f"it has a tag or text of more than {MOST_IDLE * CHUNK} bytes, which OpenMM never writes"
-                    )
-                if self._most is not None and count > self._most * ELEMENT_BYTES:
-                    raise self._too_long()
-            self._parser.Parse(b"", True)
-        except expat.ExpatError as error:
-            raise ContentError(f"it is not XML: {error}") from None
-        return "".join(self._pieces)
-
-    def _begin(self, tag: str, attributes: list[str]) -> None:
-        self._elements += 1
-        self._depth += 1
-        if self._most is not None and self._elements > self._most:
-            raise self._too_long()
-        if self._depth > DEEPEST:
-            raise ContentError(f"its elements are nested in more than {DEEPEST} levels")
-        names, values = tuple(attributes[::2]), attributes[1::2]
-        if self._elements == 1 or "type" in names:
-            self._check_type(tag, dict(zip(names, values, strict=True)).get("type"))
-        together = "".join(values)
-        if len(together) > LONGEST_VALUES:
-            raise ContentError(f"{_shown(tag)} has values of more than {LONGEST_VALUES} characters")
-        if escaped := len(_SPECIAL.findall(together)):
-            if escaped > MOST_ESCAPED:
-                raise ContentError(f'{_shown(tag)} has values with more than {MOST_ESCAPED} of the characters & < > "')
-            values = [escape(value, _QUOTES) for value in values]
-        self._pieces.append(_template(tag, names) % tuple(values))
-
-    def _check_type(self, tag: str, kind: str | None) -> None:
-        """Refuse an object of an unexpected kind, by its tag and by the attribute that OpenMM uses."""
-        if self._elements == 1:
-            if tag != self._kind or kind != self._kind:
-                raise ContentError(f"expected a {self._kind}, got {_shown(tag)} of the type {_shown(kind)}")
-        elif kind is not None and kind not in DATA and kind not in DISPLACEMENTS:
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        created = attributes.get("type")
+        if not pieces and (tag, created) != (kind, kind):
+            raise ContentError(f"expected a {kind}, got {tag[:40]!r} of the type {str(created)[:40]!r}")
+        if pieces and created is not None and created not in DATA and created not in DISPLACEMENTS:
             raise ContentError(
-                f"it has a {_shown(kind)}, which is not read from files, since such an object may execute code. Create "
-                "the System in a script, and simulate it there"
+                f"it has a {created[:40]!r}, which is not read from files, since such an object may execute code. "
+                "Create the System in a script, and simulate it there"
             )
+        pieces.extend((f"<{tag}", *(f' {name}="{escape(value, QUOTES)}"' for name, value in attributes.items()), ">"))
 
-    def _end(self, tag: str) -> None:
-        self._depth -= 1
-        self._pieces.append(f"</{tag}>")
-
-    def _refuse_doctype(self, *_: object) -> None:
+    def refuse_doctype(*_: object) -> None:
         raise ContentError("it has a document type (DOCTYPE), which OpenMM never writes")
 
-    def _too_long(self) -> ContentError:
-        return ContentError("it is longer than a State of the particles of this System can be")
-
-
-_SPECIAL = re.compile('[&<>"]')
-_QUOTES = {'"': "&quot;"}
-
-
-@lru_cache(maxsize=64)
-def _template(tag: str, names: tuple[str, ...]) -> str:
-    """Return the start of an element, with %s for each value. Names contain no %."""
-    return " ".join((f"<{tag}", *(f'{name}="%s"' for name in names))) + ">"
-
-
-def _shown(name: str | None) -> str:
-    """Return a name for messages, shortened to 40 characters."""
-    return repr(name) if name is None or len(name) <= 40 else f"{name[:40]!r}…"
+    parser = expat.ParserCreate("utf-8")
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = lambda tag: pieces.append(f"</{tag}>")
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise ContentError(f"it is not XML: {error}") from None
+    return "".join(pieces)

@@ -72,7 +72,7 @@ def test_what_is_rigid_is_shown(capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("A:2-50", "the chain A has no residue 50"),
+        ("A:2-50", "no chain A has residues 2-50"),
         ("GLI", "'GLI' describes no body"),
     ],
 )

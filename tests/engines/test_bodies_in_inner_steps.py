@@ -20,8 +20,9 @@ from openmm_sier import (
     with_frames,
 )
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
-from openmm_sier.system.find_bodies import HYDROGEN_GROUPS, linked
+from openmm_sier.system.find_bodies import linked
 from tests.support.domains import stiff_chain
+from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.peptides import capped_alanine_box, forcefield
 from tests.support.restarts import assert_restart_is_the_same, assert_same
 from tests.support.seeded import seeded
@@ -203,7 +204,7 @@ def grouped():
     """A peptide whose heavy atoms and hydrogens are bodies, in ten rigid waters: prepared System, bodies, positions."""
     topology, positions = capped_alanine_box(10)
     system = forcefield().createSystem(topology, removeCMMotion=False)
-    bodies = RigidBodies.from_system(system, topology, HYDROGEN_GROUPS, positions * unit.nanometer)
+    bodies = RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions * unit.nanometer)
     prepare_system(system, bodies)
     return system, bodies, positions
 

@@ -153,14 +153,6 @@ def test_impossible_masses_are_refused(engine, mass):
         openmm.Context(system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
 
 
-@both_engines
-@pytest.mark.parametrize("length", [0.0, -0.1, np.nan, np.inf])
-def test_impossible_constraints_are_refused(engine, length):
-    system = assembled([1.0, 1.0, 1.0], constraints=((0, 1, 0.1), (1, 2, length)))
-    with pytest.raises(openmm.OpenMMException, match=r"constraint of particles 1 and 2 .* must be positive"):
-        openmm.Context(system, SIERIntegrator(0.002, SIER2, engine=engine), platform())
-
-
 # --- where no minimization can begin ----------------------------------------------------------------------------------
 
 

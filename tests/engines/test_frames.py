@@ -9,7 +9,7 @@ from openmm import app
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator, with_frames
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from tests.support.framed import moved, polar, soft, system_of, topology_of
+from tests.support.framed import atom_velocities, frame_velocities, moved, polar, soft, system_of, topology_of
 from tests.support.seeded import seeded
 from tests.support.waters import array, energies, phase_point, platform
 
@@ -43,7 +43,7 @@ def start():
     context.setPositions(framed.positions)
     context.setVelocitiesToTemperature(T, 4)
     state = context.getState(positions=True, velocities=True)
-    return system, known, framed, framed.getAtomPositions(state), framed.getAtomVelocities(state)
+    return system, known, framed, framed.getAtomPositions(state), atom_velocities(framed, state)
 
 
 @pytest.fixture(scope="module")
@@ -61,14 +61,14 @@ def test_native_engine_has_the_trajectory_of_the_exact_one(start, exact):
     _, _, framed, positions, velocities = start
     integrator = SIERIntegrator(0.001, SIER4G, engine="native")
     context = context_of(
-        framed.system, integrator, framed.addFramePositions(positions), framed.addFrameVelocities(positions, velocities)
+        framed.system, integrator, framed.addFramePositions(positions), frame_velocities(framed, positions, velocities)
     )
     integrator.step(1000)
     state = context.getState(positions=True, velocities=True)
     moved_by = np.abs(exact[0] - positions).max()
     assert moved_by > 0.1
     assert np.abs(framed.getAtomPositions(state) - exact[0]).max() < 1e-7
-    assert np.abs(framed.getAtomVelocities(state) - exact[1]).max() < 1e-6
+    assert np.abs(atom_velocities(framed, state) - exact[1]).max() < 1e-6
 
 
 def test_the_exact_engine_moves_frames_as_rigid_bodies(start, exact):
@@ -77,7 +77,7 @@ def test_the_exact_engine_moves_frames_as_rigid_bodies(start, exact):
     bodies = RigidBodies.from_system(framed.system, positions=framed.positions)
     integrator = SIERIntegrator(0.001, SIER4G, bodies=bodies, engine="exact")
     context = context_of(
-        framed.system, integrator, framed.addFramePositions(positions), framed.addFrameVelocities(positions, velocities)
+        framed.system, integrator, framed.addFramePositions(positions), frame_velocities(framed, positions, velocities)
     )
     assert [len(species.atoms) for species in integrator.bodies.species if species.sites.any()]
     integrator.step(1000)
@@ -89,7 +89,7 @@ def verlet(start, name, h, time=1.0):
     """Positions of atoms after a time in ps by OpenMM's Verlet, whose velocities are those half a step before."""
     _, _, framed, positions, velocities = start
     there = framed.addFramePositions(positions)
-    speeds = framed.addFrameVelocities(positions, velocities)
+    speeds = frame_velocities(framed, positions, velocities)
     back = SIERIntegrator(h, SIER4G, engine="native")
     context = context_of(framed.system, back, there, -speeds)
     back.step(1)
@@ -152,7 +152,7 @@ def test_energies_and_temperatures_in_a_bath(make):
         integrator.step(20)
         state = context.getState(positions=True, velocities=True, energy=True)
         potential.append(array(state.getPotentialEnergy()))
-        velocities = framed.getAtomVelocities(state)
+        velocities = atom_velocities(framed, state)
         masses = [np.array([system.getParticleMass(i)._value for i in atoms]) for atoms in bodies]
         centres = [m @ velocities[atoms] / m.sum() for m, atoms in zip(masses, bodies, strict=True)]
         moving = sum(0.5 * m.sum() * (v**2).sum() for m, v in zip(masses, centres, strict=True))

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from openmm import app, unit
 
-from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
+from openmm_sier import RigidBodies, RigidityError, SIERIntegrator, select_bodies
 from openmm_sier.engines.exact.minimization import constraints_hold
 from tests.support import methanols
 from tests.support.systems import field, with_forces
@@ -25,7 +25,7 @@ def gas():
 @pytest.fixture(scope="module")
 def rigid(gas):
     system, topology, positions = gas
-    return RigidBodies.from_system(system, topology, {"MOH": "rigid"}, positions)
+    return RigidBodies.from_system(system, topology, select_bodies(topology, "MOH"), positions)
 
 
 def distances(positions):

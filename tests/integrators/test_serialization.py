@@ -25,6 +25,7 @@ from openmm_sier import (
     SIERLangevinIntegrator,
     SIERThermostatIntegrator,
     hooks,
+    select_bodies,
 )
 from openmm_sier.dynamics import rotation
 from openmm_sier.engines.native import installation
@@ -55,7 +56,7 @@ def stretched_molecules():
     topology, positions, system = cluster_system()
     while system.getNumConstraints():
         system.removeConstraint(0)
-    return RigidBodies.from_system(system, topology, {"HOH": "rigid"}, 1.001 * positions)
+    return RigidBodies.from_system(system, topology, select_bodies(topology, "HOH"), 1.001 * positions)
 
 
 #: No two of them are alike.

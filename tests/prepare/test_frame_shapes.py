@@ -11,7 +11,7 @@ from tests.support.framed import SHAPES
 def made(name):
     masses, places = SHAPES[name]
     species = Species.from_coordinates([range(len(masses))], masses, places)
-    return species, FrameShape.of(species, species.sites.T)
+    return species, FrameShape.of(species)
 
 
 @pytest.mark.parametrize("name", SHAPES)

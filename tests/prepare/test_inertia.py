@@ -75,11 +75,9 @@ def test_moments_that_no_masses_have():
     system, positions, bodies = patchy()
     texts = openmm.XmlSerializer.serialize(system)
     # All mass on the patches has 2/3 of M R^2, 16.7 dalton nm^2, less what the centre must have.
-    with pytest.raises(
-        ValueError, match=r"no choice of masses gives atoms 0-6 .* 0\.00\d+ to 0\.8\d* times these.*further out"
-    ):
+    with pytest.raises(ValueError, match=r"no masses near equal ones give atoms 0-6 the moments .*further out"):
         set_inertia(system, positions, bodies, 100, 3 * [20.0])
-    with pytest.raises(ValueError, match="no others in these proportions are possible"):
+    with pytest.raises(ValueError, match="no masses near equal ones"):
         set_inertia(system, np.where([1, 1, 0], positions, 0.0), bodies, 100, 3 * [5.0])
     for moments in ([3, 2, 1], [1, 1, 3], [-1, 1, 1], [1, 1]):
         with pytest.raises(ValueError, match=r"moments must|no body has such moments"):

@@ -23,6 +23,7 @@ from openmm_sier.system.inner_forces import pme_parameters
 from openmm_sier.system.tables import masses
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, started, system_of
+from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.methanols import positions_of, topology_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
@@ -137,7 +138,7 @@ def test_what_acts_on_rigid_bodies_is_fast():
     positions, topology = positions_of(2), topology_of(2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        groups = RigidBodies.from_system(system, topology, "heavy atoms with hydrogens", positions)
+        groups = RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions)
     preparation = prepare_system(system, groups)
     assert preparation.fastForceGroups == {1}
     assert "stay slow forces" not in str(preparation)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import openmm
-from openmm import app
+from openmm import app, unit
 
+from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.species import Species
 from tests.support.cages import cage
 from tests.support.molecules import GEOMETRIES
 from tests.support.starts import displaced
@@ -115,6 +117,39 @@ def energy_and_forces(system, positions, name="Reference"):
     context.computeVirtualSites()
     state = context.getState(energy=True, forces=True, positions=True)
     return array(state.getPotentialEnergy()), array(state.getPositions(asNumpy=True)), array(state.getForces())
+
+
+def frame_velocities(framed, positions, velocities):
+    """Velocities (P, 3) of the particles of a copy with frames, whose bodies move as atoms (N, 3) do."""
+    result = np.zeros((framed.system.getNumParticles(), 3))
+    result[: framed.numAtoms] = velocities
+    centres, A, spins = _motion(framed.bodies, positions, velocities)
+    for frame in framed.frames:
+        body = frame.body
+        corners = frame.shape.corners.T @ A[:, :, body]
+        result[frame.atoms] = 0.0
+        result[frame.particles] = centres[:, body] + np.cross(spins[:, body], corners)
+    return result
+
+
+def atom_velocities(framed, state):
+    """Velocities of atoms, (N, 3), from a State of a copy with frames. OpenMM has none for virtual sites."""
+    velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
+    species = [Species.from_sites(f.particles[None], f.shape.masses, f.shape.corners) for f in framed.frames]
+    moving = BodySet(species, framed.system.getNumParticles())
+    centres, A, spins = _motion(moving, array(state.getPositions()), velocities)
+    result = velocities[: framed.numAtoms].copy()
+    for number, frame in enumerate(framed.frames):
+        arms = frame.places @ A[:, :, number]
+        result[frame.atoms] = centres[:, number] + np.cross(spins[:, number], arms)
+    return result
+
+
+def _motion(bodies, positions, velocities):
+    """Velocities of centres, (3, n), attitudes, (3, 3, n), and angular velocities, (3, n), of bodies."""
+    _, A = bodies.fit(positions)
+    p, L = bodies.momenta(velocities, A)
+    return p / bodies.masses, A, np.einsum("axn,an,ayn,yn->xn", A, bodies.inverse_moments, A, L)
 
 
 def net(positions, forces):

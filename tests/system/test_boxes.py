@@ -5,7 +5,7 @@ import pytest
 from openmm.app.internal.unitcell import reducePeriodicBoxVectors
 
 from openmm_sier.inputs.pdb_files import extent
-from openmm_sier.system.boxes import widths, wrapped
+from openmm_sier.system.boxes import wrapped
 
 
 def test_points_in_a_triclinic_box(rng):
@@ -35,8 +35,3 @@ def test_a_box_has_the_same_angles_whatever_rounding_made_of_its_vectors(box):
             [float(word.rstrip(",")) for word in text.split() if "." in word] for text in (shown, extent(reduced))
         )
         np.testing.assert_allclose(others, angles, atol=0.02)
-
-
-def test_widths_of_a_sheared_box():
-    box = np.array([[3.0, 0, 0], [1.0, 2.0, 0], [0, 0, 5.0]])
-    np.testing.assert_allclose(widths(box), [6 / np.sqrt(5), 2.0, 5.0], rtol=1e-14)

@@ -199,20 +199,8 @@ def test_a_cut_body_is_refused_however_it_gets_its_shape(way, bonds):
     assert np.array_equal(make_whole(system, broken, bodies=result), whole)
 
 
-def test_bonds_without_strength_keep_molecules_whole():
-    """They define molecules for OpenMM and here, whatever lengths they have."""
-    system = body_system(TRIANGLE, 0.0)
-    bonds = system.getForce(1)
-    for length in (0.0, 0.1, 2.0):
-        for i in range(2):
-            bonds.setBondParameters(i, i, i + 1, length, 0.0)
-        whole = make_whole(system, cut(system, TRIANGLE))
-        np.testing.assert_allclose(whole - whole[0], TRIANGLE - TRIANGLE[0], atol=1e-14)
-
-
-@pytest.mark.parametrize("strength", [None, 0.0, 1e5])
-def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(strength):
-    system, bodies = body_system(ROW, strength), [range(len(ROW))]
+def test_a_body_longer_than_half_the_box_is_whole_by_its_bonds():
+    system, bodies = body_system(ROW, 1e5), [range(len(ROW))]
     assert np.ptp(ROW, axis=0)[0] > 0.7 * BOX
     assert np.array_equal(make_whole(system, ROW, bodies=bodies), ROW)
     result = RigidBodies.from_system(system, None, bodies, ROW)
@@ -224,23 +212,15 @@ def test_a_body_longer_than_half_the_box_is_whole_while_its_gaps_are_narrow(stre
     np.testing.assert_allclose(RigidBodies.from_system(system, None, bodies, whole).moments, result.moments, rtol=1e-9)
 
 
-def test_a_wide_gap_in_a_body_is_closed_by_a_bond_without_strength():
-    """Two atoms of a body that are 2 nm apart in a box of 3 nm look like two that are 1 nm apart, and cut."""
-    x = np.array([[0.5, 1.0, 1.0], [0.6, 1.0, 1.0], [2.5, 1.1, 1.0]])
-    system, bodies = body_system(x), [[0, 1, 2]]
-    with pytest.raises(RigidityError, match=r"longer than half the box .*bond of the gap's length and zero strength"):
-        RigidBodies.from_system(system, None, bodies, x)
-    system.getForce(1).addBond(1, 2, float(np.linalg.norm(x[2] - x[1])), 0.0)
-    assert np.array_equal(make_whole(system, x, bodies=bodies), x)
-    assert RigidBodies.from_system(system, None, bodies, x).moments[2, 0] > 20
-
-
-def test_a_body_as_large_as_the_box_is_whole():
-    """Atoms on a lattice through the whole box, all of whose gaps are alike."""
-    lattice = 0.3 * np.stack(np.meshgrid(*3 * [np.arange(10)], indexing="ij"), axis=-1).reshape(-1, 3)
-    system, bodies = body_system(lattice), [range(len(lattice))]
-    assert np.array_equal(make_whole(system, lattice, bodies=bodies), lattice)
-    RigidBodies.from_system(system, None, bodies, lattice)
+def test_a_body_longer_than_half_the_box_is_refused_without_bonds():
+    """Two atoms that are 2 nm apart in a box of 3 nm look like two that are 1 nm apart, and cut."""
+    for strength in (None, 0.0):
+        system, bodies = body_system(ROW, strength), [range(len(ROW))]
+        for x in (ROW, cut(system, ROW)):
+            with pytest.raises(RigidityError, match=r"longer than half the box.*join them by bonds"):
+                make_whole(system, x, bodies=bodies)
+            with pytest.raises(RigidityError, match=r"longer than half the box.*join them by bonds"):
+                RigidBodies.from_system(system, None, bodies, x)
 
 
 def test_bodies_of_several_molecules_are_made_whole_with_their_linkers():

@@ -1,7 +1,5 @@
 """Rigid bodies found in the constraints of an OpenMM System, and the Systems that are refused."""
 
-import re
-import warnings
 from itertools import combinations
 
 import numpy as np
@@ -10,11 +8,11 @@ import pytest
 from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import RigidBodies, RigidityError
+from openmm_sier import RigidBodies, RigidityError, select_bodies
 from tests.support import methanols
+from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.silence import silence
 from tests.support.systems import assembled
-from tests.support.waters import cluster_system
 
 OH, HH = 0.09572, 0.15139
 WATER = ((15.999, 1.008, 1.008), {(0, 1): OH, (0, 2): OH, (1, 2): HH})
@@ -204,24 +202,13 @@ def test_systems_that_are_refused(molecule, topology, message):
     ids=["constrained", "named", "with fewer digits"],
 )
 def test_molecules_of_a_pdb_file_are_of_one_species(constrained, digit):
-    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding.
-
-    That is done in silence, but not what no PDB file rounds.
-    """
+    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding."""
     positions, topology = methanols.positions_of(125, digit=digit), methanols.topology_of(125)
     pairs = list(combinations(range(6), 2)) if constrained else []
     system = methanols.system_of(125, pairs, positions)
-    rigid = None if constrained else {"MOH": "rigid"}
-    with warnings.catch_warnings(record=True) as caught:
+    rigid = None if constrained else select_bodies(topology, "MOH")
+    with silence():
         bodies = RigidBodies.from_system(system, topology, rigid, positions)
-    assert len(caught) == (digit > methanols.DIGIT)
-    for warning in caught:
-        assert warning.filename == __file__
-        message = str(warning.message)
-        assert message.startswith("125 bodies like residue MOH 1 (atoms 0, 1, 2, 3, 4, 5) get one shape, their average")
-        deviation = float(re.search(r"differ from the average by up to (\S+) nm", message)[1])
-        # Each coordinate is off by up to half a digit.
-        assert 0.5 * digit < deviation < np.sqrt(3) * digit
     (species,) = bodies.species
     exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
     # Rounding has a standard deviation of digit/sqrt(12) a coordinate, so a mean of 125 lengths one of 0.04 digits.
@@ -244,9 +231,7 @@ def test_equal_molecules_share_a_geometry_in_silence():
 def test_constraint_lengths_of_two_types_are_two_species():
     """Bonds of force fields differ by 1e-3 nm, more than by the rounding in a PDB file."""
     pairs = [((12.0, 1.0), {(0, 1): length}) for length in (0.109, 0.108, 0.1093, 0.109)]
-    with pytest.warns(UserWarning, match="3 bodies like the body of atoms 0, 1 get") as caught:
-        bodies = RigidBodies.from_system(system_of(*pairs))
-    assert "0.0002 nm (most: the body of atoms 4, 5)" in str(caught[0].message)
+    bodies = RigidBodies.from_system(system_of(*pairs))
     assert sorted(len(species.atoms) for species in bodies.species) == [1, 3]
     (three,) = [species for species in bodies.species if len(species.atoms) == 3]
     assert lengths_in(three)[0, 1] == pytest.approx((2 * 0.109 + 0.1093) / 3, abs=1e-15)
@@ -268,9 +253,8 @@ def test_conformations_are_species_of_their_own(rng):
     assert results == {tuple(np.flatnonzero(kinds == kind)) for kind in (0, 1)}
 
 
-# --- heavy atoms with hydrogens ---------------------------------------------------------------------------------------
+# --- bodies within molecules ------------------------------------------------------------------------------------------
 
-GROUPS = "heavy atoms with hydrogens"
 X_H = [(0, 1), (0, 2), (0, 3), (4, 5)]
 
 
@@ -279,7 +263,7 @@ def test_each_heavy_atom_with_its_hydrogens_is_a_body(pairs):
     positions, topology = methanols.positions_of(20), methanols.topology_of(20)
     system = methanols.system_of(20, pairs, positions)
     with silence():
-        bodies = RigidBodies.from_system(system, topology, GROUPS, positions * unit.nanometer)
+        bodies = RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions * unit.nanometer)
     results = sorted(lists(bodies))
     assert results == sorted([[6 * i + a for a in group] for i in range(20) for group in ([0, 1, 2, 3], [4, 5])])
     assert len(bodies.species) == 2
@@ -293,44 +277,17 @@ def test_groups_satisfy_the_constraints_inside_them():
     longer = methanols.GEOMETRY * 0.111 / np.linalg.norm(methanols.GEOMETRY[1])
     constraints = methanols.positions_of(4, longer, digit=None)
     positions, topology = methanols.positions_of(4), methanols.topology_of(4)
-    with pytest.warns(UserWarning, match="4 bodies like .* get one shape"):
-        bodies = RigidBodies.from_system(methanols.system_of(4, X_H, constraints), topology, GROUPS, positions)
+    bodies = RigidBodies.from_system(
+        methanols.system_of(4, X_H, constraints), topology, hydrogen_groups(topology), positions
+    )
     methyl = next(species for species in bodies.species if len(species.masses) == 4)
     assert np.abs(lengths_in(methyl)[0, 1:] - 0.111).max() < 1e-12
     # H-H is free: the projection moves hydrogens along their bonds by 0.002 nm, and H-H by sqrt(8/3) of that.
     assert lengths_in(methyl)[1, 2] == pytest.approx(np.sqrt(8 / 3) * 0.111, abs=1e-3)
 
 
-def test_water_keeps_the_geometry_of_its_constraints():
-    topology, positions, system = cluster_system(3)
-    bodies = RigidBodies.from_system(system, topology, GROUPS)
-    assert len(bodies.species) == 1
-    assert lengths_in(bodies.species[0])[0, 1] == pytest.approx(OH, abs=1e-15)
-    topology, positions, system = cluster_system(3, rigidWater=False)
-    with silence():
-        flexible = RigidBodies.from_system(system, topology, GROUPS, positions)
-    assert sorted(lists(flexible)) == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
-
-
 def test_constraints_between_groups_are_refused():
     positions, topology = methanols.positions_of(2), methanols.topology_of(2)
     system = methanols.system_of(2, [*X_H, (0, 4)], positions)
     with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
-        RigidBodies.from_system(system, topology, GROUPS, positions)
-    # A molecule all of whose distances are constrained is one body, as without groups.
-    system = methanols.system_of(2, list(combinations(range(6), 2)), positions)
-    with silence():
-        assert RigidBodies.from_system(system, topology, GROUPS, positions).n == 2
-
-
-def test_groups_that_cannot_be_found():
-    positions, topology = methanols.positions_of(1), methanols.topology_of(1)
-    system = methanols.system_of(1)
-    with pytest.raises(ValueError, match="require a topology"):
-        RigidBodies.from_system(system, None, GROUPS, positions)
-    with pytest.raises(ValueError, match="or \"heavy atoms with hydrogens\", got 'hydrogens'"):
-        RigidBodies.from_system(system, topology, "hydrogens", positions)
-    with pytest.raises(RigidityError, match="give positions"):
-        RigidBodies.from_system(system, topology, GROUPS)
-    with pytest.raises(ValueError, match="none of the 0 bonds of the topology"):
-        RigidBodies.from_system(system, topology_of(("MOH", 6)), GROUPS, positions)
+        RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions)

@@ -68,7 +68,6 @@ class ExactEngine(Engine):
         super().__init__(context, method, tally)
         system = context.getSystem()
         self.moving = bodies_of(system, bodies)
-        checks.refuse_constrained_lines(system, self.moving)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
         self.step_check = StepCheck(system, self.moving, inner_step)
         self.updates = SystemUpdates(context)
