@@ -205,7 +205,9 @@ def equilibrate(
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
     step = integrator.getStepSize().value_in_unit(unit.picosecond)
     if step < STEP:
-        report.note(f"equilibrates in steps of {1000 * step:.2g} fs, since bonds are too fast for longer ones")
+        report.note(
+            f"equilibrates in steps of {1000 * step:.2g} fs, since bonds or rotations are too fast for longer ones"
+        )
     steps = round((LONGEST if time is None else time) / step)
     # Windows have nearly equal lengths, so that a short one does not count as much as a long one.
     window_steps = math.ceil(steps / max(1, round(steps * step / WINDOW)))
@@ -234,7 +236,7 @@ def _bath_context(context: openmm.Context, temperature: float, seed: int) -> ope
     if not isinstance(integrator, SIERIntegrator):
         raise TypeError(f"equilibrate needs a Context with a SIER integrator, got a {type(integrator).__name__}")
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
-    fast, step = integrator.fastForceGroups, _step_of(context)
+    fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(
         temperature, FRICTION, step, SCHEME, integrator.bodies, pressure=pressure, fastForceGroups=fast
     )
@@ -253,12 +255,12 @@ def _copy_atoms_and_box(context: openmm.Context, other: openmm.Context) -> None:
     context.setStepCount(steps)
 
 
-def _step_of(context: openmm.Context) -> float:
-    """Return the step of an equilibration, ps: the usual one, or one short enough for vibrations."""
+def _step_of(context: openmm.Context, temperature: float) -> float:
+    """Return the step of an equilibration, ps: the usual one, or one short enough for bonds and spins."""
     integrator = context.getIntegrator()
     groups, fast = integrator.getIntegrationForceGroups(), sum(1 << group for group in integrator.fastForceGroups)
     check = StepCheck(context.getSystem(), integrator.bodies)
-    return min(STEP, SHARE_OF_LONGEST * check.longest_step(SCHEME, groups & ~fast, groups & fast, context))
+    return min(STEP, SHARE_OF_LONGEST * check.longest_step(SCHEME, groups & ~fast, groups & fast, temperature, context))
 
 
 def _window(bath: openmm.Context, steps: int, advance: Advance, completed: int) -> Means:

@@ -33,6 +33,7 @@ CONSTRAIN = (
     "rigid body of `bodies`, see select_bodies (--rigid)"
 )
 LESS_MASS = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
+STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
 CHECK_FORCES = "if the energy drifts as much with half the step, call print(check_forces(context))"
 
 

@@ -1,4 +1,4 @@
-"""The fastest motions of a System: unconstrained vibrations, and librations of molecules among others.
+"""The fastest motions of a System: unconstrained vibrations, librations of molecules among others, spins of bodies.
 
 The frequencies of librations are estimated without positions. An atom with an inverse effective mass u, its body's
 rotation included, in surroundings of the stiffness k swings with the angular frequency sqrt(k u). For the hydrogens of
@@ -15,6 +15,8 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.measurement import HiddenError, fastest_motion
@@ -70,6 +72,24 @@ class Motion(NamedTuple):
     can_be_fast: bool = False
 
 
+class Spin(NamedTuple):
+    """The rotation of a rigid body about its smallest moment of inertia.
+
+    Attributes:
+        moment: dalton nm^2.
+        name: of the body, in words.
+        groups: bit mask of the force groups that may turn it.
+    """
+
+    moment: float
+    name: str
+    groups: int
+
+    def rate(self, temperature: float) -> float:
+        """Return its thermal angular velocity sqrt(kT/I), 1/ps, at a temperature in K."""
+        return math.sqrt(GAS_CONSTANT * temperature / self.moment)
+
+
 class Motions:
     """The fastest motions of a System.
 
@@ -85,15 +105,17 @@ class Motions:
         harmonic: the fastest bond of each HarmonicBondForce.
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
+        spin: of the slimmest rigid body; None if no body turns.
         unknown: force group and name of each Force of unknown stiffness, including those that overlaps hide.
         remedies: for these motions.
     """
 
-    def __init__(self, system: openmm.System, bodies: BodySet):
+    def __init__(self, system: openmm.System, bodies: BodySet, rigid: Sequence[Species]):
         """
         Args:
             system: openmm.System.
             bodies: all that move in it.
+            rigid: the kinds of rigid body.
         """
         self.bodies = bodies
         self._mobility = mobilities(bodies)
@@ -111,6 +133,7 @@ class Motions:
         self.harmonic = list(self._fastest_bonds(forces, links.constraints))
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
+        self.spin = _slimmest(system, bodies, rigid, is_alone)
         self._to_measure = [entry for entry in forces if _is_measured(entry)]
 
     @property
@@ -248,3 +271,17 @@ def _charges(force: openmm.Force) -> np.ndarray:
         charges = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
     in_e = [charge.value_in_unit(unit.elementary_charge) if unit.is_quantity(charge) else charge for charge in charges]
     return np.array(in_e, dtype=float)
+
+
+def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
+    """Return the spin about the smallest moment of inertia; only fields turn a single molecule."""
+    moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
+    smallest = min(moments, default=math.inf)
+    if smallest == math.inf:
+        return None
+    groups = 0
+    for force in system.getForces():
+        kind = kind_of(force)
+        if kind.exerts_forces and (not is_alone or kind.acts_on == "particles"):
+            groups |= 1 << force.getForceGroup()
+    return Spin(smallest, bodies.describe_atoms(rigid[moments.index(smallest)].atoms[0]), groups)

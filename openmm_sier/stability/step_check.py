@@ -2,22 +2,23 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
+from openmm_sier.dynamics.species import Species
 from openmm_sier.stability.advice import StepError, StepWarning
 from openmm_sier.stability.motions import Motions, fastest
-from openmm_sier.stability.step_rules import RULES, Conditions, Verdict, accurate_step
+from openmm_sier.stability.step_rules import ROOM_TEMPERATURE, RULES, Conditions, Verdict, accurate_step
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.user_warnings import warn
 
 
 class StepCheck:
-    """Limits of steps by vibrations and librations.
+    """Limits of steps by bonds, librations and spins.
 
     A call refuses a step that is too long, or warns of one at which energies are wrong. `inner_step` and `longest_step`
     give steps that are short enough.
@@ -28,6 +29,7 @@ class StepCheck:
         system: openmm.System,
         bodies: BodySet,
         inner_step: Callable[[IntegrationMethod, float], float] | None = None,
+        rigid: Sequence[Species] | None = None,
     ):
         """
         Args:
@@ -36,8 +38,9 @@ class StepCheck:
             inner_step: gives the longest step of a method within drifts, ps. Its second argument is the longest step at
                 which bonds are accurate, for steps that leave the number of substeps open. None: the number of the
                 method, or one.
+            rigid: the kinds of rigid body; None: those of `bodies`.
         """
-        self._motions = Motions(system, bodies)
+        self._motions = Motions(system, bodies, bodies.species if rigid is None else rigid)
         self._is_isolated = not any(kind_of(force).sets for force in system.getForces())
         self._inner_step = inner_step or _with_substeps
         self._checked: tuple = ()
@@ -64,6 +67,7 @@ class StepCheck:
         scheme: Scheme,
         groups: int,
         fast: int,
+        temperature: float = ROOM_TEMPERATURE,
         context: openmm.Context | None = None,
     ) -> float:
         """Return the longest step without a warning, ps, with inner steps that are short enough for the fast groups.
@@ -74,11 +78,12 @@ class StepCheck:
             scheme: of the step.
             groups: force groups in the kicks, a bit mask.
             fast: force groups within drifts, a bit mask.
+            temperature: K.
             context: with positions, where motions are measured; None to leave those out.
         """
         if context is not None:
             self._motions.measure(context)
-        conditions = Conditions(scheme, groups, fast)
+        conditions = Conditions(scheme, groups, fast, temperature)
         rules = [rule for rule in RULES if not (rule.judges_inner_step or rule.is_estimate)]
         limits = [rule.limit(self._motions, conditions) for rule in rules]
         return min((limit.longest_step for limit in limits if limit is not None), default=math.inf)
@@ -99,12 +104,13 @@ class StepCheck:
         if context is not None and self._motions.measure(context):
             self._checked = ()
         scheme = method.scheme
-        checked = scheme, method.step, method.substeps, method.fast_groups, groups
+        temperature = ROOM_TEMPERATURE if method.bath is None else method.bath.temperature
+        checked = scheme, method.step, method.substeps, method.fast_groups, groups, temperature
         if checked == self._checked:
             return
         slow, fast = groups & ~method.fast_groups, groups & method.fast_groups
         conserves_energy = method.constant_energy and self._is_isolated
-        step = Conditions(scheme, slow, fast, conserves_energy), method.step
+        step = Conditions(scheme, slow, fast, temperature, conserves_energy), method.step
         inner_step = Conditions(scheme.within_drifts, fast, is_inner=True), self.inner_step(method, groups)
         for rule in RULES:
             conditions, h = inner_step if rule.judges_inner_step else step

@@ -1,7 +1,6 @@
 """Forces within Forces, and Forces with charges and a mesh of their own: prepared and judged like a NonbondedForce."""
 
 import copy
-import math
 
 import numpy as np
 import openmm
@@ -140,7 +139,8 @@ def test_librations_by_multipoles():
 @pytest.mark.parametrize("name", ["CustomCVForce", "CustomCVForce in ATMForce"])
 def test_steps_are_not_judged_by_collective_variables_of_all_pairs(water, name):
     system = contained(water[1], name)
-    assert longest(system) == math.inf
+    # Spins of water are left, which are slower than its librations.
+    assert longest(system) > 2 * longest(water[1])
     with pytest.warns(UserWarning, match=r"cannot be judged, since the stiffness of CustomCVForce.* is not known"):
         judged(system, SIERIntegrator(0.004))
 

@@ -36,7 +36,7 @@ def compound(energy, atoms):
 def measured(system, positions, bodies=None, **parameters):
     """The motions that are measured at positions (N, 3) in nm, with values of global parameters."""
     bodies = bodies or RigidBodies.from_system(system)
-    motions = Motions(system, bodies)
+    motions = Motions(system, bodies, bodies.species)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform())
     context.setPositions(np.array(positions, dtype=float))
     for name, value in parameters.items():

@@ -297,7 +297,7 @@ def test_a_bond_at_a_body_moves_the_body(rng):
     matrix = np.einsum("k,kxi,kxj->ij", masses, motions, motions)
     inverse = np.linalg.eigvalsh(motions[2] @ np.linalg.inv(matrix) @ motions[2].T)[-1]
     assert inverse < 1 / masses[2]
-    (bond,) = Motions(system, bodies).harmonic
+    (bond,) = Motions(system, bodies, bodies.species).harmonic
     assert bond.period == pytest.approx(2 * math.pi / math.sqrt(1e5 * inverse), rel=1e-10)
     assert bond.atoms == (2, 4)
 

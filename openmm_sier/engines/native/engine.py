@@ -81,7 +81,9 @@ class NativeEngine(Engine):
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         fraction = program.inner_fraction
-        self.step_check = StepCheck(system, self.moving, lambda wanted, _: wanted.step * fraction)
+        self.step_check = StepCheck(
+            system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
+        )
         #: The step size of OpenMM's own clock.
         self._step_of_clock = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None

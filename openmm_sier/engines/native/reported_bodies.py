@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, RigidityError
+from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import bodies_of
@@ -38,6 +39,11 @@ class ReportedBodies:
             self._bodies = bodies_of(system, bodies)
         except RigidityError as error:
             self._bodies = error
+
+    @property
+    def species(self) -> tuple[Species, ...]:
+        """Return the kinds of body; none where constraints form none."""
+        return () if isinstance(self._bodies, RigidityError) else tuple(self._bodies.species)
 
     @property
     def bodies(self) -> BodySet:
