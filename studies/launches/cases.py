@@ -1,0 +1,84 @@
+"""Boxes and integrators of the study."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import openmm
+from openmm import app
+
+from openmm_sier.dynamics.acceptance import TRIAL_FRICTION
+from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G
+from openmm_sier.inputs import forcefields
+from studies.command import SYSTEMS
+from studies.methods import HEAVY, MIDDLE, VERLET, Bath, Contestant, in_bath, of_scheme, several_steps, trials
+
+#: Boxes of `SYSTEMS`: water, water with virtual sites, and a peptide in water.
+BOXES = ("tip3p-512", "tip4p-512", "peptide")
+
+#: nm.
+CUTOFF = 0.9
+
+#: K and 1/ps.
+BATH = Bath(300.0, 5.0)
+
+
+class Case(NamedTuple):
+    """An integrator whose commands are counted.
+
+    Attributes:
+        integrator: at its usual step.
+        kind: OpenMM's class that it is of.
+        calls: of one step that are counted.
+        steps: in a call of many, as `Simulation` has ten.
+    """
+
+    integrator: Contestant
+    kind: str = "CustomIntegrator"
+    calls: int = 6
+    steps: int = 10
+
+
+def _native_trials() -> Contestant:
+    """Return hybrid Monte Carlo with the usual step and friction, whose trials all have as many steps."""
+    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
+    return method.at(9, **HEAVY, detail=" x 8", steps=8)
+
+
+#: By the names that the command takes.
+CASES = {
+    "verlet": Case(VERLET.at(4), "VerletIntegrator"),
+    "langevinmiddle": Case(MIDDLE.at(4, friction=1.0), "LangevinMiddleIntegrator"),
+    "mtslangevin": Case(several_steps(8, friction=1.0)),
+    "sier2": Case(in_bath(engine="native").at(9, **HEAVY)),
+    "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
+    "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
+    "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
+    "hmc": Case(_native_trials(), calls=4, steps=4),
+}
+
+
+def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.Context:
+    """Return a Context on the OpenCL platform, with velocities.
+
+    Args:
+        box: a name of `BOXES`.
+        method: the integrator.
+        precision: mixed, single or double.
+        seed: of velocities and of the integrator.
+    """
+    path = SYSTEMS / f"{box}.pdb"
+    pdb = app.PDBFile(str(path))
+    field = forcefields.load(forcefields.pick(path)[0], SYSTEMS)
+    topology, positions = forcefields.add_virtual_sites(pdb.topology, pdb.positions, field)
+    system = field.createSystem(topology, nonbondedMethod=app.PME, nonbondedCutoff=CUTOFF, constraints=app.HBonds)
+    method.fit(system)
+    integrator = method.integrator(BATH)
+    if hasattr(integrator, "setRandomNumberSeed"):
+        integrator.setRandomNumberSeed(seed)
+    platform = openmm.Platform.getPlatformByName("OpenCL")
+    result = openmm.Context(system, integrator, platform, {"Precision": precision})
+    result.setPositions(positions)
+    result.applyConstraints(1e-6)
+    result.setVelocitiesToTemperature(BATH.temperature, seed)
+    return result
