@@ -11,6 +11,7 @@ from openmm_sier.cli import pictures
 from openmm_sier.cli.console import note, table
 from openmm_sier.cli.files import records
 from openmm_sier.cli.files.places import check_place, refuse_to_replace
+from openmm_sier.cli.findings import findings
 from openmm_sier.cli.logged_runs import Runs
 from openmm_sier.cli.results import Quantity
 from openmm_sier.cli.settling import read_runs, verdict
@@ -41,6 +42,8 @@ def execute(logs: list[Path], json: Path | None, plot: Path | None, skip: float 
     rows = [(over_all.name, str(over_all)) for over_all, _ in means]
     table(runs.title, ("", f"mean over {_counted(runs)}"), rows)
     note(verdict(runs))
+    for sentence in findings(runs, [over_all for over_all, _ in means]):
+        note(sentence)
     written = [path for path in (json, plot) if path]
     if json:
         records.replace(json, memoryview(_as_json(runs, means).encode()))
