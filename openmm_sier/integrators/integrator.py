@@ -63,14 +63,14 @@ class SIERIntegrator(openmm.CustomIntegrator):
             scheme: the splitting scheme or its name, such as "SIER4G".
             bodies: the rigid bodies, as `RigidBodies`, with those that constraints do not form. None finds them in the
                 System's constraints.
-            rotation: you can skip this. It is the free-rotation map, which can be replaced to compare it with others.
-            engine: you can skip this. "auto" takes the exact engine on the CPU and Reference platforms and the native
-                one on GPUs; "exact" and "native" ask for one of them (docs/guide/engines.md).
-            substeps: you can skip this. It divides each drift into so many inner steps, at least 1; None chooses the
-                number (docs/guide/engines.md).
-            fastForceGroups: you can skip this if you call `prepare_system`, whose fast forces are found. Otherwise the
-                force groups of fast bonded forces, as a set or a bit mask; an empty set for none.
-            ensemble: you can skip this. It is one of `openmm_sier.ensembles`, and None keeps the energy constant.
+            rotation: the free-rotation map; others serve comparisons.
+            engine: "auto" takes the exact engine on the CPU and Reference platforms and the native one on GPUs; "exact"
+                and "native" ask for one of them (docs/guide/engines.md).
+            substeps: number of inner steps into which each drift is divided, at least 1; None chooses it
+                (docs/guide/engines.md).
+            fastForceGroups: force groups of fast bonded forces, as a set or a bit mask, or an empty set for none. None
+                takes those of a System of `prepare_system`.
+            ensemble: one of `openmm_sier.ensembles`; None keeps the energy constant.
 
         Raises:
             ValueError: the step is negative or not finite, the scheme or the engine is unknown, `substeps` is below 1,
