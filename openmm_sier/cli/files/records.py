@@ -88,15 +88,15 @@ class GrowingFile:
     """A file that only grows, by whole records.
 
     Attributes:
-        begins: the first bytes of each file of this format.
-        most_at_first: upper bound of the number of bytes that a run writes before its first checkpoint.
+        magic: the first bytes of each file of this format.
+        longest_beginning: upper bound of the number of bytes that a run writes before its first checkpoint.
         path: of the file.
         size: bytes written.
         count: records written, a header not counted.
     """
 
-    begins: bytes
-    most_at_first: int
+    magic: bytes
+    longest_beginning: int
 
     def __init__(self, path: Path, noted: Noted | None = None):
         """
@@ -165,7 +165,7 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
             "run from the checkpoint with --start"
         )
     # A checkpoint may be crafted and name any file, so that the fingerprint alone is not enough.
-    is_of_format = noted.size > CHANGING and _first_bytes(path, len(format.begins)) == format.begins
+    is_of_format = noted.size > CHANGING and _first_bytes(path, len(format.magic)) == format.magic
     if _fingerprint(path, noted.size) != noted.fingerprint or not is_of_format:
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
@@ -175,9 +175,9 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
 
 def is_beginning(path: Path, format: type[GrowingFile]) -> bool:
     """Return whether a file holds no more than a run writes before its first checkpoint."""
-    first = _first_bytes(path, len(format.begins))
+    first = _first_bytes(path, len(format.magic))
     # They may have been cut off too.
-    return format.begins.startswith(first) and path.stat().st_size <= format.most_at_first
+    return format.magic.startswith(first) and path.stat().st_size <= format.longest_beginning
 
 
 def last_step(log: Path) -> int:
@@ -209,8 +209,8 @@ def _fingerprint(path: Path, size: int) -> str:
 class Log(GrowingFile):
     """A CSV file of numbers with a heading."""
 
-    begins = b"Step,Time (ps),"
-    most_at_first = 2**10
+    magic = b"Step,Time (ps),"
+    longest_beginning = 2**10
 
     def __init__(self, path: Path, columns: Sequence[str], noted: Noted | None):
         super().__init__(path, noted)

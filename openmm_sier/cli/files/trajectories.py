@@ -21,8 +21,8 @@ class Trajectory(GrowingFile):
     each frame.
     """
 
-    begins = struct.pack("<i4s", 84, b"CORD")
-    most_at_first = HEADER
+    magic = struct.pack("<i4s", 84, b"CORD")
+    longest_beginning = HEADER
 
     def __init__(self, path: Path, topology: app.Topology, dt: float, interval: int, noted: Noted | None):
         """Begin a file with atoms of a topology, steps of dt ps and an interval in steps, or continue it."""
