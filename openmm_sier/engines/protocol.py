@@ -18,7 +18,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.engines.actions import Actions
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, precision_of
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
@@ -89,6 +89,7 @@ class Engine(ABC):
         name: by which users ask for the engine.
         repeats_noise: whether the noise of baths continues from a State as it does from a checkpoint.
         makes_trials: whether a trial of hybrid Monte Carlo is one step of OpenMM.
+        precision: of the platform, see `precision_of`.
         method: the scheme that is executed, with its step.
         tally: heat, random numbers and counts.
         changes: changes since the last step. While there are none, steps read nothing from the Context.
@@ -117,6 +118,7 @@ class Engine(ABC):
         # The Context owns its integrator, and that its engine: strong references back would keep all of them alive.
         self._context = weakref.proxy(context)
         self._integrator = weakref.proxy(context.getIntegrator())
+        self.precision = precision_of(context)
         self.method = method
         self.tally = tally
         self.changes = Changes.ATOMS

@@ -30,6 +30,14 @@ def holds_doubles(context: openmm.Context) -> bool:
     return context.getPlatform().getName() in ("CPU", "Reference") and not has_sites
 
 
+def precision_of(context: openmm.Context) -> str | None:
+    """Return the precision of a Context, "single", "mixed" or "double"; None on a platform without a choice."""
+    platform = context.getPlatform()
+    if "Precision" not in platform.getPropertyNames():
+        return None
+    return str(platform.getPropertyValue(context, "Precision"))
+
+
 class Environment(NamedTuple):
     """Variables besides positions on which forces depend: periodic box vectors, nm, and parameters by name."""
 

@@ -48,12 +48,14 @@ class ExactnessSettings(Settings):
         processes: at a time; one for each core unless given.
         engine: exact or native.
         platform: of OpenMM.
+        precision: of a platform for GPUs.
     """
 
     trials: int = 100_000
     processes: int | None = None
     engine: str = "exact"
     platform: str = "Reference"
+    precision: str = "mixed"
 
 
 def _row(model: str, name: str, values: Sequence[float], exact: float) -> dict[str, Any]:
@@ -63,26 +65,24 @@ def _row(model: str, name: str, values: Sequence[float], exact: float) -> dict[s
 
 
 def samples(
+    settings: ExactnessSettings,
     system: openmm.System,
     integrator: SIERHMCIntegrator,
     positions: np.ndarray,
-    trials: int,
     steps: Sequence[int],
-    platform: str,
 ) -> Iterator[openmm.State]:
-    """States after each of so many trials, which have these numbers of steps by turns.
+    """States after each of the trials, which have these numbers of steps by turns.
 
     A mode of which a trajectory is just half a period long never leaves its energy. Trajectories of several lengths
     leave no such mode.
     """
     # Steps are so long on purpose.
     warnings.filterwarnings("ignore", "A step of .* fs is long")
-    chosen = openmm.Platform.getPlatformByName(platform)
-    # The sums of a decision need more than single precision, the default of platforms for GPUs.
-    properties = {"Precision": "mixed"} if "Precision" in chosen.getPropertyNames() else {}
-    context = openmm.Context(system, integrator, chosen, properties)
+    platform = openmm.Platform.getPlatformByName(settings.platform)
+    properties = {"Precision": settings.precision} if "Precision" in platform.getPropertyNames() else {}
+    context = openmm.Context(system, integrator, platform, properties)
     context.setPositions(positions)
-    for each in islice(cycle(steps), trials):
+    for each in islice(cycle(steps), settings.trials):
         integrator.setStepsPerTrial(each)
         integrator.step(1)
         yield context.getState(positions=True, velocities=True)
@@ -102,7 +102,7 @@ def wells(settings: ExactnessSettings, h: float, steps: tuple[int, ...], kept: f
     )
     integrator.setRandomNumberSeed(17)
     squares, fourths, kinetic, products = [], [], [], []
-    for state in samples(system, integrator, np.zeros((6, 3)), settings.trials, steps, settings.platform):
+    for state in samples(settings, system, integrator, np.zeros((6, 3)), steps):
         q, p = md(state.getPositions(asNumpy=True)), md(state.getVelocities(asNumpy=True))
         energies = springs[:, None] * q**2 / KT
         squares.append(energies.mean())
@@ -155,7 +155,7 @@ def dipoles(settings: ExactnessSettings, field: float, h: float) -> list[dict[st
     integrator.setRandomNumberSeed(round(field))
     cosines, squares, volumes = [], [], []
     mean = 1 / math.tanh(field) - 1 / field
-    for state in samples(system, integrator, np.tile(sites, (n, 1)), settings.trials, (1,), settings.platform):
+    for state in samples(settings, system, integrator, np.tile(sites, (n, 1)), (1,)):
         z = md(state.getPositions(asNumpy=True))[:, 2]
         observed = (z[1::3] - z[2::3]) / length
         cosines.append(observed.mean())
@@ -191,7 +191,8 @@ def record_of(settings: ExactnessSettings) -> str:
     """Name of the record: exactness.json by default, and such as exactness-native-opencl.json."""
     if (settings.engine, settings.platform) == (ExactnessSettings.engine, ExactnessSettings.platform):
         return "exactness.json"
-    return f"exactness-{settings.engine}-{settings.platform}.json".lower()
+    precision = "" if settings.precision == ExactnessSettings.precision else f"-{settings.precision}"
+    return f"exactness-{settings.engine}-{settings.platform}{precision}.json".lower()
 
 
 main = command(ExactnessSettings, study, __doc__, __name__)

@@ -73,6 +73,7 @@ def test_program_moves_atoms_as_on_reference(in_precision, cluster, precision, e
     (context, integrator), reference = in_precision(precision), SIERIntegrator(0.004, SIER4G, engine="native")
     expected = context_at(system, reference, point)
     assert integrator.engine == "native"
+    assert integrator.impl.engine.precision == precision
     integrator.step(10)
     reference.step(10)
     assert context.getStepCount() == 10

@@ -436,6 +436,32 @@ def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, e
     integrator.step(1)
 
 
+@pytest.mark.parametrize(
+    ("precision", "allowed", "steps", "words"),
+    [
+        ("single", 1e-2, 4, r"1e-02 nm is allowed in single precision.*a platform and {'Precision': 'mixed'}$"),
+        ("mixed", 1e-4, 12, r"1e-04 nm is allowed in mixed precision.*fewer extraChances$"),
+        (None, 1e-4, 12, r"1e-04 nm is allowed\. .*fewer extraChances$"),
+    ],
+)
+def test_rounding_in_single_precision_may_miss_the_start_by_more(
+    cluster, monkeypatch, precision, allowed, steps, words
+):
+    """It hides whether later ends are reversible."""
+    integrator = sampler()
+    # Kept: an integrator's Context must live as long as it is asked.
+    context = context_at(cluster[0], integrator, cluster[1], steps=0)
+    engine = integrator.impl.engine
+    assert engine.precision is None
+    monkeypatch.setattr(engine, "precision", precision)
+    monkeypatch.setattr(metropolis, "reversal_error", lambda *_: 1.01 * allowed)
+    with pytest.raises(openmm.OpenMMException, match=f"trajectory of {steps} steps.*{words}"):
+        integrator.step(1)
+    monkeypatch.setattr(metropolis, "reversal_error", lambda *_: 0.99 * allowed)
+    integrator.step(1)
+    assert context.getStepCount() == 1
+
+
 def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(cluster):
     system, point = cluster
     results = {}

@@ -91,12 +91,10 @@ class NativeEngine(Engine):
         self._has_force = False
         #: Whether velocities are those that the last step left.
         self._follows_bath = False
-        platform = context.getPlatform()
-        precision = "Precision" in platform.getPropertyNames() and platform.getPropertyValue(context, "Precision")
-        self._atoms = AtomCache(context, is_single=precision == "single")
+        self._atoms = AtomCache(context, is_single=self.precision == "single")
         self._remembers_list = neighbour_list.is_remembered(context)
-        self._checks_positions = needs_finite_positions(system, platform)
-        if precision == "single":
+        self._checks_positions = needs_finite_positions(system, context.getPlatform())
+        if self.precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
 
     def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
