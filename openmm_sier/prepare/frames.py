@@ -19,7 +19,8 @@ from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
-from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
+from openmm_sier.system.find_bodies import Rigid, RigidBodies
+from openmm_sier.system.links import linked
 from openmm_sier.system.solver_test import SolverTest
 
 #: Name of the residue of a frame, and prefix of the names of its particles.
