@@ -146,8 +146,8 @@ def with_frames(
     Args:
         system: the System, which is not changed.
         positions: positions of its particles, (N, 3), nm or a Quantity, with bodies whole.
-        bodies: the bodies, as `RigidBodies` or in any form of the argument `rigid` of `RigidBodies.from_system`, such
-            as lists of particle indices. None for those defined by the System's constraints.
+        bodies: the bodies, as `RigidBodies` or lists of particle indices. None for those defined by the System's
+            constraints.
         topology: the topology; in that of the copy the frames form a separate chain.
 
     Returns:
