@@ -10,9 +10,10 @@ from openmm_sier.prepare.joined_bodies import refuse_torn_bodies, remembered_pai
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies
 from openmm_sier.system.bonded_terms import working_terms
-from openmm_sier.system.find_bodies import BodyPlan, linked
+from openmm_sier.system.find_bodies import BodyPlan
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
+from openmm_sier.system.links import linked
 
 
 class FastForces:
@@ -55,17 +56,8 @@ class FastForces:
         return [force for i, force in self.acting.items() if group in _groups(force) and i not in self.fast]
 
     def free_group(self) -> int:
-        """Return a group for the fast forces: 1 or, if that has other forces, the first group without any.
-
-        Raises:
-            ValueError: all groups have other forces.
-        """
-        for group in (*range(1, GROUPS), 0):
-            if not self.others_in(group):
-                return group
-        raise ValueError(
-            f"all {GROUPS} force groups are in use, but fast forces need a separate one: merge groups by setForceGroup"
-        )
+        """Return a group for the fast forces: 1 or, if that has other forces, the first group without any."""
+        return next(group for group in (*range(1, GROUPS), 0) if not self.others_in(group))
 
 
 def find_fast_groups(system: openmm.System, bodies: Bodies) -> int:

@@ -19,7 +19,8 @@ from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
-from openmm_sier.system.find_bodies import Rigid, RigidBodies, linked
+from openmm_sier.system.find_bodies import Rigid, RigidBodies
+from openmm_sier.system.links import linked
 from openmm_sier.system.solver_test import SolverTest
 
 #: Name of the residue of a frame, and prefix of the names of its particles.
@@ -145,8 +146,8 @@ def with_frames(
     Args:
         system: the System, which is not changed.
         positions: positions of its particles, (N, 3), nm or a Quantity, with bodies whole.
-        bodies: the bodies, as `RigidBodies` or in any form of the argument `rigid` of `RigidBodies.from_system`, such
-            as lists of particle indices. None for those defined by the System's constraints.
+        bodies: the bodies, as `RigidBodies` or lists of particle indices. None for those defined by the System's
+            constraints.
         topology: the topology; in that of the copy the frames form a separate chain.
 
     Returns:

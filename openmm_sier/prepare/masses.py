@@ -12,8 +12,8 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
-from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
+from openmm_sier.system.links import Links
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
 from openmm_sier.system.user_warnings import warn
 

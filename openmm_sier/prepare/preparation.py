@@ -9,7 +9,6 @@ from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.prepare import close_pairs
 from openmm_sier.prepare.cutoff_discontinuities import describe_discontinuities
 from openmm_sier.prepare.fast_forces import FastForces
-from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.prepare.joined_bodies import join_bodies
 from openmm_sier.prepare.masses import checked_mass, set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
@@ -17,10 +16,9 @@ from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
-from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.bound_systems import refuse_bound
-from openmm_sier.system.find_bodies import BodyPlan, Links
-from openmm_sier.system.forces import kind_of
+from openmm_sier.system.find_bodies import BodyPlan
+from openmm_sier.system.links import Links
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def prepare_system(
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
-        sentences += _join(system, forces) + gathered + _useless_terms(system, forces.owner)
+        sentences += _join(system, forces) + gathered
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(sentences), limits)
@@ -195,23 +193,6 @@ def _put_fast_forces(system: openmm.System, forces: FastForces, group: int) -> l
     for force in fast:
         force.setForceGroup(group)
     return fast
-
-
-def _useless_terms(system: openmm.System, owner: np.ndarray) -> list[str]:
-    """Return a sentence about bonded terms within one body, which do no work."""
-    counts = []
-    for force in system.getForces():
-        if kind_of(force).terms is None or force.getName() == BODIES:
-            continue
-        works = do_work(bonded_terms(force), owner)
-        if not works.all():
-            counts.append(f"{np.count_nonzero(~works)} of {len(works)} of {force.getName()}")
-    if not counts:
-        return []
-    return [
-        f"Bonded terms within rigid bodies or between frozen atoms do no work but cost time ({', '.join(counts)}): "
-        "omit elastic networks when you create the Forces. Bonds along chains are cheap, and keep molecules whole."
-    ]
 
 
 def _add_close_pairs(system: openmm.System, forces: FastForces, fast: list[openmm.Force], group: int) -> list[str]:

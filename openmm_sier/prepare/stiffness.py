@@ -9,12 +9,8 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import harmonic_frequencies, working_terms
+from openmm_sier.system.bonded_terms import COARSE, harmonic_frequencies, mobilities, working_terms
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.mobilities import COARSE, mobilities
-
-#: Assumed length of the arms of an angle, nm. Between atoms arms are shorter, and angles even faster.
-ARM = 0.2
 
 #: Usual steps over the period of the stiffest bond: at constant energy with SIER4G, and in a heat bath with SIER2. For
 #: a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the period (26 fs),

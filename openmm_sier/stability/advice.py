@@ -8,9 +8,9 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import working_terms
-from openmm_sier.system.find_bodies import Links
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
+from openmm_sier.system.links import Links
 
 #: Dalton. Hydrogens up to this have not been made heavy.
 LIGHT = 2.0

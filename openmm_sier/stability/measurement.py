@@ -206,23 +206,14 @@ def _without_forces(system: openmm.System) -> openmm.System:
 
 def _moved_most(force: openmm.Force, owners: np.ndarray, velocities: np.ndarray) -> tuple[int, ...]:
     """Return particles of the term of a Force that changes most; without terms, those that move most."""
-    terms = _terms(force)
-    if terms.shape[1] > 1:
+    kind = kind_of(force)
+    if kind.terms is not None:
+        terms = bonded_terms(force)
         terms = terms[do_work(terms, owners)]
         relative = velocities[terms] - velocities[terms].mean(axis=1, keepdims=True)
         return tuple(terms[np.argmax((relative**2).sum(axis=(1, 2)))].tolist())
     speeds = np.linalg.norm(velocities, axis=1)
-    if kind_of(force).acts_on == "particles":
+    if kind.acts_on == "particles":
         return (int(speeds.argmax()),)
     movers = np.flatnonzero(speeds >= NAMED * speeds.max())
     return tuple(movers[:MOST_NAMED].tolist())
-
-
-def _terms(force: openmm.Force) -> np.ndarray:
-    """Return particles of each term of a Force, (t, k); none of a Force without terms."""
-    kind = kind_of(force)
-    if kind.terms is not None:
-        return bonded_terms(force)
-    if kind.term_particles is not None:
-        return np.array(kind.term_particles(force), dtype=np.int64)
-    return np.empty((0, 0), dtype=np.int64)

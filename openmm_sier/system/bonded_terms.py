@@ -1,12 +1,18 @@
-"""Terms of bonded Forces: atoms, lengths and force constants."""
+"""Terms of bonded Forces: atoms, lengths, force constants and frequencies."""
 
 from xml.etree import ElementTree
 
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.system.forces import Terms, kind_of
 from openmm_sier.system.tables import Constraints
+
+#: Period in ps above which bonds and angles belong to coarse-grained beads and need no inner steps. Periods between
+#: atoms are 0.01 to 0.1 ps, with one bead per residue 0.3 to 0.5 ps. For two chains of 40 beads SIER4G's energy at
+#: 30 fs was off by 0.005 kJ/mol whether bonds acted in the kicks or in inner steps, which took longer.
+COARSE = 0.2
 
 #: nm. Length of the arms of an angle. Those of atoms are shorter, by which their angles are faster still.
 ARM = 0.2
@@ -57,6 +63,20 @@ def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.nd
     """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
     elements = _elements(force)
     return _atoms(force, elements), np.array([float(term.attrib["k"]) for term in elements], dtype=float)
+
+
+def mobilities(bodies: BodySet) -> np.ndarray:
+    """Return the largest inverse effective mass of each particle over all directions, 1/dalton; 0 without a body.
+
+    A force f at the site r of a body accelerates that site by f / M + I^-1 (r x f) x r.
+    """
+    mobility = np.zeros(bodies.n_particles)
+    for species in bodies.species:
+        cross = np.cross(np.eye(3), species.sites.T[:, None])
+        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
+        rotational = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
+        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(rotational)[:, -1]
+    return mobility
 
 
 def harmonic_frequencies(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import openmm
 
@@ -23,10 +22,6 @@ class Terms(NamedTuple):
     strengths: tuple[int, ...] = ()
 
 
-#: Returns the particles of each term of a Force.
-TermParticles = Callable[[Any], list[Sequence[int]]]
-
-
 class ForceKind(NamedTuple):
     """Properties of a class of Forces. The defaults are those of most classes of OpenMM.
 
@@ -41,7 +36,6 @@ class ForceKind(NamedTuple):
         stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
             expressions and collective variables of few atoms; or "unknown".
         terms: XML form of the terms of a bonded Force, which can be fast; None for other Forces.
-        term_particles: for a Force of terms whose XML has another form; None otherwise.
         joins: whether its terms join atoms into molecules, beside those of HarmonicBondForces and CustomBondForces,
             which do in any case.
         charges: whether it has point charges, or multipoles.
@@ -57,7 +51,6 @@ class ForceKind(NamedTuple):
     acts_on: Literal["terms", "pairs", "particles", "whole", "nothing"]
     stiffness: Literal["soft", "measured", "unknown"]
     terms: Terms | None = None
-    term_particles: TermParticles | None = None
     joins: bool = False
     charges: Literal["points", "multipoles"] | None = None
     meshes: tuple[int, ...] | None = None
@@ -77,11 +70,6 @@ class ForceKind(NamedTuple):
         return self.terms is not None and bool(self.terms.strengths)
 
 
-def _compound_bonds(force: openmm.CustomCompoundBondForce) -> list[Sequence[int]]:
-    """Return the particles of each term."""
-    return [force.getBondParameters(i)[0] for i in range(force.getNumBonds())]
-
-
 _TWO, _THREE, _FOUR = ("p1", "p2"), ("p1", "p2", "p3"), ("p1", "p2", "p3", "p4")
 _EIGHT = ("a1", "a2", "a3", "a4", "b1", "b2", "b3", "b4")
 
@@ -97,9 +85,7 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.CustomAngleForce: ForceKind("terms", "soft", terms=Terms("Angle", _THREE)),
     openmm.CustomTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR)),
     openmm.AmoebaTorsionTorsionForce: ForceKind("terms", "soft"),
-    openmm.CustomCompoundBondForce: ForceKind(
-        "terms", "measured", term_particles=_compound_bonds, has_coordinates=True
-    ),
+    openmm.CustomCompoundBondForce: ForceKind("terms", "measured", has_coordinates=True),
     # A donor or an acceptor is up to three listed atoms, and other particles have no entry.
     openmm.CustomHbondForce: ForceKind("terms", "soft"),
     # Nonbonded Forces.

@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.system import tables
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.links import Links
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: Maximum length in nm of a bond to hydrogen: those to iodine and silicon have 0.16 and 0.15. Longer ones are

@@ -32,9 +32,8 @@ def make_whole(
         system: the System, with the periodic box, if any, as its default.
         positions: (N, 3), nm or a Quantity.
         topology: topology of all particles: for residue names in messages, for bonds that the System lacks or has only
-            as an expression (CustomBondForce), and for some choices of `bodies`.
-        bodies: rigid bodies, as `RigidBodies` or in any form of the argument `rigid` of `RigidBodies.from_system`, such
-            as lists of particle indices.
+            as an expression (CustomBondForce).
+        bodies: rigid bodies, as `RigidBodies` or lists of particle indices.
 
     Returns:
         (N, 3), nm.

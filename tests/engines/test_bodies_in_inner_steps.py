@@ -20,7 +20,7 @@ from openmm_sier import (
     with_frames,
 )
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
-from openmm_sier.system.find_bodies import linked
+from openmm_sier.system.links import linked
 from tests.support.domains import stiff_chain
 from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.peptides import capped_alanine_box, forcefield

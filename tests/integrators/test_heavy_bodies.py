@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.analysis.observables import energy_error
-from openmm_sier.system.mobilities import mobilities
+from openmm_sier.system.bonded_terms import mobilities
 from tests.support.cages import cage
 from tests.support.seeded import seeded
 from tests.support.waters import context_at, energies, phase_point

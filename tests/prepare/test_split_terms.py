@@ -149,13 +149,6 @@ def test_lists_of_particles_leave_the_step_at_that_of_beads_alone():
     assert f"a period of {2000 * np.pi / np.sqrt(2 * STRENGTH / 110):.3g} fs" in message
 
 
-def test_bonded_terms_within_bodies_cost_time():
-    system, bodies, _ = coarse(True)
-    message = "do no work but cost time (24 of 39 of HarmonicBondForce, 22 of 38"
-    assert message in str(prepare_system(system, bodies))
-    assert "do no work" not in str(prepare_system(coarse(False)[0]))
-
-
 def test_a_group_that_is_asked_for_is_used():
     system, bodies, _ = coarse(True)
     assert prepare_system(system, bodies, fastForceGroup=3).fastForceGroups == {3}

@@ -27,7 +27,7 @@ from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.motions import Motions
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.stability.step_rules import DESTROYED, RESONANCE
-from openmm_sier.system.find_bodies import Links
+from openmm_sier.system.links import Links
 from tests.support.silence import silence
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, judged, phase_point, platform

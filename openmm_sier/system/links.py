@@ -1,0 +1,130 @@
+"""Constraints and bonds that join the particles of a System, and link its bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import BodySet, RigidityError
+from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
+from openmm_sier.system.forces import kind_of
+from openmm_sier.system.inner_forces import all_forces
+
+#: Maximum length of covalent bonds, nm: those of iodine and heavy metals.
+LONGEST_COVALENT = 0.3
+
+Linked = TypeVar("Linked", bound=BodySet)
+
+
+class Links:
+    """Constraints and bonds of a System, including those of Forces inside Forces; OpenMM finds molecules by them too.
+
+    Attributes:
+        n_particles: number of particles of the System.
+        constraints: its acting constraints.
+        bonds: pairs of particles joined by harmonic bonds, (b, 2).
+        lengths: lengths of these bonds, (b,), nm.
+        terms: pairs joined by angles or torsions, (t, 2); those of an improper torsion need not be bonded.
+        custom: pairs joined by a CustomBondForce, (d, 2). It may be a restraint: molecules that it joins count as one,
+            as in OpenMM, but rigid ones stay rigid.
+    """
+
+    def __init__(self, system: openmm.System):
+        self.n_particles = system.getNumParticles()
+        self.constraints = tables.constraints(system)
+        forces = [entry.force for entry in all_forces(system)]
+        bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
+        self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
+        self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
+        self.terms = _pairs(force for force in forces if kind_of(force).joins)
+        self.custom = _pairs(force for force in forces if isinstance(force, openmm.CustomBondForce))
+
+    def covalent(self) -> np.ndarray:
+        """Return constraints and bonds, (b, 2), without restraints within molecules.
+
+        A harmonic bond longer than `LONGEST_COVALENT`, as in an elastic network, or a term of a CustomBondForce is a
+        restraint if shorter bonds join its atoms already. OpenMM's readers of GROMACS and CHARMM files put the pairs
+        three bonds apart into a CustomBondForce.
+        """
+        # Bonds of zero length only mark molecules for OpenMM.
+        short = (self.lengths > 0) & (self.lengths <= LONGEST_COVALENT)
+        sure = np.concatenate([self.constraints.pairs, self.bonds[short]])
+        others = np.concatenate([self.bonds[self.lengths > LONGEST_COVALENT], self.custom])
+        ends = joined(self.n_particles, sure)[others]
+        return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
+
+    def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
+        """Return whether a bond joins each cluster of particles to a particle outside."""
+        owner = np.full(self.n_particles, -1)
+        for number, cluster in enumerate(clusters):
+            owner[list(cluster)] = number
+        ends = owner[np.concatenate([self.bonds, self.terms])]
+        leaving = np.zeros(len(clusters) + 1, dtype=bool)
+        leaving[ends[ends[:, 0] != ends[:, 1]]] = True
+        return leaving[:-1]
+
+    def link(self, bodies: Linked) -> Linked:
+        """Return the bodies linked by constraints, and grouped into molecules.
+
+        Raises:
+            RigidityError: a constraint joins a body to a particle without a body, or a body of several atoms to another
+                body.
+        """
+        pairs, lengths = self.constraints
+        ends = bodies.owners[pairs]
+        between = np.flatnonzero(ends[:, 0] != ends[:, 1])
+        extended = (bodies.moments > 0).max(axis=0, initial=False)
+        for pair, body in zip(pairs[between].tolist(), ends[between].tolist(), strict=True):
+            if min(body) < 0 or extended[body].any():
+                raise joins_a_body(*pair)
+        edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
+        molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
+        links = ends[between], lengths[between]
+        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules)
+
+
+def joins_a_body(a: int, b: int) -> RigidityError:
+    """Return the error for a constraint that joins a rigid body to a particle outside."""
+    return RigidityError(
+        f"a constraint between atoms {a} and {b} joins a rigid body to another particle. Put all atoms joined by "
+        "constraints into one body; or leave all of them out of `bodies`, so that only constraints hold them; or "
+        "create the System without that constraint (constraints=None or HBonds instead of AllBonds or HAngles)"
+    )
+
+
+def _pairs(forces: Iterable[openmm.Force]) -> np.ndarray:
+    """Return distinct pairs of neighbours in the terms of bonded Forces, (m, 2)."""
+    terms = map(bonded_terms, forces)
+    pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
+    return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)
+
+
+def linked(system: openmm.System, bodies: Linked) -> Linked:
+    """Return bodies linked by the constraints of a System, and grouped into its molecules.
+
+    Raises:
+        ValueError: the bodies belong to a System with another number of particles or other masses.
+        RigidityError: a constraint joins a body of several atoms to something else.
+    """
+    masses = tables.masses(system)
+    if bodies.n_particles != len(masses):
+        raise ValueError(
+            f"the bodies belong to a System of {bodies.n_particles} particles, but this one has {len(masses)}: create "
+            "the bodies from this System"
+        )
+    for species in bodies.species:
+        wrong = np.argwhere(masses[species.atoms] != species.masses)
+        if len(wrong):
+            body, site = wrong[0]
+            atom = species.atoms[body, site]
+            raise ValueError(
+                f"atom {atom} of {bodies.describe_atoms(species.atoms[body])} has a mass of {species.masses[site]} "
+                f"dalton in the bodies, but {masses[atom]} dalton in the System: create the bodies from this System "
+                "again"
+            )
+    return Links(system).link(bodies)
