@@ -84,7 +84,11 @@ def test_only_classes_with_an_expression_have_absolute_coordinates():
 USUAL = [kind for kind in FORCES if kind is not openmm.RPMDMonteCarloBarostat]
 
 #: Classes of terms that have another form in XML than a list of atoms, and no motion that must be measured.
-WITHOUT_LISTED_TERMS = {openmm.AmoebaTorsionTorsionForce, openmm.CustomHbondForce}
+WITHOUT_LISTED_TERMS = {
+    openmm.AmoebaTorsionTorsionForce,
+    openmm.CustomCompoundBondForce,
+    openmm.CustomHbondForce,
+}
 
 #: Classes of force fields that hold molecules together beside bonds. Other terms may be restraints.
 JOINING = {openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce}
@@ -142,17 +146,13 @@ def test_a_barostat_for_ring_polymers_is_in_no_context():
 def test_terms_are_the_atoms_that_openmm_lists(kind):
     """A correction map is listed before its atoms."""
     row, force = FORCES[kind], EXAMPLES[kind]()
-    assert (row.acts_on == "terms") == bool(row.terms or row.term_particles or kind in WITHOUT_LISTED_TERMS)
+    assert (row.acts_on == "terms") == bool(row.terms or kind in WITHOUT_LISTED_TERMS)
     if row.terms:
         first = 1 if kind is openmm.CMAPTorsionForce else 0
         parameters = getattr(force, f"get{row.terms.element}Parameters")(0)
         assert bonded_terms(force).tolist() == [parameters[first : first + len(row.terms.atoms)]]
-    if row.term_particles:
-        assert np.array(row.term_particles(force)).tolist() == [[0, 1, 2, 3]]
-    if row.terms or row.term_particles:
         _, forces = energy_and_forces(plain_context(system_of(kind), POSITIONS))
-        terms = bonded_terms(force) if row.terms else row.term_particles(force)
-        assert set(np.flatnonzero(forces.any(axis=1))) == set(np.ravel(terms))
+        assert set(np.flatnonzero(forces.any(axis=1))) == set(np.ravel(bonded_terms(force)))
 
 
 @every_class_of_terms
