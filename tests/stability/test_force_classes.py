@@ -89,7 +89,7 @@ def python():
 STIFF = {
     openmm.HarmonicBondForce: (harmonic_bond, (0, 1)),
     openmm.CustomBondForce: (custom_bond, (0, 1)),
-    openmm.CustomCompoundBondForce: (compound_bond, (0, 1)),
+    openmm.CustomCompoundBondForce: (compound_bond, (1,)),
     openmm.CustomCentroidBondForce: (centroid_bond, (1,)),
     openmm.CustomExternalForce: (lambda: field(f"{STIFFNESS}/2*((x-0.1)^2+y^2+z^2)", [1]), (1,)),
     openmm.RMSDForce: (rmsd, (1,)),
