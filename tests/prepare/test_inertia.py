@@ -8,6 +8,7 @@ from openmm import unit
 from openmm_sier import RigidBodies, SIERLangevinIntegrator, select_bodies, set_inertia
 from tests.support.domains import DOMAINS, domain_system, folded, topology_of
 from tests.support.seeded import seeded
+from tests.support.systems import assembled
 from tests.support.waters import platform
 
 #: A centre, and patches on a sphere of 0.5 nm.
@@ -72,13 +73,13 @@ def test_kinetic_energies_agree_with_openmm():
 
 
 def test_masses_need_not_be_near_equal_ones():
-    """With the least deviation from equal masses the patches along the axis would have less than 0."""
-    system, positions, bodies = patchy()
-    set_inertia(system, positions, bodies, 100, [0.1, 2.0, 2.0])
-    masses = [system.getParticleMass(i)._value for i in range(7)]
-    assert min(masses) > 0
-    result = RigidBodies.from_system(system, rigid=bodies, positions=positions)
-    np.testing.assert_allclose(result.moments[:, 0], [0.1, 2.0, 2.0], rtol=1e-7)
+    """Of a lattice with nearly all of its mass at the centre: the least deviation from equal masses is below zero."""
+    lattice = 0.3 * np.stack(np.meshgrid(*3 * [np.arange(3)], indexing="ij"), axis=-1).reshape(-1, 3)
+    system, bodies = assembled(len(lattice) * [1.0]), [range(len(lattice))]
+    set_inertia(system, lattice, bodies, 100, [1.0, 1.2, 1.5])
+    assert min(system.getParticleMass(i)._value for i in bodies[0]) > 0
+    result = RigidBodies.from_system(system, rigid=bodies, positions=lattice)
+    np.testing.assert_allclose(result.moments[:, 0], [1.0, 1.2, 1.5], rtol=1e-7)
 
 
 def test_moments_that_no_masses_have():
