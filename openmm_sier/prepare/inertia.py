@@ -45,7 +45,7 @@ def set_inertia(
     Call this function before bodies are created and before `prepare_system`. Centres and principal axes of the bodies
     do not change.
 
-    >>> set_inertia(system, positions, [range(60)], 500*dalton, [80, 120, 150])
+    >>> set_inertia(system, positions, [range(24)], 500*dalton, [30, 40, 60])
 
     Args:
         system: the System, in which the masses of the bodies' atoms change.
@@ -56,9 +56,9 @@ def set_inertia(
 
     Raises:
         TypeError: `system` is not a System, or a value is not a number.
-        ValueError: moments are not in ascending order; the largest exceeds the sum of the others; the masses that are
-            nearest to equal ones are not positive or do not have these moments; or the System already has a Context
-            with a SIER integrator. The System is unchanged then.
+        ValueError: moments are not in ascending order; the largest exceeds the sum of the others; no masses of the
+            atoms have these moments; or the System already has a Context with a SIER integrator. The System is
+            unchanged then.
         RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)
@@ -111,12 +111,17 @@ def _masses(shape: Species, mass: float, moments: np.ndarray, name: str) -> np.n
     rows = np.vstack([np.ones(r.shape[1]), r, r**2, [r[i] * r[j] for i, j in PAIRS]])
     target = np.concatenate([[1.0], np.zeros(3), squares, np.zeros(3)])
     mean = 1 / r.shape[1]
-    # The least deviation from equal shares.
-    shares = mean + np.linalg.lstsq(rows, target - rows.sum(axis=1) * mean, rcond=None)[0]
-    if (shares < LEAST * mean).any() or np.abs(rows @ shares - target).max() > ACCURACY:
+    least = LEAST * mean
+    # The least deviation from equal shares; where some of these are negative, any that are not.
+    shares = mean + np.linalg.lstsq(rows, target - mean * rows.sum(axis=1), rcond=None)[0]
+    if (shares < least).any():
+        from scipy.optimize import nnls
+
+        shares = least + nnls(rows, target - least * rows.sum(axis=1))[0]
+    if np.abs(rows @ shares - target).max() > ACCURACY:
         raise ValueError(
-            f"no masses near equal ones give {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} "
-            "dalton nm^2 about their centre and axes. Add particles without interactions to the body, further out for "
-            "larger moments and at its centre for smaller ones"
+            f"no masses give {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} dalton nm^2 about "
+            "their centre and axes. Add particles without interactions to the body, further out for larger moments and "
+            "at its centre for smaller ones"
         )
     return mass * shares

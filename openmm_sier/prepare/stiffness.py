@@ -7,7 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.schemes import SIER2, SIER4G, Scheme
+from openmm_sier.dynamics.schemes import SIER2, SIER4G
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import COARSE, harmonic_frequencies, mobilities, working_terms
 from openmm_sier.system.forces import kind_of
@@ -15,7 +15,8 @@ from openmm_sier.system.forces import kind_of
 #: Usual steps over the period of the stiffest bond: at constant energy with SIER4G, and in a heat bath with SIER2. For
 #: a chain of 40 beads with two domains SIER4G's rms(H)/rms(V) within 40 ps was 0.022 % at 1/20 of the period (26 fs),
 #: 0.06 % at 1/16, 0.8 % at 1/13 and 1.8 % at 1/10; with bonds ten times as strong 0.001 % at 1/20 and 0.9 % at 1/13. In
-#: a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly so at 60 fs.
+#: a bath SIER2 had the averages of short steps up to 1/13 (40 fs), and hardly so at 60 fs. Bonds of a chain couple, so
+#: that some modes are up to 1.4 times as fast as a single bond.
 USUAL = {SIER4G: 1 / 20, SIER2: 1 / 13}
 
 
@@ -62,18 +63,11 @@ def stiffest(system: openmm.System, bodies: BodySet | None, owner: np.ndarray) -
     return fastest if fastest.atoms else None
 
 
-def usual_steps(motion: Stiffest) -> dict[Scheme, float]:
-    """Return usual steps in ps for this stiffest motion: at constant energy, and in a heat bath.
-
-    Bonds of a chain couple, so that some modes are up to 1.4 times as fast as a single bond.
-    """
-    return {scheme: share * motion.period for scheme, share in USUAL.items()}
-
-
 def describe_coarse(motion: Stiffest) -> str:
     """Return a sentence on the stiffest motion of a coarse-grained model, and on usual steps."""
     kind = "bond between atoms" if len(motion.atoms) == 2 else "angle of atoms"
-    energy, bath = (f"{1000 * step:.2g} fs with {scheme.name}" for scheme, step in usual_steps(motion).items())
+    steps = {scheme: share * motion.period for scheme, share in USUAL.items()}
+    energy, bath = (f"{1000 * step:.2g} fs with {scheme.name}" for scheme, step in steps.items())
     return (
         f"There are no fast forces, since all bonds and angles are slow. The stiffest of them, the {kind} "
         f"{', '.join(map(str, motion.atoms))}, has a period of {1000 * motion.period:.3g} fs: usual steps are {energy} "

@@ -204,7 +204,7 @@ class Wholeness:
             clusters: particle indices of each body.
 
         Raises:
-            RigidityError: a body that no bonds join is longer than half the box.
+            RigidityError: a body that no bonds join is longer than half the box, and not whole about its first atom.
         """
         if self.box is None:
             return positions
@@ -257,7 +257,7 @@ def _gathered(
         box: box vectors as rows, (3, 3), nm.
 
     Raises:
-        RigidityError: a cluster of several fragments is longer than half the box.
+        RigidityError: a cluster has moved, and is longer than half the box.
     """
     x, fragment, inverse = positions.copy(), fragment.copy(), np.linalg.inv(box)
     for cluster in clusters:
@@ -270,7 +270,7 @@ def _gathered(
         for number, shift in zip(numbers.tolist(), shifts, strict=True):
             if shift.any():
                 x[fragment == number] += shift
-        if np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
+        if shifts.any() and np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
             raise RigidityError(
                 f"the body of atoms {as_ranges(atoms)} is longer than half the box, and no bonds join its atoms, so "
                 "that nobody knows whether the periodic boundary cuts it: join them by bonds (HarmonicBondForce)"

@@ -129,7 +129,7 @@ class BodyPlan:
         species: list[Species] = []
         for kind in self.kinds:
             if kind.needs_positions:
-                self._demand_extent(kind, positions)
+                self._refuse_unusable(kind, positions)
             if kind.model is None:
                 species += geometries.from_positions(kind, positions, self._describe)
             elif kind.needs_positions:
@@ -186,16 +186,11 @@ class BodyPlan:
         for atom in np.flatnonzero(free).tolist():
             yield (atom,), {}
 
-    def _demand_extent(self, kind: Kind, positions: np.ndarray) -> None:
+    def _refuse_unusable(self, kind: Kind, positions: np.ndarray) -> None:
+        """Refuse positions that give no shape."""
         for cluster in kind.clusters:
-            x = positions[cluster]
-            if not np.isfinite(x).all():
+            if not np.isfinite(positions[cluster]).all():
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
-            if len(cluster) > 1 and not np.ptp(x, axis=0).any():
-                raise RigidityError(
-                    f"all atoms of {self._describe(cluster)} are at one point, but the body takes its shape from the "
-                    "positions. Set the positions first"
-                )
         if self._wholeness is not None:
             self._wholeness.refuse_cut(positions, kind.clusters, self._describe)
 

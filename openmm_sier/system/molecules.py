@@ -41,8 +41,8 @@ def make_whole(
     Raises:
         ValueError: a bond is broken even between the nearest images of its atoms: its energy exceeds 1000 kJ/mol, a
             constraint is 0.1 nm too long, or a bond known only from the topology is longer than 0.4 nm. The message
-            names the longest. Or a body that no bonds join is longer than half the box, or `bodies` are refused, see
-            `RigidBodies.from_system`.
+            names the longest. Or a body that no bonds join is longer than half the box and
+            not whole about its first atom; or `bodies` are refused, see `RigidBodies.from_system`.
     """
     x = checked_positions(positions, checked_system(system).getNumParticles())
     wholeness = Wholeness(system, topology)

@@ -37,9 +37,6 @@ def may_not_converge(system: openmm.System) -> bool:
 
     Args:
         system: openmm.System.
-
-    Raises:
-        RigidityError: see `tables.constraints`.
     """
     n, (pairs, lengths) = system.getNumParticles(), tables.constraints(system)
     component = joined(n, pairs)
@@ -59,9 +56,6 @@ class SolverTest:
         """
         Args:
             system: openmm.System. Later changes are ignored.
-
-        Raises:
-            RigidityError: see `tables.constraints`.
         """
         self._system = system
         self._masses = tables.masses(system)

@@ -15,9 +15,6 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import RigidityError
-from openmm_sier.system.geometries import EMBEDDING_TOLERANCE
-
 
 class Constraints(NamedTuple):
     """Distinct constraints.
@@ -113,35 +110,17 @@ def masses(system: openmm.System) -> np.ndarray:
 
 @_once
 def constraints(system: openmm.System) -> Constraints:
-    """Return the acting constraints in the System's order; constraints between two frozen atoms do not act.
+    """Return the acting constraints in the System's order, without repeated ones.
 
-    Raises:
-        RigidityError: a constraint joins an atom with mass to one without, which OpenMM refuses too, or a pair of atoms
-            has two different lengths.
+    Constraints between frozen atoms do not act, and OpenMM refuses those between a frozen and a moving atom.
     """
     # An iterator, since a list of all quantities would take most of the memory.
     parameters = map(system.getConstraintParameters, range(system.getNumConstraints()))
     rows = np.fromiter(((a, b, length._value) for a, b, length in parameters), np.dtype((float, 3)))
     pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
-    frozen = masses(system)[pairs] == 0
-    if (wrong := np.flatnonzero(frozen[:, 0] != frozen[:, 1])).size:
-        row = int(wrong[0])
-        still, moving = pairs[row][np.argsort(~frozen[row])].tolist()
-        raise RigidityError(
-            f"a constraint joins atom {moving} to atom {still}, which has no mass; OpenMM refuses such constraints. "
-            f"Give both atoms a mass, or freeze both with mass 0; if atom {still} is a virtual site, remove the "
-            "constraint"
-        )
-    acting = ~frozen.any(axis=1)
+    acting = (masses(system)[pairs] > 0).all(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
-    _, first, same = np.unique(pairs @ [system.getNumParticles(), 1], return_index=True, return_inverse=True)
-    others = lengths[first[same]]
-    if (wrong := np.flatnonzero(np.abs(lengths - others) > EMBEDDING_TOLERANCE)).size:
-        (a, b), other, length = pairs[wrong[0]], others[wrong[0]], lengths[wrong[0]]
-        raise RigidityError(
-            f"the constraints of atoms {a} and {b} contradict each other: one has the length {other:.4f} nm, the "
-            f"other {length:.4f} nm. Remove one of them"
-        )
+    _, first = np.unique(pairs @ [system.getNumParticles(), 1], return_index=True)
     distinct = np.sort(first)
     return Constraints(pairs[distinct], lengths[distinct])
 

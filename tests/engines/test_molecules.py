@@ -28,7 +28,6 @@ from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
 from tests.support.restarts import assert_restart_is_the_same, assert_same, everything
 from tests.support.seeded import seeded
-from tests.support.systems import assembled
 from tests.support.waters import context_at, judged, phase_point, platform
 
 X_H = ((0, 1), (0, 2), (0, 3), (4, 5))
@@ -207,14 +206,6 @@ def test_positions_far_off_the_constraints_are_refused():
         mended = integrator.getBodyState().q
     assert residual(integrator.bodies.constraints, mended) < 1e-13
     integrator.step(1)
-
-
-def test_atoms_in_a_row_are_refused():
-    """Both ways out, carbon as a virtual site and a named body, are in `test_body_kinds`."""
-    lengths = ((0, 1, 0.116), (1, 2, 0.116), (0, 2, 0.232))
-    system = assembled((15.999, 12.011, 15.999), constraints=lengths)
-    with pytest.raises(RigidityError, match=r"atoms 0, 1, 2.*virtual sites.*name the atoms in `bodies`"):
-        openmm.Context(system, SIERIntegrator(0.002), platform())
 
 
 # --- minimization and pressure ---

@@ -223,6 +223,12 @@ def test_a_body_longer_than_half_the_box_is_refused_without_bonds():
                 RigidBodies.from_system(system, None, bodies, x)
 
 
+def test_a_body_longer_than_half_the_box_is_taken_as_it_is_about_its_first_atom():
+    system, body = body_system(ROW), [9, *range(9), *range(10, 19)]
+    assert np.array_equal(make_whole(system, ROW, bodies=[body]), ROW)
+    RigidBodies.from_system(system, None, [body], ROW)
+
+
 def test_bodies_of_several_molecules_are_made_whole_with_their_linkers():
     """A molecule moves as a whole, also with the atoms that are in no body, and so do bodies that share a molecule."""
     x = np.array([[2.8, 1, 1], [2.95, 1, 1], [3.1, 1, 1], [3.1, 1.3, 1], [3.1, 1.45, 1], [2.9, 1.3, 1.0]])

@@ -173,13 +173,7 @@ IMPOSSIBLE = (WATER[0], {(0, 1): 0.1, (0, 2): 0.1, (1, 2): 0.25})
 @pytest.mark.parametrize(
     ("molecule", "topology", "message"),
     [
-        (
-            ((15.999, 0.0, 1.008), WATER[1]),
-            None,
-            r"joins atom 0 to atom 1, which has no mass.*freeze both.*if atom 1 is a virtual",
-        ),
         ((4 * (12.0,), FOURTH_DIMENSION), None, "contradict each other"),
-        ((WATER[0], {**WATER[1], (1, 0): OH + 0.01}), None, "atoms 0 and 1"),
         (WATER, topology_of(("HOH", 4)), "the topology has 4 atoms, but the System has 3 particles"),
         (
             IMPOSSIBLE,
