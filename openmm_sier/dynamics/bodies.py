@@ -87,7 +87,7 @@ class BodySet:
 
     Attributes:
         species: the kinds of body.
-        parts: slice of the bodies of each species.
+        columns: slice of the bodies of each species.
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
         molecules: molecule index of each body, (n,).
@@ -121,11 +121,11 @@ class BodySet:
         counts = [s.atoms.shape[0] for s in self.species]
         starts = np.cumsum([0, *counts])
         self.n = int(starts[-1])
-        self.parts = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
+        self.columns = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
         self._check()
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self.sites, self._fractions = sites_of(self.species, self.parts)
+        self.sites, self._fractions = sites_of(self.species, self.columns)
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -174,7 +174,7 @@ class BodySet:
     def owners(self) -> np.ndarray:
         """Body index of each particle, (N,); -1 without a body."""
         owners = np.full(self.n_particles, -1)
-        for species, columns in zip(self.species, self.parts, strict=True):
+        for species, columns in zip(self.species, self.columns, strict=True):
             owners[species.atoms] = np.arange(columns.start, columns.stop)[:, None]
         return owners
 
@@ -203,7 +203,7 @@ class BodySet:
         """
         indices = np.asarray(bodies, dtype=np.int64)
         kinds = []
-        for species, columns in zip(self.species, self.parts, strict=True):
+        for species, columns in zip(self.species, self.columns, strict=True):
             rows = indices[(indices >= columns.start) & (indices < columns.stop)] - columns.start
             if rows.size:
                 kinds.append(species.of_atoms(species.atoms[rows]))
@@ -213,7 +213,7 @@ class BodySet:
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return the particle indices of a body."""
-        for s, columns in zip(self.species, self.parts, strict=True):
+        for s, columns in zip(self.species, self.columns, strict=True):
             if columns.start <= body < columns.stop:
                 return s.atoms[body - columns.start]
         raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
@@ -258,7 +258,7 @@ class BodySet:
         """Like `fit`, but also return the largest distance of an atom of each body from its site: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
-        for s, columns in zip(self.species, self.parts, strict=True):
+        for s, columns in zip(self.species, self.columns, strict=True):
             x = positions[s.atoms]
             centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
             q[:, columns] = centre.T

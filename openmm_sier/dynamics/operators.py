@@ -143,7 +143,7 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
     if rotation is not exact or not in_order:
         return _drift_by(bodies, rotation)
     rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
-    edges = np.array([0, *(columns.stop for columns in bodies.parts)], dtype=np.int64)
+    edges = np.array([0, *(columns.stop for columns in bodies.columns)], dtype=np.int64)
     tables = edges, rates, bodies.inverse_masses
 
     def apply(state: BodyState, h: float) -> BodyState:
@@ -162,7 +162,7 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
 
     def apply(state: BodyState, h: float) -> BodyState:
         A, L = state.A.copy(), state.L.copy()
-        for species, columns in zip(bodies.species, bodies.parts, strict=True):
+        for species, columns in zip(bodies.species, bodies.columns, strict=True):
             if species.moments.any():
                 A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], species.moments, h)
         return BodyState(state.q + (h * bodies.inverse_masses) * state.p, state.p, A, L)

@@ -191,7 +191,7 @@ def with_frames(
 def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
-    for species, columns in zip(bodies.species, bodies.parts, strict=True):
+    for species, columns in zip(bodies.species, bodies.columns, strict=True):
         if not species.sites.any():
             continue
         free = ~tables.constraints(system).hold(species.atoms)

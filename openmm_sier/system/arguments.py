@@ -1,12 +1,10 @@
 """Check and convert arguments of integrators."""
 
-import functools
 import math
 import numbers
 import operator
-import warnings
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ParamSpec, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import openmm
@@ -14,9 +12,6 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
 
 #: Values of the argument `bodies` of `prepare_system`, which asks only for the particles of each body.
 Bodies = BodySet | Sequence[Sequence[int]] | None
@@ -116,29 +111,6 @@ def checked_scheme(scheme: Any) -> Scheme:
         names = ", ".join(entry.name for entry in CATALOGUE.values())
         raise ValueError(f"scheme must be one of {names}, got {scheme!r}")
     return named
-
-
-def renamed(old: str, new: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Return a decorator that makes a function accept an argument under its former name, with a FutureWarning."""
-
-    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @functools.wraps(function)
-        def call(*args: Arguments.args, **options: Arguments.kwargs) -> Result:
-            if old in options and new not in options:
-                warn_of_former_name(old, new)
-                options[new] = options.pop(old)
-            return function(*args, **options)
-
-        return call
-
-    return decorate
-
-
-def warn_of_former_name(old: str, new: str) -> None:
-    """Warn the caller's caller that a name is deprecated."""
-    warnings.warn(
-        f"{old} is deprecated and will be removed in the next release: use {new}", FutureWarning, stacklevel=3
-    )
 
 
 def step_size(size: Any) -> float:

@@ -28,7 +28,7 @@ def atoms_of(bodies, state):
 
 def each_body(bodies):
     """Number, atoms and masses of every body."""
-    for kind, columns in zip(bodies.species, bodies.parts, strict=True):
+    for kind, columns in zip(bodies.species, bodies.columns, strict=True):
         for i, atoms in enumerate(kind.atoms):
             yield columns.start + i, atoms, kind.masses
 

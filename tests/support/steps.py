@@ -15,7 +15,7 @@ def every_kind(rng, each=40):
 
 def with_a_fast_body(bodies, state):
     """The state with a body at rest and one that spins too fast for the series."""
-    L, slow = state.L.copy(), bodies.parts[1].start
+    L, slow = state.L.copy(), bodies.columns[1].start
     L[:, slow], L[:, slow + 1] = 0.0, 100 * L[:, slow + 1]
     return replace(state, L=L)
 
@@ -25,7 +25,7 @@ def constant_torques(bodies, forces):
 
     def forces_at(q, A):
         F, tau = bodies.forces_and_torques(forces, A)
-        tau[:, bodies.parts[1].start] = 0.0
+        tau[:, bodies.columns[1].start] = 0.0
         return F - 100.0 * q, tau
 
     return operators.CachedForces(forces_at)

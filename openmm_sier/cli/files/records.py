@@ -189,8 +189,10 @@ def last_step(log: Path) -> int:
     """
     with open(log, "rb") as file:
         file.seek(max(0, os.path.getsize(log) - LAST_ROW))
-        *rows, _ = file.read().split(b"\n")
-    return int(rows[-1].split(b",")[0])
+        lines = file.read().split(b"\n")
+    if len(lines) < 2:
+        raise ValueError(f"{log} has no complete row")
+    return int(lines[-2].split(b",")[0])
 
 
 def _first_bytes(path: Path, count: int) -> bytes:

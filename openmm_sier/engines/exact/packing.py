@@ -19,11 +19,11 @@ class Packing:
         self.bodies = bodies
         #: Ranges of bodies that are all points, or all not.
         self._runs: list[tuple[slice, bool]] = []
-        for species, part in zip(bodies.species, bodies.parts, strict=True):
+        for species, columns in zip(bodies.species, bodies.columns, strict=True):
             is_point = species.atoms.shape[1] == 1
             if self._runs and self._runs[-1][1] == is_point:
-                part = slice(self._runs.pop()[0].start, part.stop)
-            self._runs.append((part, is_point))
+                columns = slice(self._runs.pop()[0].start, part.stop)
+            self._runs.append((columns, is_point))
 
     def pack(self, state: BodyState) -> np.ndarray:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
