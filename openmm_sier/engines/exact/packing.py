@@ -22,7 +22,7 @@ class Packing:
         for species, columns in zip(bodies.species, bodies.columns, strict=True):
             is_point = species.atoms.shape[1] == 1
             if self._runs and self._runs[-1][1] == is_point:
-                columns = slice(self._runs.pop()[0].start, part.stop)
+                columns = slice(self._runs.pop()[0].start, columns.stop)
             self._runs.append((columns, is_point))
 
     def pack(self, state: BodyState) -> np.ndarray:
