@@ -160,7 +160,8 @@ def _draw_panel(axes: Axes, runs: Runs, panel: Panel) -> None:
         plan = runs.first.plan
         if plan and plan.ensemble != "nve":
             axes.axhline(plan.temperature, color="0.2", lw=2, ls=":", label="bath")
-        axes.legend(loc="best", ncols=len(panel.colours) + 1)
+        # Above the panel, right of its title, where no line runs through it.
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=len(panel.colours) + 1)
     if runs.begin:
         # Left out of means.
         axes.axvspan(0, runs.begin, facecolor="0.94", edgecolor="0.8", hatch="//", lw=0, zorder=0)
