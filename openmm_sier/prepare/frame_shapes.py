@@ -9,13 +9,13 @@ e = c the corner and the rest have M c^2 along the shortest axis. The rest is di
 axis, and the remainder along the last. Masses divided later have their mean on the axis, so that sums of m x y are 0.
 The rest has a fraction s of the mass, and e = b/sqrt(s) gives it M b^2.
 
-With the fractions 1/4, 1/3 and 1/2 all four masses are equal, at the corners of a regular tetrahedron stretched along
-the axes. Flat bodies need three masses and linear bodies two. If a body is thin, four equal masses would lie nearly in
-a plane, where one of their six distances nearly follows from the others: constraints would be nearly redundant.
-Smaller fractions move corners further out.
+With the fractions 1/4, 1/3 and 1/2 all four masses would be equal, at the corners of a regular tetrahedron stretched
+along the axes, which are atoms in a cube. Slightly smaller fractions keep clear of the atoms of symmetric bodies. Flat
+bodies need three masses and linear bodies two. If a body is thin, four equal masses would lie nearly in a plane, where
+one of their six distances nearly follows from the others: constraints would be nearly redundant. Smaller fractions move
+corners further out.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,9 @@ import openmm
 
 from openmm_sier.dynamics.species import Species
 
-#: Fractions of the mass for equal masses, from the longest axis to the shortest.
-EQUAL = (1 / 2, 1 / 3, 1 / 4)
+#: Fractions of the mass, from the longest axis to the shortest, and that along the axis of a line. OpenMM's SETTLE
+#: requires equal masses at the last two corners of a triangle.
+FRACTIONS, OF_LINE = (1 / 2, 0.3, 0.22), 0.4
 
 #: Ratio of an extent to the longest one below which a body is thin, and fractions are reduced in proportion.
 THIN = 1 / 3
@@ -34,11 +35,6 @@ LEAST = 0.01
 
 #: Ratio of an extent to the longest one below which it counts as zero: its square, in moments, is rounding.
 NO_EXTENT = 1e-5
-
-#: Minimum distance in nm between corners and atoms of a body, since Forces may divide by distances even if the energy
-#: is 0; and factors of the fractions that are tried if a corner falls on an atom, as in N2.
-CLEAR = 1e-3
-FACTORS = (1.0, 0.9, 0.8, 0.7, 0.6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +68,11 @@ class FrameShape:
             extents[1:] = 0.0
         axes = np.eye(3)[order]
         axes[2] = np.cross(axes[0], axes[1])
-        best = max(
-            _candidates(extents), key=lambda candidate: min(_clearance(candidate[1] @ axes, species.sites.T), CLEAR)
-        )
-        masses, corners = best
+        thin = np.clip(extents / (THIN * extents[0]), LEAST, 1.0)
+        fractions = np.maximum(np.array(FRACTIONS) * thin, LEAST)
+        if not extents[1]:
+            fractions[0] = OF_LINE
+        masses, corners = _divided(extents, fractions)
         return cls(species.mass * masses, np.ascontiguousarray((corners @ axes).T), axes)
 
     def virtual_site(self, particles: list[int], place: np.ndarray) -> openmm.VirtualSite:
@@ -95,17 +92,6 @@ class FrameShape:
         return openmm.LocalCoordinatesSite(particles, fractions, along_x, along_y, openmm.Vec3(x, y, z))
 
 
-def _candidates(extents: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield frames for extents (3,), the longest first: fractions of the mass, (f,), and corners, (f, 3)."""
-    thin = np.clip(extents / (THIN * extents[0]), LEAST, 1.0)
-    for factor in FACTORS:
-        fractions = np.maximum(np.array(EQUAL) * thin * factor, LEAST)
-        if extents[1]:
-            # OpenMM's SETTLE requires equal masses at the other two corners of a triangle.
-            fractions[0] = EQUAL[0]
-        yield _divided(extents, fractions)
-
-
 def _divided(extents: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Divide a mass of 1 along the axes, the shortest first."""
     rest, remaining = np.zeros(3), 1.0
@@ -119,8 +105,3 @@ def _divided(extents: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np
         masses.append(remaining * fraction)
         remaining *= 1 - fraction
     return np.array([*masses, remaining]), np.array([*corners, rest])
-
-
-def _clearance(corners: np.ndarray, places: np.ndarray) -> float:
-    """Return the smallest distance of a corner (f, 3) from a place (k, 3)."""
-    return float(np.linalg.norm(corners[:, None] - places[None], axis=2).min())
