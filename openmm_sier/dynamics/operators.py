@@ -1,4 +1,4 @@
-"""Operators of splitting schemes, and the loop that executes a scheme.
+"""Operators of splitting schemes, and the calls that make a step.
 
 An operator is a function (state, time) -> state. It returns a new state that shares unchanged arrays: a kick keeps the
 arrays q and A themselves. `CachedForces` recognizes them, and so reuses the force at the end of a step at the start of
@@ -24,7 +24,7 @@ Operator = Callable[..., BodyState]
 AFTER_STEP = "after step"
 
 
-class Call(NamedTuple):
+class StageCall(NamedTuple):
     """A call of an operator in a step.
 
     Attributes:
@@ -170,7 +170,7 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
     return apply
 
 
-def calls(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> list[Call]:
+def calls(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> list[StageCall]:
     """Return the operators of a step of length h, one for each of the scheme's stages, with their times.
 
     Args:
@@ -183,9 +183,9 @@ def calls(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> list[C
     """
     if missing := [name for name in scheme.operators if name not in operators]:
         raise ValueError(f"nothing executes the operator '{missing[0]}' of the scheme {scheme.name}")
-    result = [Call(operators[stage.operator], stage.times(h), stage.operator == BATH) for stage in scheme.stages]
+    result = [StageCall(operators[stage.operator], stage.times(h), stage.operator == BATH) for stage in scheme.stages]
     if AFTER_STEP in operators:
-        result.append(Call(operators[AFTER_STEP], (), False))
+        result.append(StageCall(operators[AFTER_STEP], (), False))
     return result
 
 

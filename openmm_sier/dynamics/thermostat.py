@@ -10,7 +10,6 @@ import numpy as np
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.noise import generator
 from openmm_sier.dynamics.operators import Operator
 from openmm_sier.dynamics.tally import Tally
 
@@ -76,7 +75,7 @@ class OrnsteinUhlenbeck(Thermostat):
             return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
-            noise = generator(tally.seed, tally.draws).standard_normal((6, bodies.n))
+            noise = tally.noise().standard_normal((6, bodies.n))
             damping, widths = decay(h)
             p, L, gains = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
             moving = state.p, state.A, state.L

@@ -20,14 +20,14 @@ class Actions:
     the user called.
     """
 
-    def __init__(self, context: openmm.Context, trial: SolverTest):
+    def __init__(self, context: openmm.Context, solver_test: SolverTest):
         """
         Args:
             context: weak proxy of an openmm.Context, which owns its integrator and so this object.
-            trial: of its System.
+            solver_test: of its System.
         """
         self._context = context
-        self._trial = trial
+        self._solver_test = solver_test
 
     def _positions(self) -> np.ndarray:
         """Return positions, (N, 3), nm; zeros if none were set yet."""
@@ -40,7 +40,7 @@ class Actions:
         Raises:
             openmm.OpenMMException: it cannot.
         """
-        self._trial.refuse(self._positions)
+        self._solver_test.refuse(self._positions)
         by_openmm()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:

@@ -70,5 +70,7 @@ def make_engine(
         # The native engine needs no shapes.
         with suppress(UnknownShapeError):
             return ExactEngine(context, method, tally, bodies)
-    native = NativeEngine if program.trials is None else TrialEngine
-    return native(context, method, tally, bodies, program)
+    if name in ("auto", NativeEngine.name):
+        native = NativeEngine if program.trials is None else TrialEngine
+        return native(context, method, tally, bodies, program)
+    raise ValueError(f"nothing here makes an engine '{name}'")

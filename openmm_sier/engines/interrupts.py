@@ -67,7 +67,7 @@ def deferred() -> Iterator[None]:
 
 
 def act_on_pending() -> None:
-    """Call the handlers of signals that came since `deferred`; that of Ctrl-C raises KeyboardInterrupt."""
+    """Call the handlers of signals that came since `defer`; that of Ctrl-C raises KeyboardInterrupt."""
     if pending:
         _call_handlers(dict(_handlers))
 

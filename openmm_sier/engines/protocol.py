@@ -46,7 +46,7 @@ class RollbackState(NamedTuple):
         clock: time and number of steps.
         box: periodic box vectors, nm.
         mark: of the tally.
-        counts: of the ensemble, by name.
+        counts: of the ensemble, by name, which `Engine.transaction` brings back.
         more: further data of the engine.
     """
 
@@ -153,7 +153,8 @@ class Engine(ABC):
     def make_trial(self, trial: Trial) -> Outcome:
         """Draw momenta, follow the trajectory and take one of its ends, or the start with reversed momenta.
 
-        It takes two draws of random numbers. Heat and number of evaluations go on; the clock is left to the caller.
+        It takes two draws of random numbers, or one where nothing moves. Heat and number of evaluations go on; the
+        clock is left to the caller.
 
         Raises:
             openmm.OpenMMException: the energy of the start is not finite, or OpenMM failed for another reason than a
@@ -180,7 +181,8 @@ class Engine(ABC):
         """Take over all changes before steps of a method, and check its step.
 
         Raises:
-            openmm.OpenMMException: the method cannot be followed. Nothing has been changed then.
+            openmm.OpenMMException: the method cannot be followed. The Context is at its start, with constraints
+                satisfied.
         """
         self.method = method
         self.synchronize()
@@ -191,7 +193,7 @@ class Engine(ABC):
 
     @abstractmethod
     def save(self) -> RollbackState:
-        """Return all that `restore` brings back."""
+        """Return all that `restore` and `transaction` bring back."""
 
     @abstractmethod
     def restore(self, saved: RollbackState, reverse: bool = False) -> None:
@@ -223,7 +225,7 @@ class Engine(ABC):
 
     @abstractmethod
     def potential_energy(self) -> float:
-        """Return the potential energy of the forces that move the bodies, kJ/mol."""
+        """Return the potential energy of the forces that move the bodies, up to date with the Context, kJ/mol."""
 
     @abstractmethod
     def kinetic_energy(self) -> float:
@@ -273,11 +275,11 @@ class Engine(ABC):
         """Return the volume of the box, nm^3."""
         return openmm.Context.getState(self._context).getPeriodicBoxVolume().value_in_unit(unit.nanometer**3)
 
-    def prepare_for_volume_moves(self) -> None:
-        """Check that the volume can be changed.
+    def refuse_volume_moves(self) -> None:
+        """Refuse moves of the volume that the System does not allow.
 
         Raises:
-            openmm.OpenMMException: it cannot.
+            openmm.OpenMMException: it does not allow them.
         """
         checks.refuse_constant_pressure(self._context.getSystem(), self.moving)
 

@@ -6,7 +6,7 @@ from openmm import unit
 
 from openmm_sier.engines.snapshot import Snapshot
 
-#: Relative tolerance of the constraints of a trial.
+#: Relative tolerance of constraints, which are solved before a minimization.
 TOLERANCE = 1e-5
 
 #: Atoms at no larger distance, nm, are named as a pair that overlaps.

@@ -1,7 +1,7 @@
 """Decide what happens between the steps that an engine follows: nothing, thermostats, volume moves, trials.
 
-An ensemble is frozen data: moves that act between steps, and a way to advance by steps. It knows engines only by
-`engines.protocol.Engine`, so that it is written once for all of them.
+An ensemble is frozen data: moves that act between steps, a way to make steps, and what it changes in the method, such
+as a bath within steps. It knows engines only by `engines.protocol.Engine`, so that it is written once for all of them.
 """
 
 from openmm_sier.ensembles.ensemble import ConstantEnergy

@@ -46,7 +46,8 @@ class Move(NamedTuple):
 class Ensemble:
     """Rules for the time between the steps of a scheme: this base class adds nothing.
 
-    A subclass has moves, which act between steps, or another way to advance by a step, or both.
+    A subclass has moves, which act between steps, another way to make steps, or another method, such as a bath within
+    steps.
 
     The fields of a subclass are stored in XML as JSON, and given back to its constructor, which must check them.
 
@@ -90,7 +91,7 @@ class Ensemble:
         return None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
-        """Prepare an engine.
+        """Refuse a System or an engine that cannot have the ensemble.
 
         Raises:
             openmm.OpenMMException: the System has a Force with which the ensemble cannot be sampled.
@@ -166,7 +167,7 @@ class ConstantTemperature(Ensemble):
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         if self.pressure is not None:
-            engine.prepare_for_volume_moves()
+            engine.refuse_volume_moves()
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:

@@ -32,7 +32,8 @@ class SIERContext(openmm.Context):
       to its variables, and the run goes on exactly as a restart from their result does. Forces on one thread of the CPU
       platform depend on a list of neighbours that no file holds.
 
-    They are for users. Engines call those of openmm.Context.
+    They are for users. Engines call those of openmm.Context, but for `NativeEngine.select_groups`, which binds the
+    integrator again.
     """
 
     @property

@@ -33,15 +33,15 @@ from openmm_sier.system.user_warnings import warn
 class IntegratorImpl:
     """The Python part of a SIER integrator, through its whole life.
 
-    A new integrator has its variables and settings, and no program yet. `prepare` writes the program before a Context
-    is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step` advances it.
-    `SIERContext` and `hooks` record by `changed` what users change in the Context: a call of `step` reads and checks
-    nothing unless there was such a change since the last one. `store` writes the variables that checkpoints, States and
-    XML carry. `change` replaces settings at any time.
+    A new integrator has its variables and settings, and no computations yet. `prepare` writes the program before a
+    Context is created, and `bind` makes the engine after that, and again when the Context is reinitialized. `step`
+    advances it. `SIERContext` and `hooks` record by `changed` what users change in the Context: a call of `step` reads
+    and checks nothing unless there was such a change since the last one. `store` writes the variables that checkpoints,
+    States and XML carry. `change` replaces settings at any time.
 
     Attributes:
         settings: the arguments of the integrator.
-        program: the program of the native engine, which OpenMM executes.
+        program: the program of the native engine: a general one, and from `prepare` on that which OpenMM executes.
         stored: heat, random numbers and counts, in variables that checkpoints carry.
         watch: stops runs that have become too hot; there is none before `bind`.
     """
@@ -264,7 +264,7 @@ class IntegratorImpl:
         """Advance by steps of the integrator; see `SIERIntegrator.step`.
 
         One thread makes steps, while signals wait for the end of a step. The engine is up to date with the Context
-        first. After an error it publishes the last completed step.
+        first, and after an error it recovers.
 
         Raises:
             openmm.OpenMMException: another thread is stepping the Context.
@@ -301,7 +301,7 @@ class IntegratorImpl:
         """Take over all changes since the last step.
 
         Raises:
-            openmm.OpenMMException: no step can be made from there. Nothing has been changed then.
+            openmm.OpenMMException: no step can be made from there.
         """
         context = self._context()
         self._compare_temperatures(context, self._temperature)
@@ -317,7 +317,7 @@ class IntegratorImpl:
         self._has_warned_of_temperatures = checks.warn_about_other_temperatures(context, bath)
 
     def refuse_long_step(self) -> None:
-        """Refuse a step that is too long, as the first call of `step` would, before a start is made for it.
+        """Refuse a step that is too long, before a start is made for it; motions that are measured there are left out.
 
         Raises:
             openmm.OpenMMException: the step is too long.

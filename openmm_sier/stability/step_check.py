@@ -18,7 +18,7 @@ from openmm_sier.system.user_warnings import warn
 
 
 class StepCheck:
-    """Limits of steps by bonds, librations and spins.
+    """Limits of steps by the rules of `step_rules`.
 
     A call refuses a step that is too long, or warns of one at which energies are wrong. `inner_step` and `longest_step`
     give steps that are short enough.

@@ -30,9 +30,8 @@ class ForceKind(NamedTuple):
             frames can be added, and a motion of two atoms is judged as a bond. "pairs" of all its particles, or
             functions of these, with an entry for each particle: copies with frames refuse classes that they do not
             know. "particles" one by one: a lone body feels a torque, and momentum is not conserved. The "whole", any
-            other function of many atoms: copies with frames refuse it too. "nothing": it exerts no forces, and is
-            never fast. "terms" without `terms` and the "whole" may fix an angle, so that no warning says that nothing
-            fixes it.
+            other function of many atoms, or of the box: copies with frames refuse it too. "nothing": it exerts no
+            forces, and is never fast.
         stiffness: "soft", softer than bonds or known from its parameters; "measured" at the first step, as of
             expressions and collective variables of few atoms; or "unknown".
         terms: XML form of the terms of a bonded Force, which can be fast; None for other Forces.

@@ -63,7 +63,7 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
     assert "CustomIntegrator_setGlobalVariableByName" in called
 
 
-@pytest.mark.parametrize(("engine", "most"), [("exact", 14), ("native", 9)])
+@pytest.mark.parametrize(("engine", "most"), [("exact", 14), ("native", 8)])
 def test_a_call_of_step_goes_through_few_functions(cluster, engine, most):
     """So that one can read all of it; compiled loops over bodies are not counted."""
     _, system, point = cluster

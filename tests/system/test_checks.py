@@ -65,5 +65,5 @@ def test_an_unknown_force_acts(monkeypatch):
     context.setPositions([[0, 0, 0]])
     integrator.step(1)
     updates = integrator.impl.engine.updates
-    assert updates.act
+    assert updates.acts
     assert not updates.are_of_barostats

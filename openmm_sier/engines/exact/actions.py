@@ -42,7 +42,7 @@ class BodyActions(Actions):
 
     def _is_unsolved(self) -> bool:
         """Return whether OpenMM's solvers cannot satisfy the constraints."""
-        return bool(self._trial.unsolved(self._positions))
+        return bool(self._solver_test.unsolved(self._positions))
 
     def _holds_all_bodies(self) -> bool:
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""

@@ -18,14 +18,14 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Call
+from openmm_sier.dynamics.operators import CachedForces, StageCall
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
-from openmm_sier.engines.exact.motion import Motion, inner_step
+from openmm_sier.engines.exact.motion import MotionOperators, inner_step
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
@@ -45,7 +45,7 @@ class ExactEngine(Engine):
     Attributes:
         forces: forces and torques on the bodies, and energies, computed by the Context.
         motion: the operators that move the bodies.
-        updates: barostats and thermostats of the System.
+        updates: Forces of the System that act between steps, such as barostats.
         point: the phase point of the last completed step; there is none before the first `synchronize`.
     """
 
@@ -85,13 +85,13 @@ class ExactEngine(Engine):
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
         #: The operators of a step; none after a change.
-        self._calls: list[Call] = []
+        self._calls: list[StageCall] = []
         #: The end of the last step, and the phase point just after the bath within it.
         self._last: tuple[BodyState, BodyState] | None = None
 
-    def _new_motion(self) -> Motion:
+    def _new_motion(self) -> MotionOperators:
         fast = self._groups & self.method.fast_groups
-        return Motion(self._context, self.moving, self._in_kicks, self.method.rotation, fast, self.tally)
+        return MotionOperators(self._context, self.moving, self._in_kicks, self.method.rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -144,7 +144,7 @@ class ExactEngine(Engine):
             neighbour_list.forget(self._context)
             self._forget_forces()
         self._calls = []
-        # The record of changes is cleared last, so that an interrupted synchronization is repeated.
+        # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
@@ -190,7 +190,7 @@ class ExactEngine(Engine):
                 # The last force of the step is that at its end.
                 forces = self.forces
                 forces.take_energy(with_evaluation=forces.evaluations + method.scheme.force_evaluations)
-            if method.updates_context and self.updates.act:
+            if method.updates_context and self.updates.acts:
                 with self.transaction():
                     self._complete(self._updated())
             else:
@@ -229,7 +229,7 @@ class ExactEngine(Engine):
         self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
 
     def _updated(self) -> BodyState:
-        """Let barostats and thermostats of the System act, and return the phase point after that.
+        """Let the Forces that act between steps do so, and return the phase point after that.
 
         Raises:
             RigidityError: the positions do not form the bodies any more.
@@ -304,7 +304,7 @@ class ExactEngine(Engine):
 
     def save(self) -> RollbackState:
         # OpenMM's barostats also move atoms of no body.
-        atoms = self.forces.positions.copy() if self.updates.act else None
+        atoms = self.forces.positions.copy() if self.updates.acts else None
         tally = self.tally
         return RollbackState(self.point, self.clock, self._box(), tally.mark(), dict(tally.counts), atoms)
 

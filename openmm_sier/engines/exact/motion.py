@@ -9,7 +9,7 @@ from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Call, Operator, Rotation
+from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation, StageCall
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT
 from openmm_sier.dynamics.tally import Tally
@@ -27,7 +27,7 @@ LONGEST_WITH_BATH = 0.0035
 SMALL_SOLUTE = 200
 
 
-class Motion:
+class MotionOperators:
     """Operators of one Context's bodies.
 
     Attributes:
@@ -70,7 +70,7 @@ class Motion:
         else:
             self._outer = operators.body_operators(bodies, forces, rotation)
 
-    def calls(self, method: IntegrationMethod, longest: float) -> list[Call]:
+    def calls(self, method: IntegrationMethod, longest: float) -> list[StageCall]:
         """Return the calls that make a step of a method, with inner steps of up to `longest`, ps."""
         by_name = dict(self._outer)
         if method.bath is not None:

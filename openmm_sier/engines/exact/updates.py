@@ -1,4 +1,4 @@
-"""Let barostats, thermostats and CMMotionRemovers of OpenMM act between two steps."""
+"""Forces that act between steps, such as OpenMM's barostats and thermostats."""
 
 import weakref
 
@@ -13,7 +13,7 @@ class SystemUpdates:
     """Forces of a System that change positions, velocities or the box between steps.
 
     Attributes:
-        act: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.
+        acts: whether any does so in OpenMM; a CMMotionRemover does not, since the engine does what it is for.
         are_of_barostats: whether they are barostats alone, which leave velocities as they are.
         removers: for each CMMotionRemover, the number of steps from one action to the next.
     """
@@ -23,13 +23,13 @@ class SystemUpdates:
         self._context = weakref.proxy(context)
         system = context.getSystem()
         acting = checks.acting_forces(system)
-        self.act = bool(acting)
+        self.acts = bool(acting)
         self.are_of_barostats = all(kind_of(force).sets == "pressure" for force in acting)
         forces = [force for force in system.getForces() if isinstance(force, openmm.CMMotionRemover)]
         self.removers = [force.getFrequency() for force in forces]
 
     def let_act(self, step: float) -> None:
-        """Let barostats and thermostats act, as in a step of this length in ps, and do nothing else."""
+        """Let them act, as in a step of this length in ps, and do nothing else."""
         plain, integrator = openmm.CustomIntegrator, self._context.getIntegrator()
         native_step = plain.getStepSize(integrator)
         try:

@@ -23,13 +23,13 @@ KINDS = {POSITIONS: openmm.State.Positions, VELOCITIES: openmm.State.Velocities}
 
 
 class AtomCache:
-    """Positions, velocities and box of a Context, read when needed; positions and velocities can be written.
+    """Positions, velocities and box of a Context, read when needed, which can be written.
 
     Arrays are read-only. They are kept until `forget`, without which nobody may move atoms, and velocities are not
     written before `publish` or `forget`.
 
     Attributes:
-        masses: of all particles, (N,), Da.
+        masses: of all particles, (N,), dalton.
         is_unwritten: whether the Context does not have the cached velocities yet.
     """
 

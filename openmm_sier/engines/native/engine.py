@@ -51,8 +51,9 @@ class Potential(NamedTuple):
 class NativeEngine(Engine):
     """An engine that is the program of the integrator.
 
-    The Context has the state after each call. An error in mid-step leaves it where it happened, as with OpenMM's
-    integrators. The massive atoms move; rigid bodies are only reported to users.
+    The Context has the state after each call, but for velocities that wait in `AtomCache` for `publish`. An error in
+    mid-step leaves it where it happened, as with OpenMM's integrators. The massive atoms move; rigid bodies are only
+    reported to users.
     """
 
     name = "native"
@@ -211,11 +212,11 @@ class NativeEngine(Engine):
         # OpenMM's own clock takes the step that the Context was created with, on the CPU and Reference platforms.
         is_clock_right = parts == 1 and self.method.step == self._step_of_clock
         time, count = 0.0 if is_clock_right else time_of(context), context.getStepCount()
-        native = steps * parts
-        at_once = 1 if self._checks_positions else native
+        native_steps = steps * parts
+        in_a_call = 1 if self._checks_positions else native_steps
         try:
-            for _ in range(0, native, at_once):
-                openmm.CustomIntegrator.step(integrator, at_once)
+            for _ in range(0, native_steps, in_a_call):
+                openmm.CustomIntegrator.step(integrator, in_a_call)
                 if self._checks_positions:
                     self._refuse_lost_atoms(count + 1)
         except openmm.OpenMMException as error:

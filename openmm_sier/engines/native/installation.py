@@ -65,7 +65,8 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
-    the exact engine uses this. Without parts of a program nothing else can be executed here.
+    the exact engine uses this. A program of trials has no such block. Without parts of a program nothing else can be
+    executed here.
 
     Args:
         program: what OpenMM executes.
