@@ -145,12 +145,13 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
     rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
     edges = np.array([0, *(columns.stop for columns in bodies.columns)], dtype=np.int64)
     tables = edges, rates, bodies.inverse_masses
+    n, shape = bodies.n, (3, bodies.n)
 
     def apply(state: BodyState, h: float) -> BodyState:
-        if state.q.shape != (3, bodies.n):
-            raise ValueError(f"a state of {bodies.n} bodies must have q of shape {(3, bodies.n)}, got {state.q.shape}")
-        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
-        if kernels.bodies.drift(bodies.n, state.q, state.p, state.A, state.L, h, *tables, q, A):
+        if state.q.shape != shape:
+            raise ValueError(f"a state of {n} bodies must have q of shape {shape}, got {state.q.shape}")
+        q, A = np.empty(shape), np.empty((3, *shape))
+        if kernels.bodies.drift(n, state.q, state.p, state.A, state.L, h, *tables, q, A):
             raise not_finite(state.A, state.L)
         return BodyState(q, state.p, A, state.L)
 

@@ -77,11 +77,11 @@ class OrnsteinUhlenbeck(Thermostat):
         def apply(state: BodyState, h: float) -> BodyState:
             noise = tally.noise().standard_normal((6, bodies.n))
             damping, widths = decay(h)
-            p, L, gains = np.empty(state.p.shape), np.empty(state.L.shape), np.empty(bodies.n)
+            p, L = np.empty(state.p.shape), np.empty(state.L.shape)
             moving = state.p, state.A, state.L
-            kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L, gains)
+            gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
             tally.draws += 1
-            tally.heat += float(gains.sum())
+            tally.heat += gain
             return BodyState(state.q, p, state.A, L)
 
         return apply

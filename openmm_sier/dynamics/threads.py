@@ -6,7 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache, wraps
 from typing import Any
 
-#: Least number of bodies for a thread, since starting one takes as long as some ten thousand bodies in a light loop.
+#: Least number of bodies in a share of a thread, since starting one takes as long as some ten thousand bodies in a light
+#: loop.
 SHARE = 32768
 
 
@@ -24,7 +25,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def shared(loop: Callable[..., int]) -> Callable[..., int]:
+def shared(loop: Callable[..., float]) -> Callable[..., float]:
     """Turn a loop (start, stop, ...) into one over a number of bodies, which threads share if it is long.
 
     The numbers that it returns are summed. However the call ends, its threads end with it: a forked process does not
@@ -32,11 +33,13 @@ def shared(loop: Callable[..., int]) -> Callable[..., int]:
     """
 
     @wraps(loop)
-    def run(n: int, *arguments: Any) -> int:
-        if n < 2 * SHARE or (team := min(count(), n // SHARE)) < 2:
+    def run(n: int, *arguments: Any) -> float:
+        if n < 2 * SHARE:
             return loop(0, n, *arguments)
-        edges = [n * i // team for i in range(team + 1)]
-        with ThreadPoolExecutor(team) as pool:
+        # Shares do not depend on the number of threads, so that sums have the same bits with any.
+        shares = n // SHARE
+        edges = [n * i // shares for i in range(shares + 1)]
+        with ThreadPoolExecutor(min(count(), shares)) as pool:
             return sum(pool.map(lambda low, high: loop(low, high, *arguments), edges[:-1], edges[1:]))
 
     return run

@@ -15,13 +15,18 @@ from tests.support.steps import every_kind, with_a_fast_body
 
 
 @pytest.fixture
-def three_threads(monkeypatch):
-    """Loops over nine bodies or more are shared by three threads."""
-    monkeypatch.setattr(threads, "count", lambda: 3)
+def short_shares(monkeypatch):
+    """Loops over six bodies or more are shared."""
     monkeypatch.setattr(threads, "SHARE", 3)
+    monkeypatch.setattr(threads, "count", lambda: 1)
 
 
-def test_threads_give_the_same_bits(request, rng):
+@pytest.fixture
+def three_threads(short_shares, monkeypatch):
+    monkeypatch.setattr(threads, "count", lambda: 3)
+
+
+def test_threads_give_the_same_bits(short_shares, request, rng):
     bodies, state, forces = every_kind(rng)
     state, flow = with_a_fast_body(bodies, state), operators.drift(bodies)
 
@@ -78,7 +83,9 @@ def test_loops_in_a_forked_process(three_threads):
     process.join()
 
 
-@pytest.mark.parametrize(("n", "parts"), [(5, [(0, 5)]), (6, [(0, 3), (3, 6)]), (100, [(0, 33), (33, 66), (66, 100)])])
+@pytest.mark.parametrize(
+    ("n", "parts"), [(5, [(0, 5)]), (6, [(0, 3), (3, 6)]), (14, [(0, 3), (3, 7), (7, 10), (10, 14)])]
+)
 def test_shares_are_large_enough_for_a_thread(three_threads, n, parts):
     """The results of all shares are summed."""
     results = []

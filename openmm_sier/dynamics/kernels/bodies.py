@@ -225,9 +225,8 @@ def bathe(
     inverse_moments,
     new_p,
     new_L,
-    gains,
 ):
-    """Let a heat bath act on momenta, and on angular momenta in the principal frames.
+    """Let a heat bath act on momenta, and on angular momenta in the principal frames; return the energy gained.
 
     Args:
         start, stop: range of the bodies.
@@ -238,8 +237,8 @@ def bathe(
         inverse_masses: (n,).
         inverse_moments: (3, n).
         new_p, new_L: written.
-        gains: kinetic energy gained by each body, (n,), written.
     """
+    gain = 0.0
     for n in range(np.uint64(start), np.uint64(stop)):
         energy = 0.0
         for x in range(3):
@@ -254,8 +253,8 @@ def bathe(
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
                 new_L[x, n] += twist * A[i, x, n]
-        gains[n] = 0.5 * energy
-    return 0
+        gain += 0.5 * energy
+    return gain
 
 
 @shared
