@@ -6,8 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache, wraps
 from typing import Any
 
-#: Least number of bodies in a share of a thread, since starting one takes as long as some ten thousand bodies in a light
-#: loop.
+#: Least number of bodies in a share, since starting a thread takes as long as some ten thousand bodies in a light loop.
 SHARE = 32768
 
 
