@@ -105,7 +105,7 @@ def _masses(shape: Species, mass: float, moments: np.ndarray, name: str) -> np.n
     """
     sites = shape.sites
     # In these units mass and moments are of the order of 1, and equations have equal weights.
-    length = max(np.sqrt((sites**2).sum(axis=0).mean()), np.finfo(float).tiny)
+    length = np.sqrt((sites**2).sum(axis=0).mean()) or 1.0
     r = sites / length
     squares = np.maximum(moments.sum() / 2 - moments, 0) / (mass * length**2)
     rows = np.vstack([np.ones(r.shape[1]), r, r**2, [r[i] * r[j] for i, j in PAIRS]])
@@ -118,7 +118,8 @@ def _masses(shape: Species, mass: float, moments: np.ndarray, name: str) -> np.n
         from scipy.optimize import nnls
 
         shares = least + nnls(rows, target - least * rows.sum(axis=1))[0]
-    if np.abs(rows @ shares - target).max() > ACCURACY:
+    # A comparison with NaN is false.
+    if not np.abs(rows @ shares - target).max() <= ACCURACY:
         raise ValueError(
             f"no masses give {name} the moments {', '.join(f'{moment:.4g}' for moment in moments)} dalton nm^2 about "
             "their centre and axes. Add particles without interactions to the body, further out for larger moments and "

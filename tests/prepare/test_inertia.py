@@ -100,3 +100,12 @@ def test_moments_that_no_masses_have():
     with pytest.raises(TypeError, match="in units like dalton nm"):
         set_inertia(system, positions, bodies, 100, 3 * [5.0] * unit.dalton)
     assert openmm.XmlSerializer.serialize(system) == texts
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_body_of_one_atom_has_its_mass_alone():
+    system = assembled([3.0])
+    set_inertia(system, np.zeros((1, 3)), [[0]], 5.0, 3 * [0.0])
+    assert system.getParticleMass(0)._value == 5.0
+    with pytest.raises(ValueError, match="no masses give atoms 0 the moments 1, 1, 1"):
+        set_inertia(system, np.zeros((1, 3)), [[0]], 5.0, 3 * [1.0])
