@@ -125,7 +125,9 @@ class BodySet:
         self._check()
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        self.sites, self._fractions = sites_of(self.species, self.columns)
+        sites, fractions = sites_of(self.species, self.columns)
+        self.sites = sites
+        self._fractions = fractions
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
         linked = np.unique(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
@@ -398,8 +400,7 @@ class BodySet:
     def stopped(self, state: BodyState) -> tuple[BodyState, float]:
         """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""
         velocity = self.centre_velocity(state.p)
-        p = state.p - self.masses * velocity[:, None]
-        return BodyState(state.q, p, state.A, state.L), 0.5 * self.mass * float(velocity @ velocity)
+        return self.shifted(state, -velocity), -self.energy_of_shift(velocity, -velocity)
 
     def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
         """Return the energy gain when a velocity is added to all bodies, kJ/mol.

@@ -80,10 +80,9 @@ class CachedForces:
         Raises:
             ValueError: their shape differs from that of the positions, (3, n).
         """
-        forces = self._forces
-        if forces is None or state.q is not self._q or state.A is not self._A:
+        if self._forces is None or state.q is not self._q or state.A is not self._A:
             # Free the memory of old forces before computing new ones.
-            forces = self._forces = None
+            self._forces = None
             forces = self.compute(state.q, state.A)
             if not forces[0].shape == forces[1].shape == state.q.shape:
                 shapes = f"{forces[0].shape} and {forces[1].shape}"
@@ -91,7 +90,7 @@ class CachedForces:
             self._q = state.q
             self._A = state.A
             self._forces = forces
-        return forces
+        return self._forces
 
 
 def body_operators(bodies: BodySet, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:

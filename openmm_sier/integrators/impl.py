@@ -22,6 +22,7 @@ from openmm_sier.engines.native.writing import general_program, needs_finite_pos
 from openmm_sier.engines.program import WORK, Program
 from openmm_sier.engines.protocol import Changes, Engine
 from openmm_sier.engines.variables import StoredTally
+from openmm_sier.ensembles.ensemble import Runner
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
@@ -66,7 +67,7 @@ class IntegratorImpl:
         self.stored = StoredTally(integrator, Tally(counts=integrator_settings.ensemble.counts))
         self._engine: Engine | None = None
         #: Makes a number of steps, by the rules of the ensemble.
-        self._run: Callable[[int], None] = lambda steps: None
+        self._run: Runner = lambda steps: None
         self._context: Callable[[], openmm.Context | None] = lambda: None
         self._stepping = RLock()
         self._has_warned_of_noise = False

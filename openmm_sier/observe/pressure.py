@@ -54,7 +54,9 @@ class MolecularPressure:
         self._source = context
         self._system = system
         self._masses = tables.masses(system)
-        self._owners, self._molecule_masses = _molecules(context, self._masses)
+        owners, molecule_masses = _molecules(context, self._masses)
+        self._owners = owners
+        self._molecule_masses = molecule_masses
         self._context = second_context(context, system)
         self._forgets = neighbour_list.is_remembered(self._context)
         self._strains = [(_strain(axes, STRAIN), _strain(axes, -STRAIN)) for axes in COMPONENTS]

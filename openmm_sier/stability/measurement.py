@@ -106,7 +106,9 @@ class _Motions:
     def __init__(self, bodies: BodySet, positions: np.ndarray):
         self._bodies = bodies
         self._shape = positions.shape
-        self._q, self._A = bodies.fit(positions)
+        q, A = bodies.fit(positions)
+        self._q = q
+        self._A = A
         self._roots = np.sqrt(np.concatenate([np.broadcast_to(bodies.masses, (3, bodies.n)), bodies.moments]))
         self._inverse = np.divide(1.0, self._roots, out=np.zeros_like(self._roots), where=self._roots > 0)
 

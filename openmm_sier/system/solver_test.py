@@ -59,7 +59,9 @@ class SolverTest:
         """
         self._system = system
         self._masses = tables.masses(system)
-        self._pairs, self._lengths = tables.constraints(system)
+        constraints = tables.constraints(system)
+        self._pairs = constraints.pairs
+        self._lengths = constraints.lengths
         self._is_tried = not len(self._pairs)
         self._unsolved: tuple[int, ...] = ()
 

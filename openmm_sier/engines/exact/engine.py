@@ -202,7 +202,7 @@ class ExactEngine(Engine):
     def _complete(self, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
         method, (time, steps), tally = self.method, self.clock, self.tally
-        mark = Mark(tally.heat, tally.draws)
+        mark, start = Mark(tally.heat, tally.draws), self.point
         thermal = None
         self.forces.step = steps + 1
         try:
@@ -214,9 +214,11 @@ class ExactEngine(Engine):
                 point = operator(point, *times)
                 if is_bath:
                     thermal = point
-            # One statement: an error between two would leave the new point at the old time.
-            self.point, self.clock = point, Clock(time + method.step, steps + 1)
+            self.point = point
+            self.clock = Clock(time + method.step, steps + 1)
         except BaseException as error:
+            self.point = start
+            self.clock = Clock(time, steps)
             tally.restore(mark)
             if isinstance(error, NotFiniteError):
                 raise blown_up(error, steps + 1) from None
