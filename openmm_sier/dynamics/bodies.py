@@ -49,6 +49,23 @@ class NotFiniteError(ValueError):
         super().__init__(f"the {self.what} is not finite")
 
 
+class PlaceCache:
+    """Results that depend on the centres and attitudes of a state alone, once they have been computed.
+
+    Attributes:
+        forces: forces and torques of the kicks, each (3, n), kJ/mol/nm and kJ/mol.
+        energy: potential energy, kJ/mol.
+        members: state of the bodies that fast forces move, with a cache of its own for these forces.
+    """
+
+    __slots__ = ("energy", "forces", "members")
+
+    def __init__(self) -> None:
+        self.forces: Pair | None = None
+        self.energy: float | None = None
+        self.members: BodyState | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class BodyState:
     """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
@@ -64,6 +81,20 @@ class BodyState:
     p: np.ndarray
     A: np.ndarray
     L: np.ndarray
+
+    @property
+    def cache(self) -> PlaceCache:
+        """The cache of all states of one place, which differ in momenta; `dataclasses.replace` starts a new one."""
+        attributes = vars(self)
+        if "_cache" not in attributes:
+            attributes["_cache"] = PlaceCache()
+        return attributes["_cache"]
+
+    def with_momenta(self, p: np.ndarray, L: np.ndarray) -> "BodyState":
+        """Return the state with other momenta and angular momenta, each (3, n), at the same place."""
+        state = BodyState(self.q, p, self.A, L)
+        vars(state)["_cache"] = self.cache
+        return state
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
@@ -395,7 +426,7 @@ class BodySet:
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
         """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
-        return BodyState(state.q, state.p + self.masses * velocity[:, None], state.A, state.L)
+        return state.with_momenta(state.p + self.masses * velocity[:, None], state.L)
 
     def stopped(self, state: BodyState) -> tuple[BodyState, float]:
         """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""
