@@ -190,7 +190,7 @@ class DisplacedForces:
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float]) -> Operator:
+def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float] = SUZUKI) -> Operator:
     """Return the drift of all bodies: constrained ones follow geodesics by a composition of RATTLE steps.
 
     The operator raises ConstraintError if momenta are far too large for the time.
@@ -224,10 +224,10 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
     the same arrays, as they are after kicks and baths.
 
     Args:
-        drift: of all bodies.
+        drift: of all bodies, under the constraints of those that are not members.
         members: columns of the bodies on which fast forces act, (m,), ascending, with all bodies that are constrained
             to one of them.
-        within: motion of the members, such as `equal_steps`.
+        within: motion of the members under their constraints, such as `equal_steps`.
     """
     columns = as_slice(np.asarray(members))
     #: Positions and attitudes of all bodies at the end of the last drift, and the same of the members.
@@ -239,10 +239,12 @@ def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operat
         return state.q[:, columns].copy(), state.A[:, :, columns].copy()
 
     def apply(state: BodyState, h: float) -> BodyState:
-        q, A = places(state)
-        member_state = within(BodyState(q, state.p[:, columns].copy(), A, state.L[:, columns].copy()), h)
-        free = drift(state, h)
-        new_state = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
+        member_q, member_A = places(state)
+        start = BodyState(member_q, state.p[:, columns].copy(), member_A, state.L[:, columns].copy())
+        member_state = within(start, h)
+        others = drift(state, h)
+        A = others.A.copy() if others.A is state.A else others.A
+        new_state = BodyState(others.q, others.p.copy(), A, others.L.copy())
         new_state.q[:, columns], new_state.p[:, columns] = member_state.q, member_state.p
         new_state.A[:, :, columns], new_state.L[:, columns] = member_state.A, member_state.L
         last[:] = new_state.q, new_state.A, member_state.q, member_state.A

@@ -119,6 +119,11 @@ class Constraints:
             lambda body: self._describe(int(bodies[body])),
         )
 
+    def without(self, bodies: ArrayLike) -> Constraints:
+        """Return the constraints, in the same numbering, except those of a set of bodies, which splits no component."""
+        kept = ~np.isin(self.pairs, bodies).any(axis=1)
+        return Constraints(self.pairs[kept], self.lengths[kept], self.masses, self._describe)
+
     # --- degrees of freedom ---
 
     def rank(self, q: np.ndarray | None = None) -> int:

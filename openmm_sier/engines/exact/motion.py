@@ -88,7 +88,7 @@ class MotionOperators:
     def _nested_drifts(
         self, bodies: BodySet, forces: CachedForces, scheme: Scheme, longest: float
     ) -> dict[str, Operator]:
-        """Return drifts in which fast forces move some bodies."""
+        """Return drifts in which fast forces move some bodies, and the others drift as they do without fast forces."""
         # One RATTLE step in each drift next to a bath: SIER2's own errors are larger.
         composition = (1.0,) if scheme.bath_divides_drift else TRIPLE_JUMP
         within = constrained.constrained_operators(
@@ -98,7 +98,8 @@ class MotionOperators:
             moves = constrained.steps_around_bath(within, longest)
         else:
             moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
-        drift = operators.drift(self._bodies, self._rotation)
+        others = self._bodies.constraints.without(self._members)
+        drift = constrained.constrained_drift(operators.drift(self._bodies, self._rotation), others)
         return {name: constrained.nested_drift(drift, self._members, move) for name, move in moves.items()}
 
 

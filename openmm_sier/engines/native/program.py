@@ -24,7 +24,19 @@ from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, UPDATE, V0, WORK, Line, Program, Statement
+from openmm_sier.engines.program import (
+    ALL_GROUPS,
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    KEPT,
+    UPDATE,
+    V0,
+    WORK,
+    ForceTerm,
+    Line,
+    Program,
+    Statement,
+)
 from openmm_sier.engines.variables import PREFIX
 
 #: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
@@ -52,8 +64,8 @@ GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 #: Count the kinetic energy gained from the first to the second, without keeping velocities.
 BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
 
-#: A force as a sum of OpenMM's forces, each with its sign.
-Force = list[tuple[str, str]]
+#: The force that moves the atoms, as a sum of OpenMM's forces.
+Force = list[ForceTerm]
 
 #: Writes a drift out from its stage.
 Drift = Callable[[Stage], "Line"]
@@ -122,10 +134,10 @@ def write(
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
             native steps.
     """
-    fast = [f"f{group}" for group in sorted(fast_groups)]
+    fast = [ForceTerm(f"f{group}") for group in sorted(fast_groups)]
+    slow = _slow_forces(fast, slow_group)
     number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
     counts_heat = counts_heat or BATH not in scheme.operators
-    slow = [("+", "f"), *(("-", name) for name in fast)] if slow_group is None else [("+", f"f{slow_group}")]
 
     def drift(stage: Stage) -> Line:
         if scheme.bath_divides_drift:
@@ -160,6 +172,13 @@ def write(
     )
 
 
+def _slow_forces(fast: Force, slow_group: int | None) -> Force:
+    """Return the sum of all forces less the fast ones, or the force of the only slow group."""
+    if slow_group is not None:
+        return [ForceTerm(f"f{slow_group}", is_slow=True)]
+    return [ForceTerm(ALL_GROUPS, is_slow=True), *(term._replace(sign="-") for term in fast)]
+
+
 def _leaves_constrained(line: Line) -> bool:
     """Return whether velocities satisfy the constraints after a line."""
     changes = [statement.target for statement, _ in line.executed() if statement.target in ("v", CONSTRAIN_V)]
@@ -174,11 +193,11 @@ def _update(counts_heat: bool) -> list[Line]:
 
 
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
-    """Return lines by native step; one begins where a force is needed at positions that the present one changed."""
+    """Return lines by native step; one begins where slow forces are needed at positions that the last one changed."""
     parts: list[list[Line]] = [[]]
     moved = False
     for line in lines:
-        if moved and line.needs_force:
+        if moved and line.needs_slow_force:
             parts.append([])
             moved = False
         parts[-1].append(line)
@@ -186,16 +205,16 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str], substeps: int) -> Line:
+def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: Force, substeps: int) -> Line:
     """Write a drift under the forces of fast groups, with RATTLE steps in each drift of an inner step."""
     inner_drift = partial(_drift, substeps=substeps, unit="d/e")
     stages = scheme.within_drifts.stages
-    within = _lines(stages, "e", _sum_of(fast), lambda one: inner_drift(one.fraction))
+    within = _lines(stages, "e", fast, lambda one: inner_drift(one.fraction))
     title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
     return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
 
 
-def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], counts_heat: bool) -> Line:
+def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: Force, counts_heat: bool) -> Line:
     """Write what a drift has on one side of a bath in its middle: half an inner step, and whole ones.
 
     See `dynamics.constrained.steps_around_bath`.
@@ -204,7 +223,7 @@ def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], coun
         stage: the drift to the bath or from it.
         e: the length of an inner step in units of h.
         whole: number of whole inner steps.
-        fast: names of the forces of fast groups, which kick before each inner step.
+        fast: the forces of fast groups, which kick before each inner step.
         counts_heat: whether the heat of the bath is counted.
     """
 
@@ -218,7 +237,7 @@ def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], coun
     steps = (*kick, Stage(DRIFT, 1)) * whole
     half = Stage(stage.operator, 0.5)
     stages = (half, *steps) if stage.operator == DRIFT_FROM_BATH else (*steps, *kick, half)
-    within = _lines(stages, "e", _sum_of(fast), drift)
+    within = _lines(stages, "e", fast, drift)
     if len(within) == 1:
         return within[0]._replace(unit="d/h")
     return Line(f"{stage.operator}, inner steps", (), (e,), "e/h", tuple(within))
@@ -290,16 +309,12 @@ def _constrained_motion(start: str, time: str) -> tuple[Statement, ...]:
     )
 
 
-def _sum_of(names: list[str]) -> Force:
-    return [("+", name) for name in names]
-
-
 def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
     """Write `target = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
-    for sign, name in force:
-        expression = f"{start} {sign} {time}{name}/m" if start else f"{sign.strip('+')}{time}{name}/m"
-        statements.append(Statement(target, expression))
+    for term in force:
+        before = f"{start} {term.sign} " if start else term.sign.strip("+")
+        statements.append(Statement(target, f"{before}{time}{term.name}/m", term))
         start = target
     return statements
 
@@ -312,12 +327,12 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
-    *others, (sign, name) = force
-    acceleration = f"({V0} {sign} {name}/m)" if others else f"{name}/m"
+    *others, last = force
+    acceleration = f"({V0} {last.sign} {last.name}/m)" if others else f"{last.name}/m"
     displace = (
         *_summed(V0, "", "", others),
         Statement(KEPT, "x"),
-        Statement("x", f"x + {shift}*{acceleration}"),
+        Statement("x", f"x + {shift}*{acceleration}", last),
         Statement(CONSTRAIN_X),
         Statement(KEPT, f"x - {KEPT}"),
     )

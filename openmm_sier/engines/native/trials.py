@@ -20,7 +20,6 @@ last force, which positions that were moved would make invalid.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -125,10 +124,10 @@ def ending_of(program: Program, checks_constraints: bool) -> list[Executed | str
     """
     _, after = halves_of(program)
     if checks_constraints:
-        # Velocities are corrected for what constraints moved, from positions that were kept.
-        corrected = 1 + max((i for i, (statement, _) in enumerate(after) if KEPT in statement.expression), default=-1)
+        # Velocities are corrected before, for what constraints moved, from positions that were kept.
+        kick = next((i for i, (statement, _) in enumerate(after) if statement.force is not None), len(after))
         again = [(Statement(KEPT, "x"), ""), (Statement(CONSTRAIN_X), "")]
-        return [*after[:corrected], *again, *_with_energies(program, after[corrected:])]
+        return [*after[:kick], *again, *_with_energies(program, after[kick:])]
     return _with_energies(program, after)
 
 
@@ -136,12 +135,17 @@ def _with_energies(program: Program, statements: list[Executed]) -> list[Execute
     """Return statements of an end with the name of each energy before the first force of the same group."""
     ending: list[Executed | str] = [*statements]
     for energy in energies(program):
-        force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
-        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and force.search(each[0].expression))
+        name = energy.replace("energy", "f")
+        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and _uses(each[0], name))
         ending.insert(next(places, len(ending)), energy)
     # Statements without a force can be computed with those of the first force, after its energy.
     first = next(i for i, each in enumerate(ending) if isinstance(each, str))
     return [ending[first], *ending[:first], *ending[first + 1 :]]
+
+
+def _uses(statement: Statement, name: str) -> bool:
+    """Return whether a statement uses a force by its name in OpenMM's syntax."""
+    return statement.force is not None and statement.force.name == name
 
 
 # --- the program ---
