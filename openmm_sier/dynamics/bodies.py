@@ -6,7 +6,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -58,15 +58,12 @@ class PlaceCache:
         members: state of the bodies that fast forces move, with a cache of its own for these forces.
     """
 
-    __slots__ = ("energy", "forces", "members")
-
-    def __init__(self) -> None:
-        self.forces: Pair | None = None
-        self.energy: float | None = None
-        self.members: BodyState | None = None
+    forces: Pair | None = None
+    energy: float | None = None
+    members: "BodyState | None" = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class BodyState:
     """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
 
@@ -75,26 +72,25 @@ class BodyState:
         p: momenta, (3, n), dalton nm/ps.
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
+        cache: of the place (q, A). States that differ in momenta share it; `dataclasses.replace` gives a new one.
     """
 
     q: np.ndarray
     p: np.ndarray
     A: np.ndarray
     L: np.ndarray
+    cache: PlaceCache = field(init=False, repr=False)
 
-    @property
-    def cache(self) -> PlaceCache:
-        """The cache of all states of one place, which differ in momenta; `dataclasses.replace` starts a new one."""
-        attributes = vars(self)
-        if "_cache" not in attributes:
-            attributes["_cache"] = PlaceCache()
-        return attributes["_cache"]
-
-    def with_momenta(self, p: np.ndarray, L: np.ndarray) -> "BodyState":
-        """Return the state with other momenta and angular momenta, each (3, n), at the same place."""
-        state = BodyState(self.q, p, self.A, L)
-        vars(state)["_cache"] = self.cache
-        return state
+    def __init__(
+        self, q: np.ndarray, p: np.ndarray, A: np.ndarray, L: np.ndarray, cache: PlaceCache | None = None
+    ) -> None:
+        # Several of these are made in a step, and the generated constructor of a frozen class takes twice as long.
+        attributes = self.__dict__
+        attributes["q"] = q
+        attributes["p"] = p
+        attributes["A"] = A
+        attributes["L"] = L
+        attributes["cache"] = PlaceCache() if cache is None else cache
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
@@ -426,7 +422,8 @@ class BodySet:
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
         """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
-        return state.with_momenta(state.p + self.masses * velocity[:, None], state.L)
+        p = state.p + self.masses * velocity[:, None]
+        return BodyState(state.q, p, state.A, state.L, state.cache)
 
     def stopped(self, state: BodyState) -> tuple[BodyState, float]:
         """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from openmm_sier.dynamics.schemes import Scheme
@@ -32,6 +32,10 @@ class Operation:
 
     moves_atoms: ClassVar[bool] = False
 
+    def times(self, step: float) -> tuple[float, ...]:
+        """Return its time in a step, ps, and other lengths that it has; none where it takes no time."""
+        return ()
+
 
 @dataclass(frozen=True)
 class Timed(Operation):
@@ -44,7 +48,6 @@ class Timed(Operation):
     fraction: float
 
     def times(self, step: float) -> tuple[float, ...]:
-        """Return its time in a step, ps, and whatever other lengths it has."""
         return (self.fraction * step,)
 
 
@@ -156,6 +159,14 @@ class Project(Operation):
 
 
 @dataclass(frozen=True)
+class Energy(Operation):
+    """The potential energy becomes known, with the slow forces of the same positions."""
+
+    def __str__(self) -> str:
+        return "energy, with the slow forces"
+
+
+@dataclass(frozen=True)
 class Plan:
     """A step as a list of operations.
 
@@ -172,6 +183,17 @@ class Plan:
         """The longest inner step as a fraction of the step; 1 where there are none."""
         lengths = [abs(each.whole) / each.number for each in self.operations if isinstance(each, Inner)]
         return max(lengths, default=1.0)
+
+    def with_energy(self) -> Plan:
+        """Return the plan of a step of whose end the energy is wanted.
+
+        It is computed with the last forces, if these are those of the end.
+        """
+        last = max((i for i, operation in enumerate(self.operations) if operation.moves_atoms), default=-1) + 1
+        before, after = self.operations[:last], self.operations[last:]
+        if not any(isinstance(operation, Kick) for operation in after):
+            return self
+        return replace(self, operations=(*before, Energy(), *after))
 
     def __str__(self) -> str:
         return "\n".join([f"{self.name}, a step h:", *map(str, self.operations)])
@@ -197,13 +219,17 @@ class Resolution:
             the bath in its middle. 0 takes `weights` on both sides of the bath.
     """
 
-    weights: tuple[float, ...] = field(default=(1.0,))
-    inner_weights: tuple[float, ...] = field(default=(1.0,))
+    weights: tuple[float, ...] = (1.0,)
+    inner_weights: tuple[float, ...] = (1.0,)
     around_bath: int = 0
 
 
 def plan_step(
-    scheme: Scheme, longest_inner_step: float | None = None, resolution: Resolution | None = None, updates: bool = True
+    scheme: Scheme,
+    longest_inner_step: float | None = None,
+    resolution: Resolution | None = None,
+    updates: bool = True,
+    projects: bool = True,
 ) -> Plan:
     """Return the plan of a scheme.
 
@@ -234,6 +260,7 @@ def plan_step(
         longest_inner_step: upper bound of inner steps, as a fraction of the step; None without fast forces.
         resolution: how drifts are divided.
         updates: whether `UpdateContext` comes first.
+        projects: whether `Project` comes last.
 
     Raises:
         ValueError: a stage has no operation, or the bound of inner steps is not positive.
@@ -243,7 +270,8 @@ def plan_step(
     writer = _Writer(scheme, longest_inner_step, resolution or Resolution())
     operations = [writer.operation_of(stage) for stage in scheme.stages]
     first = [UpdateContext()] if updates else []
-    return Plan(scheme.name, (*first, *operations, Project()))
+    last = [Project()] if projects else []
+    return Plan(scheme.name, (*first, *operations, *last))
 
 
 @dataclass(frozen=True)

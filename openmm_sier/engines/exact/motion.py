@@ -1,17 +1,17 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation, StageCall
-from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT
+from openmm_sier.dynamics.operators import Forces, Operator, Rotation, always
+from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, Resolution, inner_steps, plan_step, steps_with_bath
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
@@ -21,6 +21,9 @@ from openmm_sier.system.arguments import groups_of
 #: has the averages of harmonic motion right at any step below its stability limit.
 LONGEST_INNER_STEP = 0.003
 LONGEST_WITH_BATH = 0.0035
+
+#: Steps of RATTLE in drifts: free motion needs no forces, so that its error can be far below that of any scheme.
+RESOLUTION = Resolution(SUZUKI, TRIPLE_JUMP)
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -32,14 +35,13 @@ class MotionOperators:
 
     Attributes:
         solute: the fast forces, of the bodies that they act on; None where there are none.
-        fast: these forces with the last ones kept.
     """
 
     def __init__(
         self,
         context: openmm.Context,
         bodies: BodySet,
-        forces: CachedForces,
+        forces: Forces,
         rotation: Rotation,
         fast_groups: int,
         tally: Tally,
@@ -64,43 +66,44 @@ class MotionOperators:
         #: The bodies that fast forces move.
         self._members = _touched(bodies, fast)
         self.solute = _solute(context, bodies.restricted(self._members), fast) if fast else None
-        self.fast = None if self.solute is None else CachedForces(self.solute)
-        if (self._groups >= 0).any():
-            self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
-        else:
-            self._outer = operators.body_operators(bodies, forces, rotation)
+        self._outer = self._table(bodies, forces, self._groups)
 
-    def calls(self, method: IntegrationMethod, longest: float) -> list[StageCall]:
-        """Return the calls that make a step of a method, with inner steps of up to `longest`, ps."""
-        by_name = dict(self._outer)
+    def _table(self, bodies: BodySet, forces: Forces, groups: np.ndarray) -> dict[type[Operation], Any]:
+        """Return the table of some bodies; `groups` are those of `DisplacedForces`."""
+        if (groups >= 0).any():
+            return constrained.constrained_operators(bodies, forces, bodies.constraints, self._rotation, groups)
+        return operators.body_operators(bodies, forces, self._rotation)
+
+    def plan(self, method: IntegrationMethod, longest: float, updates: bool) -> Plan:
+        """Return the plan of a method, with inner steps of up to `longest`, ps."""
+        has_inner_steps = self.solute is not None and longest > 0
+        longest_fraction = longest / method.step if has_inner_steps else None
+        projects = operators.Project in self._outer and len(self._bodies.constraints.pairs) > 0
+        return plan_step(method.scheme, longest_fraction, RESOLUTION, updates, projects)
+
+    def table(self, method: IntegrationMethod) -> dict[type[Operation], Any]:
+        """Return the table of the operations of a method."""
+        table = {**self._outer, Inner: self._inner}
         if method.bath is not None:
-            by_name[BATH] = constrained.bath_operator(method.bath, self._bodies, self._tally)
-        if self.fast is not None and self.solute is not None and longest:
-            by_name |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
-        return operators.calls(method.scheme, by_name, method.step)
+            table[Bath] = always(constrained.bath_operator(method.bath, self._bodies, self._tally))
+        return table
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
-        if self.fast is not None and self.solute is not None:
+        if self.solute is not None:
             self.solute.follow(context)
-            self.fast.invalidate()
 
-    def _nested_drifts(
-        self, bodies: BodySet, forces: CachedForces, scheme: Scheme, longest: float
-    ) -> dict[str, Operator]:
-        """Return drifts in which fast forces move some bodies, and the others drift as they do without fast forces."""
-        # One RATTLE step in each drift next to a bath: SIER2's own errors are larger.
-        composition = (1.0,) if scheme.bath_divides_drift else TRIPLE_JUMP
+    def _inner(self, operation: Inner, step: float) -> Operator:
+        """Return a drift in which fast forces move some bodies, and the others drift as they do without fast forces."""
+        members = self.solute.bodies  # type: ignore[union-attr]
         within = constrained.constrained_operators(
-            bodies, forces, bodies.constraints, self._rotation, self._groups[self._members], composition
+            members, self.solute, members.constraints, self._rotation, self._groups[self._members]  # type: ignore[arg-type]
         )
-        if scheme.bath_divides_drift:
-            moves = constrained.steps_around_bath(within, longest)
-        else:
-            moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
+        calls = operators.calls(Plan("inner step", operation.operations), within, operation.inner_step(step))
         others = self._bodies.constraints.without(self._members)
-        drift = constrained.constrained_drift(operators.drift(self._bodies, self._rotation), others)
-        return {name: constrained.nested_drift(drift, self._members, move) for name, move in moves.items()}
+        free = operators.drift(self._bodies, self._rotation)
+        drift = constrained.constrained_drifts(free, others)(operation.drift, step)
+        return constrained.inner_drift(drift, self._members, calls)
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -163,6 +166,6 @@ def inner_step(method: IntegrationMethod, accurate: float) -> float:
     if method.substeps is not None:
         return h * scheme.inner_fraction(method.substeps)
     if scheme.bath_divides_drift:
-        return h / constrained.steps_with_bath(h, min(LONGEST_WITH_BATH, accurate))
+        return h / steps_with_bath(h, min(LONGEST_WITH_BATH, accurate))
     longest = h * scheme.longest_drift
-    return longest / constrained.inner_steps(longest, min(LONGEST_INNER_STEP, accurate))
+    return longest / inner_steps(longest, min(LONGEST_INNER_STEP, accurate))

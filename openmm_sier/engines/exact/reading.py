@@ -58,7 +58,7 @@ def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodySta
         raise openmm.OpenMMException(
             f"The velocities of {bodies.describe(error.body)} in the Context are not finite"
         ) from None
-    return state.with_momenta(bodies.constraints.project(state.q, p), L)
+    return BodyState(state.q, bodies.constraints.project(state.q, p), state.A, L, state.cache)
 
 
 class Fitting:
