@@ -1,8 +1,8 @@
 """A step as a list of operations, written once for all engines.
 
-A `Scheme` has the order and the fractions of its stages. A plan adds all that a System needs: inner steps, by which fast
-forces move bodies within drifts, steps of RATTLE, and the place at which OpenMM's own updates act. Engines execute a
-plan by a table from the class of an operation to a function, or to statements of a program. They know of an operation
+A `Scheme` has the order and the fractions of its stages. A plan adds all that a System needs: inner steps, by which
+fast forces move bodies within drifts, steps of RATTLE, and the place at which OpenMM's own updates act. Engines execute
+a plan by a table from the class of an operation to a function, or to statements of a program. They know of an operation
 only its attributes. `str(plan)` reads as the algorithm.
 
 Let the step be h. Fractions of operations are those of h and, within `Inner`, those of the inner step e.
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, GRADIENT_KICK, KICK, Stage
 
 #: Forces of a kick: those that act between drifts, and the fast ones, which act within them.
 SLOW, FAST = "slow", "fast"
@@ -249,11 +249,11 @@ def plan_step(
     | SIER4G, 1 or 2 | 3 or 6 | 0.0013, 0.0001 |
     | the same with plain RATTLE | 3 or 6 | 0.0018, 0.0005, and drifts by 0.0012, 0.0003 /ps |
 
-    Where a bath divides a drift, the drift is an odd number of equal steps, each a whole kick and a drift, with the bath
-    in the middle of one. So harmonic motion under fast forces has the right averages at the end of the step, however
-    long the inner steps are. With a bath between steps of velocity Verlet the variance of the positions of a mode would
-    be too large by a share (omega h)^2/4: 12 % for a bond of 19 fs and steps of 2 fs. Momenta at the end lag behind by
-    half an inner kick of the fast forces, and by half a kick of the others.
+    Where a bath divides a drift, the drift is an odd number of equal steps, each a whole kick and a drift, with the
+    bath in the middle of one. So harmonic motion under fast forces has the right averages at the end of the step,
+    however long the inner steps are. With a bath between steps of velocity Verlet the variance of the positions of a
+    mode would be too large by a share (omega h)^2/4: 12 % for a bond of 19 fs and steps of 2 fs. Momenta at the end lag
+    behind by half an inner kick of the fast forces, and by half a kick of the others.
 
     Args:
         scheme: the scheme.

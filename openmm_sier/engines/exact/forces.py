@@ -83,9 +83,7 @@ class BodyForces:
 
     # --- forces ---
 
-    def compute(
-        self, q: np.ndarray, A: np.ndarray, groups: int | None = None, cache: PlaceCache | None = None
-    ) -> Pair:
+    def compute(self, q: np.ndarray, A: np.ndarray, groups: int | None = None, cache: PlaceCache | None = None) -> Pair:
         """Return forces and torques on bodies at (q, A), each (3, n).
 
         Args:

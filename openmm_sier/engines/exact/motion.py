@@ -97,7 +97,11 @@ class MotionOperators:
         """Return a drift in which fast forces move some bodies, and the others drift as they do without fast forces."""
         members = self.solute.bodies  # type: ignore[union-attr]
         within = constrained.constrained_operators(
-            members, self.solute, members.constraints, self._rotation, self._groups[self._members]  # type: ignore[arg-type]
+            members,
+            self.solute,
+            members.constraints,
+            self._rotation,
+            self._groups[self._members],  # type: ignore[arg-type]
         )
         calls = operators.calls(Plan("inner step", operation.operations), within, operation.inner_step(step))
         others = self._bodies.constraints.without(self._members)

@@ -18,11 +18,25 @@ to, since that takes four more projections of the velocities.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from functools import partial
+from dataclasses import dataclass
+from typing import Any
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.plan import (
+    Bath,
+    Drift,
+    Inner,
+    Kick,
+    Operation,
+    Project,
+    Repeat,
+    Resolution,
+    UpdateContext,
+    expanded,
+    plan_step,
+)
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_TO_BATH
 from openmm_sier.dynamics.thermostat import Thermostat
 from openmm_sier.engines.program import (
     ALL_GROUPS,
@@ -66,9 +80,6 @@ BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
 
 #: The force that moves the atoms, as a sum of OpenMM's forces.
 Force = list[ForceTerm]
-
-#: Writes a drift out from its stage.
-Drift = Callable[[Stage], "Line"]
 
 
 def usual_substeps(scheme: Scheme, nested: bool) -> int:
@@ -135,41 +146,38 @@ def write(
             native steps.
     """
     fast = [ForceTerm(f"f{group}") for group in sorted(fast_groups)]
-    slow = _slow_forces(fast, slow_group)
-    number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
     counts_heat = counts_heat or BATH not in scheme.operators
-
-    def drift(stage: Stage) -> Line:
-        if scheme.bath_divides_drift:
-            return _drift_beside_bath(stage, scheme.inner_fraction(number), number - 1, fast, counts_heat)
-        return _nested_drift(scheme, stage, number, fast, inner_substeps) if fast else _drift(stage.fraction, number)
-
-    def bathe(time: str) -> Line:
-        if bath is None:
-            raise ValueError(f"OpenMM cannot execute the operator '{BATH}' in a CustomIntegrator")
-        velocity = bath.velocity(time, FRICTION, THERMAL)
-        if scheme.bath_divides_drift:
-            return _bath_in_drift(velocity, keeps=bool(fast))
-        return _bath(velocity, counts_heat)
-
-    lines = _update(counts_heat) if updates_context else []
-    lines += _lines(scheme.stages, "h", slow, drift, bathe)
-    ends_constrained = counts_heat or not scheme.bath_divides_drift
-    if ends_constrained and not _leaves_constrained(lines[-1]):
-        lines.append(Line("end", (Statement(CONSTRAIN_V),)))
+    number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
+    resolution = _resolution(scheme, inner_substeps if fast else number, number)
+    longest_inner_step = scheme.inner_fraction(number) if fast else None
+    plan = plan_step(scheme, longest_inner_step, resolution, updates_context)
+    statements = Statements(_slow_forces(fast, slow_group), fast, bath, scheme.bath_divides_drift, counts_heat)
+    lines = statements.of(plan.operations)
     parts = _divided(lines) if divides_step else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(
         scheme.name,
         parts,
-        inner_fraction=scheme.inner_fraction(number) if fast else 1.0,
+        inner_fraction=plan.longest_inner_step if fast else 1.0,
         counts_heat=counts_heat,
-        ends_constrained=ends_constrained,
+        ends_constrained=statements.ends_constrained,
         slow_group=slow_group,
         momentum_lag=scheme.momentum_lag,
         fast_groups=tuple(sorted(fast_groups)),
     )
+
+
+def _resolution(scheme: Scheme, rattle_steps: int, number: int) -> Resolution:
+    """Return how drifts are divided into steps of RATTLE.
+
+    Args:
+        scheme: the scheme.
+        rattle_steps: in a drift, or in that of an inner step.
+        number: of steps in a drift beside a bath, where the one around the bath counts on both sides.
+    """
+    weights = COMPOSITIONS.get(rattle_steps, (1 / rattle_steps,) * rattle_steps)
+    return Resolution(weights, weights, around_bath=2 * number - 1 if scheme.bath_divides_drift else 0)
 
 
 def _slow_forces(fast: Force, slow_group: int | None) -> Force:
@@ -185,13 +193,6 @@ def _leaves_constrained(line: Line) -> bool:
     return changes[-1:] == [CONSTRAIN_V]
 
 
-def _update(counts_heat: bool) -> list[Line]:
-    """Let OpenMM's barostats and CMMotionRemovers act."""
-    if not counts_heat:
-        return [Line("every step", (Statement(UPDATE),))]
-    return [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))]
-
-
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     """Return lines by native step; one begins where slow forces are needed at positions that the last one changed."""
     parts: list[list[Line]] = [[]]
@@ -205,42 +206,105 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: Force, substeps: int) -> Line:
-    """Write a drift under the forces of fast groups, with RATTLE steps in each drift of an inner step."""
-    inner_drift = partial(_drift, substeps=substeps, unit="d/e")
-    stages = scheme.within_drifts.stages
-    within = _lines(stages, "e", fast, lambda one: inner_drift(one.fraction))
-    title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
-    return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
+# --- statements of operations ---
 
 
-def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: Force, counts_heat: bool) -> Line:
-    """Write what a drift has on one side of a bath in its middle: half an inner step, and whole ones.
+@dataclass(frozen=True)
+class Statements:
+    """The statements of each operation of a plan.
 
-    See `dynamics.constrained.steps_around_bath`.
-
-    Args:
-        stage: the drift to the bath or from it.
-        e: the length of an inner step in units of h.
-        whole: number of whole inner steps.
-        fast: the forces of fast groups, which kick before each inner step.
-        counts_heat: whether the heat of the bath is counted.
+    Attributes:
+        slow, fast: the forces of kicks.
+        bath: executes `Bath`; None where nothing does.
+        bath_divides_drift: whether a bath is in the middle of a drift.
+        counts_heat: whether heat is counted.
     """
 
-    def drift(one: Stage) -> Line:
-        if one.operator == DRIFT:
-            return _drift(one.fraction, 1, "d/e")
-        half = _half_drift_to_bath(counts_heat) if one.operator == DRIFT_TO_BATH else _half_drift_from_bath(counts_heat)
-        return Line(one.operator, half, (one.fraction,), "d/e")
+    slow: Force
+    fast: Force
+    bath: Thermostat | None
+    bath_divides_drift: bool
+    counts_heat: bool
 
-    kick = (Stage(KICK, 1),) if fast else ()
-    steps = (*kick, Stage(DRIFT, 1)) * whole
-    half = Stage(stage.operator, 0.5)
-    stages = (half, *steps) if stage.operator == DRIFT_FROM_BATH else (*steps, *kick, half)
-    within = _lines(stages, "e", fast, drift)
-    if len(within) == 1:
-        return within[0]._replace(unit="d/h")
-    return Line(f"{stage.operator}, inner steps", (), (e,), "e/h", tuple(within))
+    @property
+    def ends_constrained(self) -> bool:
+        """Whether velocities are constrained at the end of a step."""
+        return self.counts_heat or not self.bath_divides_drift
+
+    def of(self, operations: Iterable[Operation], step: str = "h") -> list[Line]:
+        """Return the lines of operations of a step that expressions call `step`.
+
+        Raises:
+            ValueError: OpenMM cannot execute an operation.
+        """
+        lines: list[Line] = []
+        for operation in operations:
+            if isinstance(operation, Project):
+                lines += self._projection(lines)
+            elif type(operation) in STATEMENTS:
+                lines += STATEMENTS[type(operation)](self, operation, step)
+            else:
+                raise ValueError(f"OpenMM cannot execute the operation '{operation}' in a CustomIntegrator")
+        return lines
+
+    def _update(self, operation: UpdateContext, step: str) -> list[Line]:
+        """Let OpenMM's barostats and CMMotionRemovers act."""
+        update = (Statement(V0, "v"), Statement(UPDATE), GAINED) if self.counts_heat else (Statement(UPDATE),)
+        return [Line("every step", update)]
+
+    def _kick(self, operation: Kick, step: str) -> list[Line]:
+        force = getattr(self, operation.forces)
+        time = f"{operation.fraction!r}*{step}"
+        if operation.shift:
+            return _gradient_kick(time, f"{operation.shift!r}*{step}*{step}", force)
+        return [Line("kick", tuple(_summed("v", "v", f"{time}*", force)))]
+
+    def _drift(self, operation: Drift, step: str) -> list[Line]:
+        """Write out free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
+
+        Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
+        where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
+        """
+        if operation.side == DRIFT:
+            statements = _constrained_motion("x", "d")
+        elif operation.side == DRIFT_TO_BATH:
+            statements = _half_drift_to_bath(self.counts_heat)
+        else:
+            statements = _half_drift_from_bath(self.counts_heat)
+        lengths = tuple(operation.fraction * weight for weight in operation.weights)
+        return [Line(operation.side, statements, lengths, f"d/{step}")]
+
+    def _inner(self, operation: Inner, step: str) -> list[Line]:
+        """Write inner steps, all alike or, beside a bath, one after the other."""
+        length, operations, times = operation.whole / operation.number, operation.operations, 1
+        if len(operations) == 1 and isinstance(operations[0], Repeat):
+            times, operations = operations[0].number, operations[0].operations
+        inner = tuple(self.of(expanded(operations), "e"))
+        return [Line(f"{operation.drift.side}, inner steps", (), (length,) * times, f"e/{step}", inner)]
+
+    def _bathe(self, operation: Bath, step: str) -> list[Line]:
+        if self.bath is None:
+            raise ValueError(f"OpenMM cannot execute the operation '{operation}' in a CustomIntegrator")
+        velocity = self.bath.velocity(f"{operation.fraction!r}*{step}", FRICTION, THERMAL)
+        if self.bath_divides_drift:
+            return [_bath_in_drift(velocity, keeps=bool(self.fast))]
+        return [_bath(velocity, self.counts_heat)]
+
+    def _projection(self, lines: list[Line]) -> list[Line]:
+        """Constrain velocities, unless the lines before have done so or the engine will."""
+        if not self.ends_constrained or (lines and _leaves_constrained(lines[-1])):
+            return []
+        return [Line("end", (Statement(CONSTRAIN_V),))]
+
+
+#: Functions that write an operation, by its class.
+STATEMENTS: dict[type[Operation], Callable[[Statements, Any, str], list[Line]]] = {
+    UpdateContext: Statements._update,
+    Kick: Statements._kick,
+    Drift: Statements._drift,
+    Inner: Statements._inner,
+    Bath: Statements._bathe,
+}
 
 
 def _half_drift_to_bath(counts_heat: bool) -> tuple[Statement, ...]:
@@ -263,40 +327,6 @@ def _half_drift_from_bath(counts_heat: bool) -> tuple[Statement, ...]:
     """
     after = (Statement(CONSTRAIN_V), AFTER) if counts_heat else ()
     return *_constrained_motion(KEPT, "(2*d)"), *after
-
-
-def _lines(
-    stages: Iterable[Stage],
-    h: str,
-    force: Force,
-    drift: Drift,
-    bathe: Callable[[str], Line] | None = None,
-) -> list[Line]:
-    """Write stages for a step called `h`; `drift` writes one from its stage, and `bathe` a bath from its time."""
-    lines: list[Line] = []
-    for stage in stages:
-        time = f"{stage.fraction!r}*{h}"
-        if stage.flow == DRIFT:
-            lines.append(drift(stage))
-        elif stage.operator == KICK:
-            lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
-        elif stage.operator == GRADIENT_KICK:
-            lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
-        elif stage.operator == BATH and bathe is not None:
-            lines.append(bathe(time))
-        else:
-            raise ValueError(f"OpenMM cannot execute the operator '{stage.operator}' in a CustomIntegrator")
-    return lines
-
-
-def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
-    """Write out free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
-
-    Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
-    where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
-    """
-    weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
-    return Line("drift", _constrained_motion("x", "d"), tuple(fraction * weight for weight in weights), unit)
 
 
 def _constrained_motion(start: str, time: str) -> tuple[Statement, ...]:
