@@ -50,7 +50,7 @@ class NotFiniteError(ValueError):
 
 
 class PlaceCache:
-    """Results that depend on the centres and attitudes of a state alone, once they have been computed.
+    """Results for one potential at the centres and attitudes of a state, once they have been computed.
 
     Attributes:
         forces: forces and torques of the kicks, each (3, n), kJ/mol/nm and kJ/mol.

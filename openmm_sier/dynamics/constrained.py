@@ -28,7 +28,7 @@ that about the displaced ones. `DisplacedForces` corrects for this by a rigid ro
 the total angular momentum is exact.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,11 +37,14 @@ from numpy.typing import ArrayLike
 from openmm_sier.dynamics import kernels, operators
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.operators import Forces, Operator, OperatorCall, Rotation, always
-from openmm_sier.dynamics.plan import Drift, Kick, Operation, Project
+from openmm_sier.dynamics.operators import Forces, Operator, Rotation, Table, always
+from openmm_sier.dynamics.plan import Drift, Inner, Kick, Operation, Project
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import Thermostat
+
+#: Makes the operator of a drift in a step, ps.
+Drifts = Callable[[Drift, float], Operator]
 
 
 def constrained_operators(
@@ -187,7 +190,7 @@ class DisplacedForces:
 # --- drifts ---
 
 
-def constrained_drifts(drift: Operator, constraints: Constraints) -> Callable[[Drift, float], Operator]:
+def constrained_drifts(drift: Operator, constraints: Constraints) -> Drifts:
     """Return the entry of a table for drifts of all bodies, of which constrained ones follow geodesics.
 
     The operators raise ConstraintError if momenta are far too large for the time.
@@ -206,38 +209,44 @@ def constrained_drifts(drift: Operator, constraints: Constraints) -> Callable[[D
     return operator
 
 
-def inner_drift(drift: Operator, members: ArrayLike, calls: Sequence[OperatorCall]) -> Operator:
-    """Return the drift of all bodies, in which some move under fast forces.
+def inner_drifts(drifts: Drifts, members: ArrayLike, within: Table) -> Callable[[Inner, float], Operator]:
+    """Return the entry of a table for drifts in which some bodies move under fast forces.
 
     Rigid bodies among the members turn freely between the fast kicks, as they do between the slow ones elsewhere. The
     fast force at the end of a drift serves the start of the next one, since the cache of the state has the members.
 
     Args:
-        drift: of all bodies, under the constraints of those that are not members.
+        drifts: entry for drifts of all bodies, under the constraints of those that are not members.
         members: columns of the bodies on which fast forces act, (m,), ascending, with all bodies that are constrained
             to one of them.
-        calls: of the operators that move the members under their constraints.
+        within: table of the members alone, under their constraints.
     """
     columns = as_slice(np.asarray(members))
 
     def start_of(state: BodyState) -> BodyState:
         p, L = state.p[:, columns].copy(), state.L[:, columns].copy()
-        members = state.cache.members
-        if members is not None:
-            return BodyState(members.q, p, members.A, L, members.cache)
+        last = state.cache.members
+        if last is not None:
+            return BodyState(last.q, p, last.A, L, last.cache)
         return BodyState(state.q[:, columns].copy(), p, state.A[:, :, columns].copy(), L)
 
-    def apply(state: BodyState, h: float) -> BodyState:
-        moved = operators.advance(calls, start_of(state))
-        others = drift(state, h)
-        A = others.A.copy() if others.A is state.A else others.A
-        end = BodyState(others.q, others.p.copy(), A, others.L.copy())
-        end.q[:, columns], end.p[:, columns] = moved.q, moved.p
-        end.A[:, :, columns], end.L[:, columns] = moved.A, moved.L
-        end.cache.members = moved
-        return end
+    def operator(operation: Inner, step: float) -> Operator:
+        drift = drifts(operation.drift, step)
+        inner_step = operators.calls(operation.operations, within, operation.inner_step(step))
 
-    return apply
+        def apply(state: BodyState, h: float) -> BodyState:
+            moved = operators.advance(inner_step, start_of(state))
+            others = drift(state, h)
+            A = others.A.copy() if others.A is state.A else others.A
+            end = BodyState(others.q, others.p.copy(), A, others.L.copy())
+            end.q[:, columns], end.p[:, columns] = moved.q, moved.p
+            end.A[:, :, columns], end.L[:, columns] = moved.A, moved.L
+            end.cache.members = moved
+            return end
+
+        return apply
+
+    return operator
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:

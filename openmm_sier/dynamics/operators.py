@@ -5,14 +5,14 @@ positions and attitudes stay the cache of forces too (`BodyState.cache`). So the
 the start of the next one without any bookkeeping.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
-from openmm_sier.dynamics.plan import Bath, Drift, Kick, Operation, Plan, Project, expanded, plan_step
+from openmm_sier.dynamics.plan import Bath, Drift, Kick, Operation, Project, expanded, plan_step
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
 from openmm_sier.dynamics.schemes import Scheme
@@ -138,16 +138,16 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
     return apply
 
 
-def calls(plan: Plan, table: Table, h: float) -> list[OperatorCall]:
+def calls(operations: Iterable[Operation], table: Table, h: float) -> list[OperatorCall]:
     """Return the calls that make a step of length h, ps.
 
     Raises:
-        ValueError: an operation of the plan is not in the table.
+        ValueError: an operation is not in the table.
     """
     result = []
-    for operation in expanded(plan.operations):
+    for operation in expanded(operations):
         if type(operation) not in table:
-            raise ValueError(f"nothing executes the operation '{operation}' of the scheme {plan.name}")
+            raise ValueError(f"nothing executes the operation '{operation}'")
         operator = table[type(operation)](operation, h)
         result.append(OperatorCall(operator, operation.times(h), isinstance(operation, Bath)))
     return result
@@ -160,7 +160,8 @@ def advance(made: list[OperatorCall], state: BodyState) -> BodyState:
     return state
 
 
-def stepper(scheme: Scheme, table: Table, h: float) -> Stepper:
-    """Return a function that makes a step of a scheme, ps, by its plan without updates and inner steps."""
-    made = calls(plan_step(scheme, updates=False, projects=Project in table), table, h)
+def stepper(scheme: Scheme, table: Table, h: float, **options: Any) -> Stepper:
+    """Return a function that makes a step of a scheme, ps, by its plan without updates; `options` of `plan_step`."""
+    plan = plan_step(scheme, updates=False, projects=Project in table, **options)
+    made = calls(plan.operations, table, h)
     return lambda state: advance(made, state)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, GRADIENT_KICK, KICK, Stage
 
@@ -213,14 +214,15 @@ class Resolution:
     """Choices of an engine for drifts.
 
     Attributes:
-        weights: steps of RATTLE in a drift, as fractions of it.
+        weights: steps of RATTLE in a drift, as fractions of it. Free motion needs no forces, so that its error can be
+            far below that of any scheme.
         inner_weights: the same in drifts of inner steps, except beside a bath.
         around_bath: number of equal steps of RATTLE in a drift with a bath in its middle, which is odd: one of them has
             the bath in its middle. 0 takes `weights` on both sides of the bath.
     """
 
-    weights: tuple[float, ...] = (1.0,)
-    inner_weights: tuple[float, ...] = (1.0,)
+    weights: tuple[float, ...] = SUZUKI
+    inner_weights: tuple[float, ...] = TRIPLE_JUMP
     around_bath: int = 0
 
 
@@ -314,7 +316,8 @@ class _Writer:
         half = Drift(0.5, (1.0,), drift.side)
         if number == 1 and not kick:
             return Drift(drift.fraction, (1.0,), drift.side)
-        whole = (Repeat(number // 2, (*kick, Drift(1.0))),) if number > 1 else ()
+        steps = (*kick, Drift(1.0))
+        whole = steps if number == 3 else (Repeat(number // 2, steps),) if number > 3 else ()
         operations = (half, *whole) if drift.side == DRIFT_FROM_BATH else (*whole, *kick, half)
         return Inner(drift.fraction, 2 * drift.fraction, number, operations, drift)
 

@@ -209,8 +209,8 @@ class ExactEngine(Engine):
             UpdateContext: always(self._updated),
             Energy: always(self.forces.with_energy),
         }
-        self._calls = calls(plan, table, method.step)
-        self._calls_with_energy = calls(plan.with_energy(), table, method.step)
+        self._calls = calls(plan.operations, table, method.step)
+        self._calls_with_energy = calls(plan.with_energy().operations, table, method.step)
 
     def _complete(self, made: list[OperatorCall]) -> None:
         """Make one step by the calls of its operators. After an error the engine is at the step before."""

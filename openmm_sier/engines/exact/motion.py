@@ -8,10 +8,9 @@ import openmm
 
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import Forces, Operator, Rotation, always
-from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, Resolution, inner_steps, plan_step, steps_with_bath
+from openmm_sier.dynamics.operators import Forces, Rotation, always
+from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, inner_steps, plan_step, steps_with_bath
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
@@ -21,9 +20,6 @@ from openmm_sier.system.arguments import groups_of
 #: has the averages of harmonic motion right at any step below its stability limit.
 LONGEST_INNER_STEP = 0.003
 LONGEST_WITH_BATH = 0.0035
-
-#: Steps of RATTLE in drifts: free motion needs no forces, so that its error can be far below that of any scheme.
-RESOLUTION = Resolution(SUZUKI, TRIPLE_JUMP)
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -60,54 +56,41 @@ class MotionOperators:
         """
         self._bodies = bodies
         self._tally = tally
-        self._rotation = rotation
-        self._groups = _flexible_points(bodies)
+        groups = _flexible_points(bodies)
         fast = _fast_forces(context.getSystem(), bodies, fast_groups)
-        #: The bodies that fast forces move.
-        self._members = _touched(bodies, fast)
-        self.solute = _solute(context, bodies.restricted(self._members), fast) if fast else None
-        self._outer = self._table(bodies, forces, self._groups)
-
-    def _table(self, bodies: BodySet, forces: Forces, groups: np.ndarray) -> dict[type[Operation], Any]:
-        """Return the table of some bodies; `groups` are those of `DisplacedForces`."""
-        if (groups >= 0).any():
-            return constrained.constrained_operators(bodies, forces, bodies.constraints, self._rotation, groups)
-        return operators.body_operators(bodies, forces, self._rotation)
+        touched = _touched(bodies, fast)
+        self.solute = _solute(context, bodies.restricted(touched), fast) if fast else None
+        self._table = _table(bodies, forces, rotation, groups)
+        if self.solute is not None:
+            within = _table(self.solute.bodies, self.solute, rotation, groups[touched])
+            others = bodies.constraints.without(touched)
+            drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
+            self._table[Inner] = constrained.inner_drifts(drifts, touched, within)
 
     def plan(self, method: IntegrationMethod, longest: float, updates: bool) -> Plan:
         """Return the plan of a method, with inner steps of up to `longest`, ps."""
         has_inner_steps = self.solute is not None and longest > 0
         longest_fraction = longest / method.step if has_inner_steps else None
-        projects = operators.Project in self._outer and len(self._bodies.constraints.pairs) > 0
-        return plan_step(method.scheme, longest_fraction, RESOLUTION, updates, projects)
+        has_constraints = len(self._bodies.constraints.pairs) > 0
+        return plan_step(method.scheme, longest_fraction, None, updates, projects=has_constraints)
 
     def table(self, method: IntegrationMethod) -> dict[type[Operation], Any]:
         """Return the table of the operations of a method."""
-        table = {**self._outer, Inner: self._inner}
-        if method.bath is not None:
-            table[Bath] = always(constrained.bath_operator(method.bath, self._bodies, self._tally))
-        return table
+        if method.bath is None:
+            return self._table
+        return {**self._table, Bath: always(constrained.bath_operator(method.bath, self._bodies, self._tally))}
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
         if self.solute is not None:
             self.solute.follow(context)
 
-    def _inner(self, operation: Inner, step: float) -> Operator:
-        """Return a drift in which fast forces move some bodies, and the others drift as they do without fast forces."""
-        members = self.solute.bodies  # type: ignore[union-attr]
-        within = constrained.constrained_operators(
-            members,
-            self.solute,
-            members.constraints,
-            self._rotation,
-            self._groups[self._members],  # type: ignore[arg-type]
-        )
-        calls = operators.calls(Plan("inner step", operation.operations), within, operation.inner_step(step))
-        others = self._bodies.constraints.without(self._members)
-        free = operators.drift(self._bodies, self._rotation)
-        drift = constrained.constrained_drifts(free, others)(operation.drift, step)
-        return constrained.inner_drift(drift, self._members, calls)
+
+def _table(bodies: BodySet, forces: Forces, rotation: Rotation, groups: np.ndarray) -> dict[type[Operation], Any]:
+    """Return the table of some bodies; `groups` are those of `DisplacedForces`."""
+    if (groups >= 0).any():
+        return constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, groups)
+    return operators.body_operators(bodies, forces, rotation)
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:

@@ -1,6 +1,5 @@
 """The phase point of bodies from the atoms of a Context, whoever put them there."""
 
-
 import numpy as np
 import openmm
 
