@@ -214,7 +214,7 @@ class Constraints:
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(
-                f"the constraints of {self._name(*bodies)} cannot be satisfied: their solution does not converge. Atoms "
-                "are far from their places (do they overlap? minimize first), move too fast for the step (a long "
+                f"the constraints of {self._name(*bodies)} cannot be satisfied: their solution does not converge. "
+                "Atoms are far from their places (do they overlap? minimize first), move too fast for the step (a long "
                 "straight chain needs a shorter one), or the constraints contradict each other"
             )
