@@ -1,5 +1,6 @@
 """Terms of bonded Forces: atoms, lengths, force constants and frequencies."""
 
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -59,10 +60,12 @@ def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndar
     return _atoms(force, elements), lengths, strengths
 
 
-def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray]:
-    """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
+def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return particles of each angle, (a, 3), angles, (a,), radians, and force constants, (a,), kJ/mol/rad^2."""
     elements = _elements(force)
-    return _atoms(force, elements), np.array([float(term.attrib["k"]) for term in elements], dtype=float)
+    parameters = [(float(term.attrib["a"]), float(term.attrib["k"])) for term in elements]
+    angles, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
+    return _atoms(force, elements), angles, strengths
 
 
 def mobilities(bodies: BodySet) -> np.ndarray:
@@ -96,12 +99,46 @@ def harmonic_frequencies(
         atoms, _, strengths = harmonic_bonds(force)
         squares = ~constraints.hold(atoms) * strengths * mobility[atoms].sum(axis=1)
     elif isinstance(force, openmm.HarmonicAngleForce):
-        atoms, strengths = harmonic_angles(force)
+        atoms, _, strengths = harmonic_angles(force)
         # The middle atom moves against both others, by twice their way.
         squares = strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
     else:
         return np.empty((0, 1), dtype=np.int64), np.empty(0)
     return atoms, np.where(do_work(atoms, owner), squares, 0.0)
+
+
+class Bends(NamedTuple):
+    """Vibrations of angles between constrained bonds.
+
+    Attributes:
+        atoms: particles of each, (b, 3).
+        strengths: force constants, (b,), kJ/mol/rad^2.
+        gradients: squared derivatives of the angle by the position of each atom, (b, 3), 1/nm^2.
+    """
+
+    atoms: np.ndarray
+    strengths: np.ndarray
+    gradients: np.ndarray
+
+
+def constrained_bends(force: openmm.HarmonicAngleForce, owner: np.ndarray, constraints: Constraints) -> Bends:
+    """Return the angles of a Force between two constrained bonds, without those that a body or a constraint holds.
+
+    The derivatives are those of Wilson, Decius and Cross, Molecular Vibrations (1955), section 4-1, at the equilibrium
+    angle. Of other angles a bond vibrates faster.
+
+    Args:
+        force: openmm.HarmonicAngleForce.
+        owner: that of `working_terms`.
+        constraints: of the System.
+    """
+    atoms, angles, strengths = harmonic_angles(force)
+    first, second = constraints.lengths_of(atoms[:, :2]), constraints.lengths_of(atoms[:, 1:])
+    is_free = np.isnan(constraints.lengths_of(atoms[:, ::2])) & do_work(atoms, owner)
+    chosen = is_free & ~np.isnan(first + second)
+    ends = 1 / first[chosen] ** 2, 1 / second[chosen] ** 2
+    middle = ends[0] + ends[1] - 2 * np.cos(angles[chosen]) / (first[chosen] * second[chosen])
+    return Bends(atoms[chosen], strengths[chosen], np.stack([ends[0], middle, ends[1]], axis=1))
 
 
 def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:

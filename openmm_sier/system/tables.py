@@ -31,6 +31,16 @@ class Constraints(NamedTuple):
         """Return a mapping from pairs of particles, the smaller first, to lengths in nm."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
+    def lengths_of(self, pairs: np.ndarray) -> np.ndarray:
+        """Return the constrained distance of each pair of particles, (m, 2), in nm, (m,); NaN without a constraint."""
+        if not len(self.pairs):
+            return np.full(len(pairs), np.nan)
+        base = int(max(self.pairs.max(), pairs.max(initial=0))) + 1
+        numbers, wanted = self.pairs @ [base, 1], np.sort(pairs, axis=1) @ [base, 1]
+        order = np.argsort(numbers)
+        places = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
+        return np.where(numbers[places] == wanted, self.lengths[places], np.nan)
+
     def hold(self, clusters: np.ndarray) -> np.ndarray:
         """Return whether every distance within each cluster of particles, (m, k), is constrained, (m,)."""
         constrained = self.by_pair()
