@@ -130,10 +130,8 @@ class Motions:
         # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
-        self.harmonic = [
-            *self._fastest_bonds(forces, links.constraints),
-            *self._fastest_angles(forces, links.constraints),
-        ]
+        found = harmonic_vibrations(forces, self._mobility, self._linked.owners, links.constraints)
+        self.harmonic = [self._motion(*vibration) for vibration in found]
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
         self.spin = _slimmest(system, bodies, rigid, is_alone)
@@ -161,8 +159,9 @@ class Motions:
                 continue
             if vibration is not None:
                 is_bond = kind_of(entry.force).acts_on == "terms" and len(vibration.atoms) == 2
-                motion = self._motion(entry, vibration.atoms, vibration.square)
-                measured.append(motion._replace(force=entry.name, kind="bond" if is_bond else "other"))
+                kind: Literal["bond", "other"] = "bond" if is_bond else "other"
+                motion = self._motion(entry, vibration.atoms, vibration.square, kind=kind)
+                measured.append(motion._replace(force=entry.name))
         self.unknown += _described(hidden)
         self.measured = measured
         self._to_measure = []
@@ -200,44 +199,21 @@ class Motions:
         return f"the motion of atom{plural} {', '.join(map(str, atoms))}{residues} by {vibration.force}"
 
     def _motion(
-        self, entry: SystemForce, atoms: tuple[int, ...], square: float, gradients: np.ndarray | None = None
+        self,
+        entry: SystemForce,
+        atoms: tuple[int, ...],
+        square: float,
+        gradients: np.ndarray | None = None,
+        kind: Literal["bond", "angle", "other"] = "bond",
     ) -> Motion:
-        """Return the motion of some atoms by a Force.
-
-        Args:
-            entry: the Force.
-            atoms: particle indices, k of them.
-            square: of the angular frequency, 1/ps^2.
-            gradients: squared derivatives of what vibrates by the position of each atom, (k,); None: all alike, as of a
-                bond.
-        """
+        """Return a motion; see `Vibration`."""
         period = 2 * math.pi / math.sqrt(square)
         mobility = self._mobility[list(atoms)]
         gradients = np.ones(len(atoms)) if gradients is None else gradients
         # Stiffness of the surroundings of the atoms, over that of the vibration.
         share = float(self._held[list(atoms)] @ (gradients * mobility**2) / (square * (gradients @ mobility)))
         can_be_fast = period < COARSE and not entry.containers and self.remedies.can_be_fast(entry.force, atoms)
-        return Motion(period, atoms, entry.group, share, can_be_fast=can_be_fast)
-
-    def _fastest_bonds(self, forces: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
-        """Yield the fastest unconstrained bond between two bodies in each HarmonicBondForce."""
-        for entry in forces:
-            if isinstance(entry.force, openmm.HarmonicBondForce):
-                atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
-                if squares.max(initial=0) > 0:
-                    fastest = int(squares.argmax())
-                    yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
-
-    def _fastest_angles(self, forces: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
-        """Yield the fastest angle between constrained bonds in each HarmonicAngleForce."""
-        for entry in forces if len(constraints.pairs) else []:
-            if isinstance(entry.force, openmm.HarmonicAngleForce):
-                bends = constrained_bends(entry.force, self._linked.owners, constraints)
-                squares = bends.strengths * (bends.gradients * self._mobility[bends.atoms]).sum(axis=1)
-                if squares.max(initial=0) > 0:
-                    k = int(squares.argmax())
-                    motion = self._motion(entry, tuple(bends.atoms[k].tolist()), float(squares[k]), bends.gradients[k])
-                    yield motion._replace(kind="angle")
+        return Motion(period, atoms, entry.group, share, kind=kind, can_be_fast=can_be_fast)
 
     def _swings(self, with_charges: Sequence[SystemForce], stiffnesses: Sequence[np.ndarray]) -> Iterator[Motion]:
         """Yield the fastest libration by each Force with charges, from the stiffness of each atom's surroundings."""
@@ -246,6 +222,61 @@ class Motions:
             if squares.max(initial=0) > 0:
                 atom = int(squares.argmax())
                 yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), entry.group)
+
+
+class Vibration(NamedTuple):
+    """A vibration that the parameters of a Force give.
+
+    Attributes:
+        entry: the Force.
+        atoms: particle indices, k of them.
+        square: of the angular frequency, 1/ps^2.
+        gradients: squared derivatives of what vibrates by the position of each atom, (k,); None: all alike, as of a
+            bond.
+        kind: see `Motion`.
+    """
+
+    entry: SystemForce
+    atoms: tuple[int, ...]
+    square: float
+    gradients: np.ndarray | None
+    kind: Literal["bond", "angle"]
+
+
+def harmonic_vibrations(
+    forces: Sequence[SystemForce], mobility: np.ndarray, owners: np.ndarray, constraints: tables.Constraints
+) -> Iterator[Vibration]:
+    """Yield the fastest bond of each HarmonicBondForce, and the fastest angle of each HarmonicAngleForce.
+
+    Bonds are unconstrained, and angles are between constrained bonds. Both join different bodies.
+
+    Args:
+        forces: of the System.
+        mobility: inverse effective mass of each particle, (N,), 1/dalton.
+        owners: number of the body of each particle, (N,).
+        constraints: of the System.
+    """
+    for entry in forces:
+        force = entry.force
+        if isinstance(force, openmm.HarmonicBondForce):
+            atoms, squares = harmonic_frequencies(force, mobility, owners, constraints)
+            if squares.max(initial=0) > 0:
+                k = int(squares.argmax())
+                yield Vibration(entry, tuple(atoms[k].tolist()), float(squares[k]), None, "bond")
+        elif isinstance(force, openmm.HarmonicAngleForce) and len(constraints.pairs):
+            bends = constrained_bends(force, owners, constraints)
+            squares = bends.strengths * (bends.gradients * mobility[bends.atoms]).sum(axis=1)
+            if squares.max(initial=0) > 0:
+                k = int(squares.argmax())
+                yield Vibration(entry, tuple(bends.atoms[k].tolist()), float(squares[k]), bends.gradients[k], "angle")
+
+
+def shortest_period(system: openmm.System, bodies: BodySet, groups: int) -> float | None:
+    """Return the period of the fastest of `harmonic_vibrations` in force groups, a bit mask, ps; None without any."""
+    forces = [entry for entry in all_forces(system) if not entry.is_variable and groups >> entry.group & 1]
+    found = harmonic_vibrations(forces, mobilities(bodies), bodies.owners, tables.constraints(system))
+    square = max((vibration.square for vibration in found), default=0.0)
+    return 2 * math.pi / math.sqrt(square) if square else None
 
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:

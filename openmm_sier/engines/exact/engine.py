@@ -25,7 +25,7 @@ from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import interrupts, neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
-from openmm_sier.engines.exact.motion import MotionOperators, inner_step
+from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
@@ -69,7 +69,7 @@ class ExactEngine(Engine):
         system = context.getSystem()
         self.moving = bodies_of(system, bodies)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
-        self.step_check = StepCheck(system, self.moving, inner_step)
+        self.step_check = StepCheck(system, self.moving)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
         self.motion = self._new_motion()

@@ -10,16 +10,11 @@ from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import Forces, Rotation, always
-from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, inner_steps, plan_step, steps_with_bath
+from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, plan_step
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
-
-#: The longest inner step where the number of substeps is left open, ps: of SIER4G, and of SIER2 around a bath, which
-#: has the averages of harmonic motion right at any step below its stability limit.
-LONGEST_INNER_STEP = 0.003
-LONGEST_WITH_BATH = 0.0035
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -67,10 +62,10 @@ class MotionOperators:
             drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
             self._table[Inner] = constrained.inner_drifts(drifts, touched, within)
 
-    def plan(self, method: IntegrationMethod, longest: float, updates: bool) -> Plan:
-        """Return the plan of a method, with inner steps of up to `longest`, ps."""
-        has_inner_steps = self.solute is not None and longest > 0
-        longest_fraction = longest / method.step if has_inner_steps else None
+    def plan(self, method: IntegrationMethod, inner_step: float, updates: bool) -> Plan:
+        """Return the plan of a method, with inner steps of up to a length in ps."""
+        has_inner_steps = self.solute is not None and inner_step > 0
+        longest_fraction = inner_step / method.step if has_inner_steps else None
         has_constraints = len(self._bodies.constraints.pairs) > 0
         return plan_step(method.scheme, longest_fraction, None, updates, projects=has_constraints)
 
@@ -137,22 +132,3 @@ def _flexible_points(bodies: BodySet) -> np.ndarray:
     groups = np.full(bodies.n, -1)
     groups[points] = np.unique(bodies.molecules[points], return_inverse=True)[1]
     return groups
-
-
-def inner_step(method: IntegrationMethod, accurate: float) -> float:
-    """Return the length of the inner steps in the longest drift of a method, ps.
-
-    Without `IntegrationMethod.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` require, or
-    more where bonds are accurate only up to shorter steps.
-
-    Args:
-        method: of the steps.
-        accurate: longest step at which bonds are accurate, ps.
-    """
-    scheme, h = method.scheme, method.step
-    if method.substeps is not None:
-        return h * scheme.inner_fraction(method.substeps)
-    if scheme.bath_divides_drift:
-        return h / steps_with_bath(h, min(LONGEST_WITH_BATH, accurate))
-    longest = h * scheme.longest_drift
-    return longest / inner_steps(longest, min(LONGEST_INNER_STEP, accurate))

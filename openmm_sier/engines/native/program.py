@@ -1,7 +1,7 @@
 """A splitting scheme written out as the program of an OpenMM CustomIntegrator.
 
 The program runs where the forces run, and XML carries it to interpreters without this package. `write` makes it from a
-`Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
+`Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, rattle_steps=5))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
 Where a System may have virtual sites, a step of the scheme is therefore divided into several steps of OpenMM, here
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.integration_method import FEWEST_WITH_BATH
 from openmm_sier.dynamics.plan import (
     Bath,
     Drift,
@@ -63,7 +64,7 @@ MOST_PARTS = 12
 COMPOSITIONS = {3: TRIPLE_JUMP, 5: SUZUKI}
 
 #: Usual steps of RATTLE in each drift of an inner step.
-INNER_SUBSTEPS = 3
+USUAL_IN_INNER_STEPS = 3
 
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
@@ -82,41 +83,34 @@ BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
 Force = list[ForceTerm]
 
 
-def usual_substeps(scheme: Scheme, nested: bool) -> int:
-    """Return the least number of substeps whose errors are below those of the scheme at usual steps.
+def usual_rattle_steps(scheme: Scheme) -> int:
+    """Return the least number of steps of RATTLE in a drift whose errors are below those of the scheme at usual steps.
 
-    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
-    suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
-    as long as a drift of SIER4G, 3 fs. Beside a bath one RATTLE step of 9 fs, which has the bath in its middle, has the
-    exact averages of water within 0.1 %. With fast forces a third of the step is short enough for bonds.
+    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three suffice. SIER4
+    and SIER4V have drifts of 2.4 and 2.8 times it. Beside a bath one step of 9 fs, which has the bath in its middle,
+    has the exact averages of water within 0.1 %.
     """
     if scheme.bath_divides_drift:
-        return 2 if nested else 1
-    is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
-    if nested:
-        return 2 if is_long else 1
-    return 5 if is_long else 3
+        return 1
+    return 5 if scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT else 3
 
 
 def write(
     scheme: Scheme,
-    substeps: int | None = None,
+    rattle_steps: int | None = None,
     fast_groups: Collection[int] = (),
+    inner_step: float | None = None,
     updates_context: bool = True,
     bath: Thermostat | None = None,
     slow_group: int | None = None,
     divides_step: bool = True,
     counts_heat: bool = True,
-    inner_substeps: int = INNER_SUBSTEPS,
 ) -> Program:
     """Write the program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
-    each of its drifts is `inner_substeps` RATTLE steps, three of which are composed to fourth order. One step of SIER4G
-    in a drift of 3 fs follows springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle
-    of the drift, the drift is an odd number of RATTLE steps with the bath in the middle of one, with or without fast
-    forces.
+    move from the kicks into the drift, see `dynamics.plan`. With a bath in the middle of the drift, the drift is an odd
+    number of steps of RATTLE with the bath in the middle of one, with or without fast forces.
 
     Velocities are constrained where they are read, before a bath and at the end of the step, and not after every stage:
     what they have along the constraints changes no position that is constrained next, since the constraint forces take
@@ -126,11 +120,12 @@ def write(
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
-        substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal inner steps in each drift. Beside a bath in the middle of
-            the drift steps are always equal, and the one that has the bath in its middle is counted in the drifts on
-            both sides. None: `usual_substeps`.
+        rattle_steps: in each drift or, with fast groups, in each drift of an inner step: 3 and 5 make it fourth order
+            (`COMPOSITIONS`), other numbers are equal steps. Beside a bath in the middle of a drift steps are always
+            equal, and the one that has the bath in its middle is counted on both sides; with fast groups there is one
+            in each inner step. None: `usual_rattle_steps`, and `USUAL_IN_INNER_STEPS` with fast groups.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
+        inner_step: longest inner step as a fraction of the step; None: one in each drift, three around a bath.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat, unless that of a bath is not.
         bath: executes the scheme's bath, with whatever temperature and friction it is given later.
@@ -139,7 +134,6 @@ def write(
             have virtual sites. Otherwise one native step is enough.
         counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
             the bath; the trajectory is the same without them, to rounding.
-        inner_substeps: RATTLE steps in each drift of an inner step.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
@@ -147,10 +141,12 @@ def write(
     """
     fast = [ForceTerm(f"f{group}") for group in sorted(fast_groups)]
     counts_heat = counts_heat or BATH not in scheme.operators
-    number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
-    resolution = _resolution(scheme, inner_substeps if fast else number, number)
-    longest_inner_step = scheme.inner_fraction(number) if fast else None
-    plan = plan_step(scheme, longest_inner_step, resolution, updates_context)
+    if fast:
+        resolution = _resolution(scheme, rattle_steps or USUAL_IN_INNER_STEPS)
+        inner_step = inner_step or (1 / FEWEST_WITH_BATH if scheme.bath_divides_drift else scheme.longest_drift)
+    else:
+        resolution, inner_step = _resolution(scheme, rattle_steps or usual_rattle_steps(scheme)), None
+    plan = plan_step(scheme, inner_step, resolution, updates_context)
     statements = Statements(_slow_forces(fast, slow_group), fast, bath, scheme.bath_divides_drift, counts_heat)
     lines = statements.of(plan.operations)
     parts = _divided(lines) if divides_step else (tuple(lines),)
@@ -159,7 +155,7 @@ def write(
     return Program(
         scheme.name,
         parts,
-        inner_fraction=plan.longest_inner_step if fast else 1.0,
+        inner_fraction=plan.longest_inner_step,
         counts_heat=counts_heat,
         ends_constrained=statements.ends_constrained,
         slow_group=slow_group,
@@ -168,16 +164,10 @@ def write(
     )
 
 
-def _resolution(scheme: Scheme, rattle_steps: int, number: int) -> Resolution:
-    """Return how drifts are divided into steps of RATTLE.
-
-    Args:
-        scheme: the scheme.
-        rattle_steps: in a drift, or in that of an inner step.
-        number: of steps in a drift beside a bath, where the one around the bath counts on both sides.
-    """
+def _resolution(scheme: Scheme, rattle_steps: int) -> Resolution:
+    """Return how drifts are divided into steps of RATTLE; see `write`."""
     weights = COMPOSITIONS.get(rattle_steps, (1 / rattle_steps,) * rattle_steps)
-    return Resolution(weights, weights, around_bath=2 * number - 1 if scheme.bath_divides_drift else 0)
+    return Resolution(weights, weights, around_bath=2 * rattle_steps - 1 if scheme.bath_divides_drift else 0)
 
 
 def _slow_forces(fast: Force, slow_group: int | None) -> Force:
