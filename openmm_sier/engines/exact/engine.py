@@ -6,6 +6,7 @@ checkpoints (`packing`).
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -22,7 +23,7 @@ from openmm_sier.dynamics.operators import CachedForces, StageCall
 from openmm_sier.dynamics.stages import KICK
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines import interrupts, neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
 from openmm_sier.engines.exact.motion import MotionOperators, inner_step
@@ -107,6 +108,9 @@ class ExactEngine(Engine):
 
     # --- changes by users ---
 
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        """Accept any method."""
+
     def synchronize(self) -> None:
         """Find the phase point and the clock of a Context in which a user may have changed anything.
 
@@ -181,7 +185,7 @@ class ExactEngine(Engine):
 
     # --- steps ---
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         method = self.method
         if not self._calls:
             self._calls = self.motion.calls(method, self.inner_step(method))
@@ -196,8 +200,9 @@ class ExactEngine(Engine):
             else:
                 # Velocities and clock of the Context are written only when the steps are over.
                 self._complete(self.point)
-            if interrupts.pending:
-                interrupts.act_on_pending()
+            if signals:
+                return steps - remaining + 1
+        return steps
 
     def _complete(self, point: BodyState) -> None:
         """Make one step from a phase point. After an error the engine is at the step before."""
