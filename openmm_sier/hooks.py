@@ -99,9 +99,11 @@ def _refuse_compound(integrator: openmm.Integrator) -> None:
 
 
 def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
-    method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
-        context.impl.changed(Changes.FORCES)
+        with context.session.changing(Changes.FORCES):
+            method(force, context, *args, **kwargs)
+    else:
+        method(force, context, *args, **kwargs)
 
 
 def _keep_bodies(
@@ -109,7 +111,7 @@ def _keep_bodies(
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if isinstance(context, SIERContext):
-        context.impl.minimize(by_openmm, tolerance, maxIterations, reporter)
+        context.session.act("minimize", by_openmm, tolerance, maxIterations, reporter)
     else:
         by_openmm()
 

@@ -228,7 +228,7 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
         raise KeyboardInterrupt
 
     integrator.impl.engine.propagate = failing
-    integrator.impl.changed()
+    integrator.impl.session.changed()
     with pytest.raises(KeyboardInterrupt):
         integrator.step(1)
     assert_same(everything(context), before)

@@ -124,7 +124,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
         raise KeyboardInterrupt
 
     engine.propagate = failing
-    result.impl.changed()
+    result.impl.session.changed()
     with pytest.raises(KeyboardInterrupt):
         result.step(1)
     assert_same(everything(context), before)

@@ -6,6 +6,7 @@ checkpoints (`packing`).
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -22,7 +23,7 @@ from openmm_sier.dynamics.operators import OperatorCall, always, calls
 from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines import interrupts, neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
 from openmm_sier.engines.exact.motion import MotionOperators
@@ -109,6 +110,9 @@ class ExactEngine(Engine):
 
     # --- changes by users ---
 
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        """Accept any method."""
+
     def synchronize(self) -> None:
         """Find the phase point and the clock of a Context in which a user may have changed anything.
 
@@ -184,7 +188,7 @@ class ExactEngine(Engine):
 
     # --- steps ---
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if not self._calls:
             self._make_calls()
         for remaining in range(steps, 0, -1):
@@ -195,8 +199,9 @@ class ExactEngine(Engine):
             else:
                 # Velocities and clock of the Context are written only when the steps are over.
                 self._complete(made)
-            if interrupts.pending:
-                interrupts.act_on_pending()
+            if signals:
+                return steps - remaining + 1
+        return steps
 
     def _make_calls(self) -> None:
         """Make the operators of a step by the plan of the method."""

@@ -1,6 +1,8 @@
 """The native engine where its program makes whole trials of hybrid Monte Carlo."""
 
 import math
+from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 import openmm
@@ -8,7 +10,6 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.trials import Numbers
@@ -65,10 +66,9 @@ class TrialEngine(NativeEngine):
         first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if not steps or self.method.step == 0:
-            super().propagate(steps, wants_energy)
-            return
+            return super().propagate(steps, signals, wants_energy)
         start = self.clock
         numbers = self._executed(trials.followed(self._integrator, steps))
         if not numbers.is_accepted:
@@ -76,7 +76,7 @@ class TrialEngine(NativeEngine):
                 "The energy at the end of a trajectory is not finite, or constraints are broken there"
             )
         self.clock = Clock(start.time + steps * self.method.step, start.steps + steps)
-        act_on_pending()
+        return steps
 
     def _executed(self, trial: Trial) -> Numbers:
         """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
