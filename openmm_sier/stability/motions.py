@@ -232,11 +232,11 @@ class Motions:
         """Yield the fastest angle between constrained bonds in each HarmonicAngleForce."""
         for entry in forces if len(constraints.pairs) else []:
             if isinstance(entry.force, openmm.HarmonicAngleForce):
-                bends = constrained_bends(entry.force, self._linked.owners, constraints)
-                squares = bends.strengths * (bends.gradients * self._mobility[bends.atoms]).sum(axis=1)
-                if squares.max(initial=0) > 0:
-                    k = int(squares.argmax())
-                    motion = self._motion(entry, tuple(bends.atoms[k].tolist()), float(squares[k]), bends.gradients[k])
+                bends = constrained_bends(entry.force, self._mobility, self._linked.owners, constraints)
+                if bends.squares.max(initial=0) > 0:
+                    k = int(bends.squares.argmax())
+                    atoms, square = tuple(bends.atoms[k].tolist()), float(bends.squares[k])
+                    motion = self._motion(entry, atoms, square, bends.gradients[k])
                     yield motion._replace(kind="angle")
 
     def _swings(self, with_charges: Sequence[SystemForce], stiffnesses: Sequence[np.ndarray]) -> Iterator[Motion]:
