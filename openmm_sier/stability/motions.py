@@ -264,11 +264,11 @@ def harmonic_vibrations(
                 k = int(squares.argmax())
                 yield Vibration(entry, tuple(atoms[k].tolist()), float(squares[k]), None, "bond")
         elif isinstance(force, openmm.HarmonicAngleForce) and len(constraints.pairs):
-            bends = constrained_bends(force, owners, constraints)
-            squares = bends.strengths * (bends.gradients * mobility[bends.atoms]).sum(axis=1)
-            if squares.max(initial=0) > 0:
-                k = int(squares.argmax())
-                yield Vibration(entry, tuple(bends.atoms[k].tolist()), float(squares[k]), bends.gradients[k], "angle")
+            bends = constrained_bends(force, mobility, owners, constraints)
+            if bends.squares.max(initial=0) > 0:
+                k = int(bends.squares.argmax())
+                atoms, square = tuple(bends.atoms[k].tolist()), float(bends.squares[k])
+                yield Vibration(entry, atoms, square, bends.gradients[k], "angle")
 
 
 def shortest_period(system: openmm.System, bodies: BodySet, groups: int) -> float | None:

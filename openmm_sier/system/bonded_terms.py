@@ -112,23 +112,27 @@ class Bends(NamedTuple):
 
     Attributes:
         atoms: particles of each, (b, 3).
-        strengths: force constants, (b,), kJ/mol/rad^2.
+        squares: of their angular frequencies, (b,), 1/ps^2.
         gradients: squared derivatives of the angle by the position of each atom, (b, 3), 1/nm^2.
     """
 
     atoms: np.ndarray
-    strengths: np.ndarray
+    squares: np.ndarray
     gradients: np.ndarray
 
 
-def constrained_bends(force: openmm.HarmonicAngleForce, owner: np.ndarray, constraints: Constraints) -> Bends:
+def constrained_bends(
+    force: openmm.HarmonicAngleForce, mobility: np.ndarray, owner: np.ndarray, constraints: Constraints
+) -> Bends:
     """Return the angles of a Force between two constrained bonds, without those that a body or a constraint holds.
 
-    The derivatives are those of Wilson, Decius and Cross, Molecular Vibrations (1955), section 4-1, at the equilibrium
-    angle. Of other angles a bond vibrates faster.
+    Of other angles a bond vibrates faster. The frequency is that of three atoms, by the elements of Wilson's G matrix
+    for the equilibrium angle and both bonds (Wilson, Decius and Cross, Molecular Vibrations (1955), appendix VI), of
+    which the bonds are eliminated, since they keep their lengths.
 
     Args:
         force: openmm.HarmonicAngleForce.
+        mobility: inverse effective masses of the particles, (N,), 1/dalton.
         owner: that of `working_terms`.
         constraints: of the System.
     """
@@ -136,9 +140,18 @@ def constrained_bends(force: openmm.HarmonicAngleForce, owner: np.ndarray, const
     first, second = constraints.lengths_of(atoms[:, :2]), constraints.lengths_of(atoms[:, 1:])
     is_free = np.isnan(constraints.lengths_of(atoms[:, ::2])) & do_work(atoms, owner)
     chosen = is_free & ~np.isnan(first + second)
-    ends = 1 / first[chosen] ** 2, 1 / second[chosen] ** 2
-    middle = ends[0] + ends[1] - 2 * np.cos(angles[chosen]) / (first[chosen] * second[chosen])
-    return Bends(atoms[chosen], strengths[chosen], np.stack([ends[0], middle, ends[1]], axis=1))
+    atoms, strengths, first, second = atoms[chosen], strengths[chosen], 1 / first[chosen], 1 / second[chosen]
+    cosine, sine = np.cos(angles[chosen]), np.sin(angles[chosen])
+    gradients = np.stack([first**2, first**2 + second**2 - 2 * cosine * first * second, second**2], axis=1)
+    ends, middle = mobility[atoms[:, ::2]].T, mobility[atoms[:, 1]]
+    bonds = ends + middle
+    to_bonds = middle * sine * second, middle * sine * first
+    coupling = middle * cosine
+    eliminated = (
+        to_bonds[0] ** 2 * bonds[1] + to_bonds[1] ** 2 * bonds[0] - 2 * to_bonds[0] * to_bonds[1] * coupling
+    ) / (bonds[0] * bonds[1] - coupling**2)
+    inverse_mass = (gradients * mobility[atoms]).sum(axis=1) - eliminated
+    return Bends(atoms, strengths * inverse_mass, gradients)
 
 
 def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:
