@@ -71,7 +71,7 @@ def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, req
     """Execute a run, from its beginning to the table at its end."""
     settings = beginning.settings
     outputs = Outputs(settings, beginning.checkpoint)
-    outputs.check([*beginning.sources.values(), *([config] if config else [])], beginning.may_replace)
+    outputs.check([*beginning.sources.values(), *([config] if config else [])], beginning.continues)
     try:
         beginning.check_inputs(outputs)
     except NothingLeft:

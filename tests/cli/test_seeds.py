@@ -205,6 +205,15 @@ def test_a_killed_member_is_begun_again(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs, seeds=(1, 2))
 
 
+def test_a_picture_that_is_not_theirs_is_refused(box, capsys):
+    pytest.importorskip("matplotlib")
+    Path("a.png").write_bytes(b"mine")
+    before = contents(Path())
+    message = complaint(capsys, "run", box, "--out", "a.dcd", "--seeds", "1-2", "--steps", "1", "--plot", "a.png")
+    assert "a.png exists: give another name, or replace it with --overwrite" in message
+    assert contents(Path()) == before
+
+
 @pytest.mark.thorough
 def test_runs_that_are_complete_are_drawn(box, single_runs):
     for path in single_runs(4, (1, 2)).iterdir():
@@ -217,6 +226,9 @@ def test_runs_that_are_complete_are_drawn(box, single_runs):
     after = contents(Path())
     assert after.pop("a.png").startswith(b"\x89PNG")
     assert after == before
+    # The same command draws its own picture again.
+    code, _, err = ended(started(box, "--seeds", "1-2", "--workers", "1", *until(4), "--plot", "a.png"))
+    assert (code, err) == (0, "")
 
 
 @pytest.mark.thorough

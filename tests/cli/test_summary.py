@@ -163,3 +163,26 @@ def test_numbers_in_the_way_are_refused(logs, capsys, name):
     assert contents(Path()) == before
     run("summary", *logs, "--json", name, "--overwrite")
     assert "means" in Path(name).read_text()
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "value", "said"),
+    [
+        ("Step", 100, 50, "in row 101, Step is not above that of the row before"),
+        ("Step", 100, 99, "in row 101, Step is not above"),
+        ("Step", 0, -50, "in row 1, Step is not above that of the row before, or negative"),
+        ("Time (ps)", 7, math.nan, "in row 8, Time (ps) is not above"),
+        ("Time (ps)", 500, math.inf, "in row 501, Time (ps) is not finite"),
+        (POTENTIAL, 3, math.nan, "in row 4, Potential Energy (kJ/mole) is not finite"),
+        (POTENTIAL, 3, 1e308, "in row 4, Potential Energy (kJ/mole) is not finite"),
+        ("Conserved Energy (kJ/mole)", 3, math.inf, "in row 4, Conserved Energy (kJ/mole) is not finite"),
+    ],
+)
+def test_rows_that_no_run_writes_are_refused(capsys, column, row, value, said):
+    def change(log):
+        log[column] = log[column].astype(float)
+        log[column][row] = value
+
+    write_log("a.csv", change=change)
+    for command in ("summary", "plot"):
+        assert f"a.csv was edited or damaged: {said}" in complaint(capsys, command, "a.csv")

@@ -50,7 +50,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     settings = new_settings(options)
     members = [named(settings.out, seed) for seed in seeds]
     if picture:
-        pictures.check(picture, [settings.box, *members], overwrite=True)
+        pictures.check(picture, [settings.box, *members], settings.overwrite, log=Member(seeds[0], members[0]).log)
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
