@@ -44,7 +44,7 @@ STYLES = "-", "--", "-."
 WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_TITLE, LETTERS = 9.0, 2.6, 0.9, 62
 
 #: A legend with four entries, beside a title.
-LEGEND: Any = {"borderaxespad": 0, "fontsize": 11, "handlelength": 1.6, "columnspacing": 1.2}
+LEGEND: Any = {"borderaxespad": 0, "fontsize": 11, "handlelength": 1.9, "columnspacing": 1.2}
 
 RC: Any = {
     "font.size": 13,

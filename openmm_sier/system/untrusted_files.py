@@ -157,7 +157,8 @@ def _check_type(created: str, tag: str, parent: str) -> None:
     if tag not in CLASSES and (created in DISPLACEMENTS or _is_finite(created)):
         return
     if any(created in classes for classes in CLASSES.values()):
-        raise ContentError(f"it has a {created} as a {tag[:40]!r} in {parent[:40]!r}, where OpenMM expects another object")
+        place = f"as a {tag[:40]!r} in {parent[:40]!r}"
+        raise ContentError(f"it has a {created} {place}, where OpenMM expects another object")
     raise ContentError(
         f"it has a {created[:40]!r}, which is not read from files, since such an object may execute code. Create the "
         "System in a script, and simulate it there"

@@ -140,7 +140,8 @@ def test_all_numbers_of_a_state_are_finite(name, value):
     context.setTime(0.5)
     xml = openmm.XmlSerializer.serialize(context.getState(positions=True, integratorParameters=True))
     assert openmm.XmlSerializer.serialize(read_state(io.BytesIO(xml.encode()))) == xml
-    assert (old := f'{name}=".5"') in xml
+    old = f'{name}=".5"'
+    assert old in xml
     with pytest.raises(ContentError, match="it has numbers that are not finite"):
         read_state(io.BytesIO(xml.replace(old, f'{name}="{value}"', 1).encode()))
 

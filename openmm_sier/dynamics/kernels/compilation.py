@@ -170,7 +170,7 @@ def _user_cache() -> Path:
 
 
 def _absolute(variable: str) -> Path | None:
-    """Return a directory from the environment; None if it is not set, or relative and so to be ignored by XDG's rules."""
+    """Return a directory from the environment; None if it is not set, or relative, which XDG says to ignore."""
     path = Path(os.environ.get(variable, ""))
     return path if path.is_absolute() else None
 
