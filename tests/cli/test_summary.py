@@ -2,12 +2,15 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from openmm_sier.analysis.statistics import Estimate, over_runs
+from openmm_sier.cli import run as run_command
+from openmm_sier.cli.logged_runs import read_run
 from openmm_sier.cli.results import Quantity
 from tests.support.commands import complaint, contents, run
 from tests.support.logs import write_log, write_notes
@@ -186,3 +189,24 @@ def test_rows_that_no_run_writes_are_refused(capsys, column, row, value, said):
     write_log("a.csv", change=change)
     for command in ("summary", "plot"):
         assert f"a.csv was edited or damaged: {said}" in complaint(capsys, command, "a.csv")
+
+
+def test_the_table_of_a_run_is_of_the_part_of_its_summary(capsys):
+    """The beginning, which had not settled, is left out of both."""
+
+    def warm(log):
+        log[DENSITY] = log[DENSITY] - 0.3 * np.exp(-log["Time (ps)"])
+
+    write_log("a.csv", "npt", change=warm)
+    write_notes("a.csv", "npt")
+    densities = []
+    for report in (
+        lambda: run_command._report(read_run(Path("a.csv")).plan, [], None),
+        lambda: run("summary", "a.csv"),
+    ):
+        report()
+        output = capsys.readouterr().out
+        assert "Means are of the rest" in output
+        densities += re.findall(r"density +│ +(.*g/ml)", output)
+    assert len(densities) == 2
+    assert densities[0] == densities[1]
