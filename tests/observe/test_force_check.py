@@ -72,15 +72,15 @@ def test_forces_within_forces_are_sound(name):
 # --- what is not ---
 
 
-def gay_berne(wells, count=8, seed=3, gap=0.6):
-    """Ellipsoids of 0.4, 0.5 and 0.6 nm, each with two particles that are its axes: System and positions."""
+def gay_berne(wells, count=8, seed=3, gap=0.6, radii=(0.2, 0.25, 0.3)):
+    """Ellipsoids, each with two particles that are its axes: System and positions."""
     random = np.random.default_rng(seed)
     system, force, positions = openmm.System(), openmm.GayBerneForce(), []
     for number, corner in zip(range(count), np.ndindex(2, 2, 2), strict=False):
         first = 3 * number
         for mass in (10.0, 1.0, 1.0):
             system.addParticle(mass)
-        force.addParticle(0.3, 1.0, first + 1, first + 2, 0.2, 0.25, 0.3, *wells)
+        force.addParticle(0.3, 1.0, first + 1, first + 2, *radii, *wells)
         for _ in range(2):
             force.addParticle(0.1, 0.0, -1, -1, 0.1, 0.1, 0.1, 1, 1, 1)
         axes, _ = np.linalg.qr(random.normal(size=(3, 3)))
@@ -134,8 +134,8 @@ def test_gay_berne_with_different_well_depths_is_found_at_any_start(wells):
 
 def test_gay_berne_with_equal_well_depths_is_sound():
     """It is right where axes are at right angles, and not where the motions of the check bring them."""
-    for seed in range(4):
-        system, positions = gay_berne((0.7, 0.7, 0.7), 8, seed, gap=0.5)
+    for seed in range(10):
+        system, positions = gay_berne((0.7, 0.7, 0.7), 8, seed, gap=0.55, radii=(0.2, 0.15, 0.4))
         context = plain_context(system, positions)
         check = check_forces(context)
         assert (check.faults, check.doubts) == ((), ())
