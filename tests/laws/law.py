@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -30,7 +31,10 @@ class Broken(AssertionError):
     """
 
     def __init__(self, case: Case, error: Exception):
-        super().__init__(f"{case!r}.check()\n{type(error).__name__}: {error}")
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        super().__init__(
+            f"{case!r}.check()\n{type(error).__name__}: {error}\n{where.filename}:{where.lineno} {where.line}"
+        )
         self.case = case
 
 

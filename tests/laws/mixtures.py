@@ -37,7 +37,8 @@ GAP, CUTOFF = 0.25, 0.7
 #: Most particles of a mixture.
 PARTICLES = 40
 
-TEMPERATURE = 300.0
+#: K, and dalton: of velocities and of the hydrogens of "heavy".
+TEMPERATURE, HEAVY = 300.0, 4.0
 
 #: A truncated octahedron and a rhombic dodecahedron, of edge 1.
 TRICLINIC = (
@@ -107,7 +108,7 @@ class Mixture:
         system = openmm.XmlSerializer.clone(plain)
         preparation = None
         if self.prepared != "no":
-            heavy = 4.0 if self.prepared == "heavy" else None
+            heavy = HEAVY if self.prepared == "heavy" else None
             preparation = prepare_system(system, named or None, hydrogenMass=heavy)
         bodies = _bodies(system, named, positions)
         velocities = _velocities(system, positions, named, rng)

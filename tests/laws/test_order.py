@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.law import Law
-from tests.laws.mixtures import SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
+from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
 from tests.laws.oracle import Oracle
 
 #: ps: length of the trajectories, and steps.
@@ -91,7 +91,7 @@ class Order:
             framed = with_frames(with_masses(built.plain, masses_of(built.system)), x, built.named)
             system, bodies, x, v = framed.system, None, framed.positions, framed_velocities(framed, built)
             if self.mixture.prepared != "no":
-                prepare_system(system)
+                prepare_system(system, hydrogenMass=HEAVY if self.mixture.prepared == "heavy" else None)
         scheme = CATALOGUE[self.scheme]
         integrator = SIERIntegrator(STEPS[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
         context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform))

@@ -14,7 +14,7 @@ from scipy.special import erfc
 from openmm_sier import RigidBodies, prepare_system
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 from tests.laws.law import Law
-from tests.laws.mixtures import Built, Mixture, constrained_pairs, gradients, masses_of, mixtures
+from tests.laws.mixtures import HEAVY, Built, Mixture, constrained_pairs, gradients, masses_of, mixtures
 
 #: Relative to the largest force in the System and to its energy: rounding of the close pairs, which are added to one
 #: group and taken from another.
@@ -59,7 +59,7 @@ class Preparing:
     def _again_is_once(self, built: Built) -> None:
         again = openmm.XmlSerializer.clone(built.system)
         result = prepare_system(
-            again, built.named or None, hydrogenMass=4.0 if self.mixture.prepared == "heavy" else None
+            again, built.named or None, hydrogenMass=HEAVY if self.mixture.prepared == "heavy" else None
         )
         assert result == built.preparation
         assert openmm.XmlSerializer.serialize(again) == openmm.XmlSerializer.serialize(built.system)
