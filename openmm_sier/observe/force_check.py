@@ -17,14 +17,18 @@ from openmm_sier.system.second_context import second_context
 REACH = 5e-3
 
 #: Number of segments of a motion, an even number.
-SEGMENTS = 8
+SEGMENTS = 6
 
 #: Degree of the polynomial by which a faulty force may vary along a motion. Other variation between segments is noise:
 #: rounding, or a pair that crosses a cut-off.
 DEGREE = 3
 
 #: Number of random motions.
-MOTIONS = 8
+MOTIONS = 16
+
+#: Smallest likely ratio of the mismatch of `MOTIONS` random motions to the error of forces, of which it is an estimate:
+#: the root of chi-squared over the number of motions is above this with a probability of 99 %.
+SMALLEST_RATIO = 0.60
 
 #: Number of Forces examined in one Context: OpenMM has 32 force groups, and one is for all other Forces.
 BATCH = 31
@@ -68,7 +72,7 @@ class ForceDoubt(NamedTuple):
     Attributes:
         force: name and class of the Force.
         number: index of the Force in the System.
-        hidden: largest error of its forces on all atoms that noise of the energy may hide, as a norm, kJ/mol/nm.
+        hidden: largest likely error of its forces on all atoms, as a norm, kJ/mol/nm.
         of: norm of its forces on all atoms, kJ/mol/nm.
     """
 
@@ -114,12 +118,12 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
     All Forces are the gradients of their energies within 1 %: HarmonicBondForce, NonbondedForce...
 
     Atoms are moved by some hundredths of an Angstrom in random directions, and the work of each Force is compared with
-    the change of its energy, on the Context's platform and in its precision. This takes some 140 evaluations of
+    the change of its energy, on the Context's platform and in its precision. This takes some 200 evaluations of
     all forces. The Context is not changed.
 
-    The variation of the energy along each motion gives its noise, such as rounding in single precision. A Force whose
-    noise may hide an error above the tolerance is neither right nor wrong, but a doubt. Jumps of the energy at a
-    cut-off are noise; `prepare_system` names NonbondedForces with such a jump.
+    The variation of the energy along each motion gives its noise, such as rounding in single precision, or jumps at a
+    cut-off. A Force whose mismatch may be noise, but also an error above the tolerance, is a doubt. `prepare_system`
+    names NonbondedForces with such a jump.
 
     Args:
         context: a Context with positions and any integrator.
@@ -145,12 +149,13 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
     for batch in (numbers[i : i + BATCH] for i in range(0, len(numbers), BATCH)):
         separated = _by_groups(context, batch)
         motions = np.array([_mismatches(separated, batch, positions, direction) for direction in directions])
-        for number, (mismatch, noise, of) in zip(batch, np.sqrt((motions**2).mean(axis=0)), strict=True):
-            size, hidden = math.sqrt(max(0.0, mismatch**2 - noise**2)), SIGNIFICANT * noise
+        for number, each in zip(batch, np.sqrt((motions**2).mean(axis=0)).tolist(), strict=True):
+            mismatch, noise, of = each
             tolerated = max(tolerance * of, LEAST)
-            if mismatch > hidden and size > tolerated:
-                faults.append(ForceFault(forces[number], number, size, of))
-            elif hidden > tolerated:
+            if mismatch > SIGNIFICANT * noise:
+                if (size := math.sqrt(mismatch**2 - noise**2)) > tolerated:
+                    faults.append(ForceFault(forces[number], number, size, of))
+            elif (hidden := mismatch / SMALLEST_RATIO) > tolerated:
                 doubts.append(ForceDoubt(forces[number], number, hidden, of))
     return ForceCheck(tuple(faults), tuple(doubts), tuple(forces.values()), tolerance)
 
