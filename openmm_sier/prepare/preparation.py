@@ -55,10 +55,10 @@ def prepare_system(
     All molecules with bonded forces are rigid, so there are no fast forces.
     ...
 
-    The forces on bodies and the potential energy do not change, apart from the accuracy of PME:
+    The forces on bodies and the potential energy do not change, apart from the errors of PME, which become smaller:
 
     - The two sums of PME are balanced, also in an ATMForce or a CustomCVForce; see `balance_pme`. They are balanced for
-      constant energy, or with a `hydrogenMass` for a heat bath, with the mesh that OpenMM would choose.
+      constant energy, or with a `hydrogenMass` for a heat bath, with OpenMM's mesh in a rectangular box.
     - Bonds, angles and torsions of molecules that are not rigid get a separate force group, where every SIER integrator
       finds them. Rigid bodies on which they act turn in the inner steps too. Terms on virtual sites or frozen atoms
       stay slow. A Force with such terms is divided into two, unless its energy is an expression or it is inside another
