@@ -167,8 +167,7 @@ def with_frames(
     if isinstance(bodies, RigidBodies):
         rigid_bodies = linked(system, bodies)
         wholeness = Wholeness(system, topology)
-        for species in rigid_bodies.species:
-            wholeness.refuse_cut(x, species.atoms, rigid_bodies.describe_atoms)
+        wholeness.refuse_cut(x, [species.atoms for species in rigid_bodies.species], rigid_bodies.describe_atoms)
     else:
         rigid_bodies = RigidBodies.from_system(system, topology, bodies, x)
     frames = tuple(_frames(system, rigid_bodies))
@@ -191,14 +190,14 @@ def with_frames(
 def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
-    for species, columns in zip(bodies.species, bodies.columns, strict=True):
+    held = tables.constraints(system).hold(species.atoms for species in bodies.species)
+    for species, columns, is_held in zip(bodies.species, bodies.columns, held, strict=True):
         if not species.sites.any():
             continue
-        free = ~tables.constraints(system).hold(species.atoms)
         solved = _is_solved(species)
         shape = FrameShape.of(species)
         for row, body in enumerate(range(columns.start, columns.stop)):
-            if solved and not free[row]:
+            if solved and is_held[row]:
                 continue
             particles = np.arange(number, number + len(shape.masses))
             number += len(particles)

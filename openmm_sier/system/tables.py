@@ -31,12 +31,13 @@ class Constraints(NamedTuple):
         """Return a mapping from pairs of particles, the smaller first, to lengths in nm."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
-    def hold(self, clusters: np.ndarray) -> np.ndarray:
-        """Return whether every distance within each cluster of particles, (m, k), is constrained, (m,)."""
+    def hold(self, kinds: Iterable[np.ndarray]) -> list[np.ndarray]:
+        """Return whether every distance within each cluster of particles is constrained, (m,), for kinds of (m, k)."""
         constrained = self.by_pair()
-        return np.array(
-            [all(pair in constrained for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool
-        )
+        return [
+            np.array([all(pair in constrained for pair in combinations(sorted(row), 2)) for row in kind.tolist()], bool)
+            for kind in kinds
+        ]
 
 
 #: Maximum mass of a hydrogen, also after mass repartitioning, dalton.
