@@ -27,7 +27,7 @@ from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
 from openmm_sier.stability.runaway import RunawayWatch
-from openmm_sier.system import bound_systems, checks
+from openmm_sier.system import checks
 from openmm_sier.system.user_warnings import warn
 
 
@@ -257,7 +257,6 @@ class IntegratorImpl:
         if self.ensemble.is_random and not tally.seed:
             tally.seed = self._integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
         self._set_program_variables()
-        bound_systems.add(context)
 
     # --- steps ---
 

@@ -57,8 +57,7 @@ def set_inertia(
     Raises:
         TypeError: `system` is not a System, or a value is not a number.
         ValueError: moments are not in ascending order; the largest exceeds the sum of the others; no masses of the
-            atoms have these moments; or the System already has a Context with a SIER integrator. The System is
-            unchanged then.
+            atoms have these moments; or the System already has a Context. The System is unchanged then.
         RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)

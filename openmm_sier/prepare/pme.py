@@ -79,7 +79,7 @@ def balance_pme(system: openmm.System, constantEnergy: bool = True) -> None:
 
     Raises:
         ValueError: no Force of the System uses PME or LJPME; a cut-off is not positive or a tolerance outside
-            `TOLERANCES`; or the System already has a Context with a SIER integrator. The System is unchanged then.
+            `TOLERANCES`; or the System already has a Context. The System is unchanged then.
     """
     refuse_bound(system)
     forces = meshed_forces(system)

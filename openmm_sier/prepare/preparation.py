@@ -87,8 +87,8 @@ def prepare_system(
     Raises:
         TypeError: `system` is not a System, or `bodies` have the wrong type.
         ValueError: the group is out of range or has other forces; `hydrogenMass` is out of range or given with
-            `RigidBodies`, which have masses already; `balance_pme` refuses; or the System already has a Context with a
-            SIER integrator. The System is unchanged then.
+            `RigidBodies`, which have masses already; `balance_pme` refuses; or the System already has a Context.
+            The System is unchanged then.
         RigidityError: `RigidBodies.from_system` refuses the bodies. The System is unchanged then too.
     """
     system = checked_system(system)
