@@ -2,8 +2,8 @@
 
 OpenMM tells a Python integrator nothing about its Context. So a Context with a SIER integrator becomes a `SIERContext`
 (`integrators/context.py`), whose methods extend OpenMM's; other Contexts do not change. The methods below do not belong
-to a Context. They do what OpenMM's do unless they get a SIER integrator or its Context. Their purposes, and the consequences
-without them:
+to a Context. They do what OpenMM's do unless they get a SIER integrator or its Context. Their purposes, and the
+consequences without them:
 
 - `Context.__init__`: writes the integrator's program for the System, and makes the engine and the `SIERContext`.
   *Without*: there is no engine, and a System that it cannot move is not refused. Registers each Context, with any

@@ -193,6 +193,7 @@ class IntegratorImpl:
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_masses(system)
+        checks.refuse_sites_without_place(system)
         installation.refuse_additions(self._integrator, self._computations)
         refuse_other_bodies(system, self.settings.bodies)
         if self.settings.fast_groups is None:

@@ -163,6 +163,7 @@ def with_frames(
     system = checked_system(system)
     x = checked_positions(positions, system.getNumParticles())
     checks.refuse_impossible_masses(system)
+    checks.refuse_sites_without_place(system)
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
         rigid_bodies = linked(system, bodies)

@@ -17,6 +17,7 @@ from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.bound_systems import refuse_bound
+from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.find_bodies import BodyPlan
 from openmm_sier.system.links import Links
 
@@ -87,8 +88,8 @@ def prepare_system(
     Raises:
         TypeError: `system` is not a System, or `bodies` have the wrong type.
         ValueError: the group is out of range or has other forces; `hydrogenMass` is out of range or given with
-            `RigidBodies`, which have masses already; `balance_pme` refuses; or the System already has a Context.
-            The System is unchanged then.
+            `RigidBodies`, which have masses already; `balance_pme` refuses; a site of a molecule is frozen, being no
+            virtual site; or the System already has a Context. The System is unchanged then.
         RigidityError: `RigidBodies.from_system` refuses the bodies. The System is unchanged then too.
     """
     system = checked_system(system)
@@ -96,6 +97,7 @@ def prepare_system(
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     with tables.read_once():
+        refuse_sites_without_place(system)
         bodies = checked_bodies(bodies)
         membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
         forces = FastForces(system, membership)

@@ -126,6 +126,7 @@ class Motions:
         #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
+        self._owners = tables.with_sites(system, _owners(self._linked, rigid))
         # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
@@ -204,7 +205,7 @@ class Motions:
         """Yield the fastest unconstrained bond between two bodies in each HarmonicBondForce."""
         for entry in forces:
             if isinstance(entry.force, openmm.HarmonicBondForce):
-                atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
+                atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._owners, constraints)
                 if squares.max(initial=0) > 0:
                     fastest = int(squares.argmax())
                     yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
@@ -216,6 +217,17 @@ class Motions:
             if squares.max(initial=0) > 0:
                 atom = int(squares.argmax())
                 yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), entry.group)
+
+
+def _owners(bodies: BodySet, rigid: Sequence[Species]) -> np.ndarray:
+    """Return the body index of each particle, (N,), where atoms of a rigid body have one index; -1 without a body."""
+    owners, number = bodies.owners.copy(), bodies.n
+    for species in rigid:
+        count, size = species.atoms.shape
+        if size > 1:
+            owners[species.atoms] = np.arange(number, number + count)[:, None]
+            number += count
+    return owners
 
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:

@@ -130,3 +130,35 @@ def constraints(system: openmm.System) -> Constraints:
 def frozen_atoms(system: openmm.System) -> np.ndarray:
     """Return massless particles that are not virtual sites, (f,): they exert forces but do not move."""
     return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)
+
+
+@_once
+def rigid_sites(system: openmm.System) -> dict[int, list[int]]:
+    """Return the particles that place each virtual site; without sites that depend on the box too."""
+    massless = np.flatnonzero(masses(system) == 0).tolist()
+    sites = {i: system.getVirtualSite(i) for i in massless if system.isVirtualSite(i)}
+    return {
+        i: [site.getParticle(k) for k in range(site.getNumParticles())]
+        for i, site in sites.items()
+        if not isinstance(site, openmm.SymmetrySite)
+    }
+
+
+def with_sites(system: openmm.System, owner: np.ndarray) -> np.ndarray:
+    """Return the body of each particle, (N,), where a virtual site placed by particles of one body belongs to it.
+
+    Args:
+        system: openmm.System.
+        owner: body index of each particle, (N,); -1 without a body.
+    """
+    extended, sites = owner.copy(), rigid_sites(system)
+    # Sites may be placed by other sites, which follow or precede them.
+    changed = bool(sites)
+    while changed:
+        changed = False
+        for site, particles in sites.items():
+            owners = {int(extended[i]) for i in particles}
+            if extended[site] < 0 and len(owners) == 1 and -1 not in owners:
+                extended[site] = owners.pop()
+                changed = True
+    return extended
