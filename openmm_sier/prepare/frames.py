@@ -14,13 +14,14 @@ from openmm import app
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.species import Species
-from openmm_sier.prepare.added_particles import AddedParticles, add_to_forces
+from openmm_sier.prepare.added_particles import AddedParticles, add_to_forces, refuse_other_forces
 from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies
 from openmm_sier.system.links import linked
+from openmm_sier.system.second_context import cloned
 from openmm_sier.system.solver_test import SolverTest
 
 #: Name of the residue of a frame, and prefix of the names of its particles.
@@ -177,7 +178,8 @@ def with_frames(
             "no body needs a frame: at least one of `bodies` must have two or more atoms and not be rigid by its "
             f"constraints already, got {rigid_bodies!r}"
         )
-    framed = copy.deepcopy(system)
+    refuse_other_forces(system)
+    framed = cloned(system)
     _hold(framed, frames)
     atoms = np.concatenate([frame.atoms for frame in frames])
     added = sum(len(frame.particles) for frame in frames)
