@@ -118,6 +118,7 @@ class BodySet:
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
         molecules: molecule index of each body, (n,).
+        moved: largest distance by which an atom was moved to give bodies of a kind one geometry, nm.
         sites: the atoms, with their positions in the bodies.
     """
 
@@ -128,6 +129,7 @@ class BodySet:
         labels: Sequence[str] | None = None,
         links: tuple = ((), ()),
         molecules: np.ndarray | None = None,
+        moved: float = 0.0,
     ):
         """
         Args:
@@ -137,6 +139,7 @@ class BodySet:
             links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
             molecules: molecule index of each body, (n,). With None, linked bodies form a molecule, and any other body
                 is a molecule.
+            moved: largest distance in nm by which an atom was moved to give bodies of a kind one geometry.
 
         Raises:
             ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
@@ -145,6 +148,7 @@ class BodySet:
         self.species = tuple(species)
         self.n_particles = n_particles
         self.labels = labels
+        self.moved = moved
         counts = [s.atoms.shape[0] for s in self.species]
         starts = np.cumsum([0, *counts])
         self.n = int(starts[-1])
@@ -177,7 +181,9 @@ class BodySet:
             words.append(f"{points} point{'s' if points > 1 else ''}")
         if constraints:
             words.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
-        return f"<{type(self).__name__}: {', '.join(words) or 'none'}>"
+        # Rounding moves atoms by less.
+        changes = f"; atoms moved by up to {self.moved:.1g} nm" if self.moved > 1e-8 else ""
+        return f"<{type(self).__name__}: {', '.join(words) or 'none'}{changes}>"
 
     @cached_property
     def constraints(self) -> Constraints:

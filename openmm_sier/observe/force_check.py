@@ -10,7 +10,7 @@ from openmm import unit
 
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.second_context import second_context
+from openmm_sier.system.second_context import cloned, second_context
 
 #: Typical displacement of atoms to either side, nm: large enough for energy differences in single precision, and small
 #: enough for Simpson's rule to follow the steepest repulsion to 1e-5.
@@ -167,7 +167,7 @@ def _name(force: openmm.Force) -> str:
 
 def _by_groups(context: openmm.Context, batch: Sequence[int]) -> openmm.Context:
     """Return a Context of the same System in which each Force of a batch has a separate group, in order."""
-    system = openmm.XmlSerializer.clone(context.getSystem())
+    system = cloned(context.getSystem())
     for number, force in enumerate(system.getForces()):
         force.setForceGroup(batch.index(number) if number in batch else BATCH)
         if isinstance(force, openmm.NonbondedForce):

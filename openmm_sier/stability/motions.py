@@ -127,6 +127,7 @@ class Motions:
         #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
+        self._owners = tables.with_sites(system, _owners(self._linked, rigid))
         # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))

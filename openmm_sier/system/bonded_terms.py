@@ -97,7 +97,7 @@ def harmonic_frequencies(
     """
     if isinstance(force, openmm.HarmonicBondForce):
         atoms, _, strengths = harmonic_bonds(force)
-        squares = ~constraints.hold(atoms) * strengths * mobility[atoms].sum(axis=1)
+        squares = ~constraints.hold([atoms])[0] * strengths * mobility[atoms].sum(axis=1)
     elif isinstance(force, openmm.HarmonicAngleForce):
         atoms, _, strengths = harmonic_angles(force)
         # The middle atom moves against both others, by twice their way.
