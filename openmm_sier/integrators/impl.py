@@ -122,6 +122,14 @@ class IntegratorImpl:
         if engine is not None:
             engine.select_groups()
 
+    def refuse_long_step(self) -> None:
+        """Refuse a step that is too long, before a start is made for it; motions that are measured there are left out.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        self.engine.step_check(self.method(), self.integrator.getIntegrationForceGroups())
+
     @property
     def native_steps(self) -> float:
         """Return the number of OpenMM steps in one step of the scheme."""

@@ -6,7 +6,7 @@ import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines.native.program import write
-from openmm_sier.engines.native.trials import stopped_mass, why_not
+from openmm_sier.engines.native.trials import are_native, stopped_mass
 from openmm_sier.engines.program import Program, Trials
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.forces import kind_of
@@ -42,7 +42,7 @@ def program_for(
     """
     slow = slow_groups(system, groups, method.fast_groups)
     has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    in_trials = why_not(method, system, on_gpu, checks_positions) is None
+    in_trials = are_native(method, system, on_gpu, checks_positions)
     return _written(
         method,
         # By its name the force of a group is right only if no other slow force acts.
