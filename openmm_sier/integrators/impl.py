@@ -122,6 +122,14 @@ class IntegratorImpl:
         if engine is not None:
             engine.select_groups()
 
+    def refuse_long_step(self) -> None:
+        """Refuse a step that is too long, before a start is made for it; motions that are measured there are left out.
+
+        Raises:
+            openmm.OpenMMException: the step is too long.
+        """
+        self.engine.step_check(self.method(), self.integrator.getIntegrationForceGroups())
+
     @property
     def native_steps(self) -> float:
         """Return the number of OpenMM steps in one step of the scheme."""
@@ -207,7 +215,7 @@ class IntegratorImpl:
         if (not on_gpu and requested != "native") or requested == "exact":
             # The exact engine decides on trials in Python.
             method = replace(method, trial_steps=0)
-        self.program = program_for(method, system, groups, on_gpu, checks_positions)
+        self.program = program_for(method, system, self.settings.bodies, groups, on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
         is_lean = on_gpu and requested != "exact"
         vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_method())

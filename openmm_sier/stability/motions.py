@@ -127,11 +127,11 @@ class Motions:
         #: Stiffness of the surroundings of each atom, (N,), kJ/mol/nm^2.
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
-        self._owners = tables.with_sites(system, _owners(self._linked, rigid))
         # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
-        found = harmonic_vibrations(forces, self._mobility, self._linked.owners, links.constraints)
+        owners = _owners(system, self._linked, rigid)
+        found = harmonic_vibrations(forces, self._mobility, owners, links.constraints)
         self.harmonic = [self._motion(*vibration) for vibration in found]
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
@@ -272,12 +272,37 @@ def harmonic_vibrations(
                 yield Vibration(entry, atoms, square, bends.gradients[k], "angle")
 
 
-def shortest_period(system: openmm.System, bodies: BodySet, groups: int) -> float | None:
-    """Return the period of the fastest of `harmonic_vibrations` in force groups, a bit mask, ps; None without any."""
+def shortest_period(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], groups: int) -> float | None:
+    """Return the period of the fastest of `harmonic_vibrations` in force groups, ps; None without any.
+
+    Args:
+        system: openmm.System.
+        bodies: all that move in it.
+        rigid: the kinds of rigid body.
+        groups: bit mask of force groups.
+    """
     forces = [entry for entry in all_forces(system) if not entry.is_variable and groups >> entry.group & 1]
-    found = harmonic_vibrations(forces, mobilities(bodies), bodies.owners, tables.constraints(system))
+    owners = _owners(system, bodies, rigid)
+    found = harmonic_vibrations(forces, mobilities(bodies), owners, tables.constraints(system))
     square = max((vibration.square for vibration in found), default=0.0)
     return 2 * math.pi / math.sqrt(square) if square else None
+
+
+def _owners(system: openmm.System, bodies: BodySet, rigid: Sequence[Species]) -> np.ndarray:
+    """Return the body of each particle, (N,), where atoms of a rigid body and its virtual sites have one; -1 without.
+
+    Args:
+        system: openmm.System.
+        bodies: all that move in it.
+        rigid: the kinds of rigid body, which may be single atoms in `bodies`.
+    """
+    owners, number = bodies.owners.copy(), bodies.n
+    for species in rigid:
+        count, size = species.atoms.shape
+        if size > 1:
+            owners[species.atoms] = np.arange(number, number + count)[:, None]
+            number += count
+    return tables.with_sites(system, owners)
 
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:

@@ -175,6 +175,25 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
             )
 
 
+def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
+    """Refuse an AndersenThermostat beside bodies that constraints do not hold.
+
+    Raises:
+        openmm.OpenMMException: the System has one, and there is such a body.
+    """
+    if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
+        return
+    constraints = tables.constraints(system)
+    for species in bodies.species:
+        is_held = constraints.hold(species.atoms)
+        if not is_held.all():
+            raise openmm.OpenMMException(
+                "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
+                f"constraints do not join all atoms of {bodies.describe_atoms(species.atoms[np.argmin(is_held)])}. "
+                "Remove the AndersenThermostat and use SIERLangevinIntegrator"
+            )
+
+
 def warn_about_other_temperatures(context: openmm.Context, temperature: float) -> bool:
     """Warn if the temperature of a barostat or thermostat of OpenMM differs from that of a heat bath, in K.
 

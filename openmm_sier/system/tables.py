@@ -31,7 +31,6 @@ class Constraints(NamedTuple):
         """Return a mapping from pairs of particles, the smaller first, to lengths in nm."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
-<<<<<<< HEAD
     def lengths_of(self, pairs: np.ndarray) -> np.ndarray:
         """Return the constrained distance of each pair of particles, (m, 2), in nm, (m,); NaN without a constraint."""
         if not len(self.pairs):
@@ -42,12 +41,8 @@ class Constraints(NamedTuple):
         places = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
         return np.where(numbers[places] == wanted, self.lengths[places], np.nan)
 
-    def hold(self, clusters: np.ndarray) -> np.ndarray:
-        """Return whether every distance within each cluster of particles, (m, k), is constrained, (m,)."""
-=======
     def hold(self, kinds: Iterable[np.ndarray]) -> list[np.ndarray]:
         """Return whether every distance within each cluster of particles is constrained, (m,), for kinds of (m, k)."""
->>>>>>> prepare
         constrained = self.by_pair()
         return [
             np.array([all(pair in constrained for pair in combinations(sorted(row), 2)) for row in kind.tolist()], bool)

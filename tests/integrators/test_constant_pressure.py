@@ -224,7 +224,7 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     integrator.step(9)
     before, propagate = everything(context), integrator.impl.engine.propagate
 
-    def failing(steps):
+    def failing(*_):
         raise KeyboardInterrupt
 
     integrator.impl.engine.propagate = failing

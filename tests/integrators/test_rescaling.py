@@ -120,7 +120,7 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     engine = result.impl.engine
     propagate = engine.propagate
 
-    def failing(steps):
+    def failing(*_):
         raise KeyboardInterrupt
 
     engine.propagate = failing

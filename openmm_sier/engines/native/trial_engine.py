@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from openmm_sier.engines.trials import Outcome, Trial
 class TrialEngine(NativeEngine):
     """An engine whose trials are native steps, so that no atom is read or written between two of them.
 
-    The kinetic energy of the end of a trial is known until velocities are changed.
+    The kinetic energy of the end of a trial is known until velocities are changed. Atoms are read before a trial only
+    if somebody has changed the Context: then the energy of the start may not be finite, and the trial is undone.
     """
 
     makes_trials = True
@@ -36,6 +38,8 @@ class TrialEngine(NativeEngine):
                 program was written, on which virtual sites stay behind.
         """
         self._kinetic: float | None = None
+        #: Whether the energy where the Context is was found finite.
+        self._is_sample = False
         super().__init__(context, method, tally, bodies, program)
         name = context.getPlatform().getName()
         if self._has_sites and name in ("CPU", "Reference"):
@@ -44,10 +48,22 @@ class TrialEngine(NativeEngine):
                 "follow their atoms within a trial there: name the platform when the Context is made"
             )
 
+    def synchronize(self) -> None:
+        super().synchronize()
+        self._is_sample = False
+
     def make_trial(self, trial: Trial) -> Outcome:
         if not trial.kinetic:
             # Nothing moves.
             return super().make_trial(trial)
+        with nullcontext() if self._is_sample else self.transaction():
+            outcome = self._outcome(trial)
+            refuse_energy(outcome.energy, self.clock)
+        self._is_sample = True
+        return outcome
+
+    def _outcome(self, trial: Trial) -> Outcome:
+        """Make a trial, and return its outcome, whose energy may not be finite."""
         before, clock = self.kinetic_energy(), self.clock
         self.tally.draws += 2
         try:
@@ -56,12 +72,13 @@ class TrialEngine(NativeEngine):
             self.tally.heat += trial.kinetic - before
             if not isinstance(error, TrajectoryError):
                 raise
+            if self.removes_momentum:
+                self.shift_velocities(-self.centre_velocity())
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
         self.tally.heat += trial.kinetic - before - numbers.stopped
         if not math.isfinite(numbers.start):
             self.clock = clock
-            refuse_energy(numbers.start, clock)
         # A comparison with NaN is false.
         first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)

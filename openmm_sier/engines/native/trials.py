@@ -360,22 +360,18 @@ def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarra
 # --- where trials are native ---
 
 
-def why_not(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> str | None:
-    """Tell why a trial cannot be one native step in a System; None if it can. Its steps are native in any case.
+def are_native(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> bool:
+    """Return whether a trial can be one native step in a System. Its steps are native in any case.
 
     Args:
         method: of the trials.
         system: openmm.System.
-        places_sites: whether the platform places virtual sites within a native step.
-        checks_positions: whether positions must be looked at before each force.
+        places_sites: whether the platform places virtual sites within a native step, which they must follow.
+        checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
+            computes forces of PME at positions that are not finite.
     """
-    if not method.trial_steps:
-        return "no trials are made"
-    if checks_positions:
-        return "the Reference platform computes forces of PME at positions that are not finite"
-    if not places_sites and any(map(system.isVirtualSite, range(system.getNumParticles()))):
-        return "virtual sites do not follow their atoms within a native step"
-    return None
+    has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
 
 
 def stopped_mass(system: openmm.System) -> float:
