@@ -5,11 +5,14 @@ So they do for every System, scheme and number of inner steps, prepared or not, 
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import openmm
+import pytest
 from hypothesis import strategies as st
 
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
@@ -17,6 +20,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.law import Law
 from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
 from tests.laws.oracle import Oracle
+from tests.support import opencl
 
 #: ps: length of the trajectories, and steps.
 TIME, STEPS = 0.008, (0.001, 0.0005, 0.00025)
@@ -148,3 +152,28 @@ def test_errors_fall_with_the_order_of_the_scheme(examples):
 @LAW.numbers()
 def test_errors_fall_with_the_order_of_the_scheme_on_the_cpu_platform(examples):
     LAW.hold(max(4, examples // 5), "CPU")
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(3000)
+def test_errors_fall_with_the_order_of_the_scheme_on_gpu_platforms():
+    """OpenMM compiles some hundred kernels for each Context, so that examples are few."""
+    platforms = opencl.gpu_platforms()
+    if not platforms:
+        pytest.skip("OpenMM has no CUDA, HIP or OpenCL platform here: pip install 'openmm-sier[opencl-test]'")
+    for name in platforms:
+        command = [
+            sys.executable,
+            "-m",
+            "tests.laws",
+            "--law",
+            "order",
+            "--platform",
+            name,
+            "--seed",
+            "1",
+            "--examples",
+            "5",
+        ]
+        process = subprocess.run(command, capture_output=True, text=True, env=opencl.environment(), check=False)
+        assert process.returncode == 0, process.stdout + process.stderr[-2000:]
