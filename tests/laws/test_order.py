@@ -28,9 +28,10 @@ TIME, STEPS = 0.008, (0.001, 0.0005, 0.00025)
 #: nm. Smaller errors say nothing. OpenMM rounds lengths of SETTLE and of frames to single precision, 6e-8 of 0.2 nm. In
 #: boxes forces end at the cut-off: a jump of 1 kJ/mol/nm displaces a hydrogen that crosses it within a step of 0.25 fs
 #: by 1e-6 nm at most, and PME at OpenMM's default tolerance jumps by a tenth of that. Forces of single precision are
-#: good to 1e-6 of some 10^4 kJ/mol/nm, which move a hydrogen by 3e-7 nm. Where drifts leave out a constraint, or forces
-#: use sites of the step before, errors at 0.25 fs are above 1e-5 nm.
-IN_VACUUM, IN_BOX, SINGLE = 1e-8, 2e-7, 3e-6
+#: good to 1e-7 of some 10^4 kJ/mol/nm, which move a hydrogen by 3e-8 nm. Where drifts leave out constraints, or forces
+#: use sites of the step before, errors at 0.25 fs are from 1e-7 nm for a single charge to 1e-4 nm.
+NOISE = {"vacuum": 1e-8, "box": 2e-7}
+NOISE_OF_SINGLE_PRECISION = {"vacuum": 1e-7, "box": 1e-6}
 
 #: By how much the order that two steps show may be below that of the scheme. The next term of the error is of an order
 #: higher by two: at 0.5 fs it is at most a fifth of the first for bonds to hydrogens, (w h)^2/12 with w = 0.6/fs.
@@ -75,9 +76,8 @@ class Order:
         return min(order, 2)
 
     def _noise(self) -> float:
-        if self.platform != "Reference":
-            return SINGLE
-        return IN_VACUUM if self.mixture.surroundings == "vacuum" else IN_BOX
+        noise = NOISE if self.platform == "Reference" else NOISE_OF_SINGLE_PRECISION
+        return noise["vacuum" if self.mixture.surroundings == "vacuum" else "box"]
 
     def _distance(self, built: Built, found: np.ndarray, expected: np.ndarray) -> float:
         """Return the largest error of a coordinate, nm."""
