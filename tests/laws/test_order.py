@@ -135,13 +135,13 @@ def cases(draw: st.DrawFn, platform: str) -> Order:
     """Draw a mixture whose total momentum is constant or not removed, and a scheme."""
     # Reference's own PME is off in triclinic boxes, so that other platforms have other forces.
     surroundings = SURROUNDINGS if platform == "Reference" else SURROUNDINGS[:-1]
-    mixture = draw(mixtures(surroundings))
+    mixture = draw(mixtures(surroundings, least=2))
     if is_frozen(mixture):
         mixture = replace(mixture, remover=False)
     return Order(mixture, draw(st.sampled_from(list(CATALOGUE))), draw(st.sampled_from([None, 1, 2, 3])), platform)
 
 
-LAW = Law("order", cases, few=25)
+LAW = Law("order", cases, few=24)
 
 
 @LAW.numbers()
@@ -151,7 +151,7 @@ def test_errors_fall_with_the_order_of_the_scheme(examples):
 
 @LAW.numbers()
 def test_errors_fall_with_the_order_of_the_scheme_on_the_cpu_platform(examples):
-    LAW.hold(max(4, examples // 5), "CPU")
+    LAW.hold(examples // 4, "CPU")
 
 
 @pytest.mark.thorough

@@ -212,7 +212,7 @@ def cases(platform: str) -> st.SearchStrategy[Preparing]:
     return st.builds(Preparing, mixtures(prepared=("yes", "heavy")), st.just(platform))
 
 
-LAW = Law("preparing", cases, few=40)
+LAW = Law("preparing", cases, few=25)
 
 
 @LAW.numbers()

@@ -116,7 +116,7 @@ def cases(platform: str) -> st.SearchStrategy[Read]:
     return st.builds(lambda drawn, seed: Read(Mixture(tuple(drawn), seed)), molecules, st.integers(0, 2**16))
 
 
-LAW = Law("readers", cases, few=15)
+LAW = Law("readers", cases, few=10)
 
 
 @LAW.numbers()

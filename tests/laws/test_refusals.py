@@ -202,7 +202,7 @@ def cases(draw: st.DrawFn, platform: str) -> Refused:
     return Refused(mixture, draw(st.sampled_from(list(FAULTS))))
 
 
-LAW = Law("refusals", cases, few=40)
+LAW = Law("refusals", cases, few=30)
 
 
 @LAW.numbers()
