@@ -15,12 +15,14 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_order, test_preparing
+from tests.laws import test_order, test_preparing, test_readers, test_refusals
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-LAWS: dict[str, Law] = {law.name: law for law in (test_order.LAW, test_preparing.LAW)}
+LAWS: dict[str, Law] = {
+    law.name: law for law in (test_order.LAW, test_preparing.LAW, test_refusals.LAW, test_readers.LAW)
+}
 
 
 def arguments() -> argparse.Namespace:
