@@ -282,7 +282,9 @@ class Frame:
 def _principal(coordinates: np.ndarray, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return coordinates along the principal axes, and the moments."""
     arms = coordinates - masses @ coordinates / masses.sum()
-    tensor = np.einsum("k,kab->ab", masses, (arms**2).sum(1)[:, None, None] * np.eye(3) - arms[:, :, None] * arms[:, None])
+    tensor = np.einsum(
+        "k,kab->ab", masses, (arms**2).sum(1)[:, None, None] * np.eye(3) - arms[:, :, None] * arms[:, None]
+    )
     moments, axes = np.linalg.eigh(tensor)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return arms @ axes, np.where(moments > 1e-12 * moments.max(), moments, 0.0)
@@ -441,7 +443,9 @@ class Tethered:
         weights *= at.thermal * (at.step / self.pace) ** 2 / (squares.sum() - squares.max())
         springs = np.tile(self.stiffness * at.thermal / (2 * arms**2), 2)
         # A rotation by an angle has the density (1 - cos) exp(2 c cos/kT).
-        angles = _from_density(assembly.rng, lambda a: (1 - np.cos(a)) * np.exp(2 * self.stiffness * (np.cos(a) - 1)), n)
+        angles = _from_density(
+            assembly.rng, lambda a: (1 - np.cos(a)) * np.exp(2 * self.stiffness * (np.cos(a) - 1)), n
+        )
         axes = assembly.rng.normal(size=(n, 3))
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         turns = _rotations(axes, angles)

@@ -175,15 +175,27 @@ class Run:
             kind.put(assembly, copies, at)
         self._assembly = assembly
         self._pressure = (assembly.molecules + 1) * self._thermal / assembly.box**3
-        self._has_memory = method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
+        self._has_memory = (
+            method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
+        )
         self._integrator = self._make_integrator(kinds, seed)
         self._context = self._make_context(seed)
-        self._masses = np.array([assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())])
+        self._masses = np.array(
+            [assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())]
+        )
         # The motion of the centre of mass stays as it is where nothing holds it.
         self._is_held = any(not kind.is_free for kind in kinds)
         self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
         #: Steps from one sample to the next: the slowest relaxation, by friction or against it, takes some ten.
-        self.stride = method.every if not method.is_ergodic else 4 if method.pressure else 1 if method.is_exact else self._strides()
+        self.stride = (
+            method.every
+            if not method.is_ergodic
+            else 4
+            if method.pressure
+            else 1
+            if method.is_exact
+            else self._strides()
+        )
         self.exact = self._averages()
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:

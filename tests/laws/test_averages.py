@@ -165,7 +165,7 @@ EXAMPLES = [
     Experiment(Bath("sier4g"), (Tethered(), Wells(pace=1.0, anchored=True)), 20),
     Experiment(Bath(engine="native"), (Wells(pace=1.6), Free("pair", pace=0.1), FastBonds(pace=1.2))),
     Experiment(Bath("sier4", "native"), (Wells(pace=1.0), Dipoles("pair", site=True, pace=0.1)), 8),
-    Experiment(Bath(pressure="moves"), (Dipoles("pair", named=True), Wells(pace=0.5)), 5),
+    Experiment(Bath(pressure="moves"), (Free("pair", named=True), Wells(pace=0.5)), 5),
     Experiment(Bath(engine="native", pressure="barostat"), (Free(pace=0.1),), 10),
     Experiment(Trials("sier2", steps=2), (Wells(pace=0.9), Dipoles("triangle", pace=0.4)), 12),
     Experiment(Trials("sier2", steps=2, share=0.9), (Joined(pace=0.3), Wells(pace=0.7)), 8),
@@ -173,7 +173,7 @@ EXAMPLES = [
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
     Experiment(Trials("sier2", "native", 1, pressure="moves"), (Free("pair", pace=0.1), Wells(pace=0.8)), 5),
     Experiment(Rescaling(), (Wells(pace=0.8),), 4),
-    Experiment(Rescaling(engine="native", pressure="moves"), (Free(pace=0.1),), 3),
+    Experiment(Rescaling(engine="native"), (Free(pace=0.1),), 3),
 ]
 
 
