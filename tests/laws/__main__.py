@@ -15,12 +15,12 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_order, test_preparing
+from tests.laws import test_averages, test_order, test_preparing
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-LAWS: dict[str, Law] = {law.name: law for law in (test_order.LAW, test_preparing.LAW)}
+LAWS: dict[str, Law] = {law.name: law for law in (test_order.LAW, test_preparing.LAW, test_averages.LAW)}
 
 
 def arguments() -> argparse.Namespace:

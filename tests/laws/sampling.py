@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
@@ -15,7 +14,7 @@ from openmm_sier import RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, 
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.ensembles import VelocityRescaling
-from tests.laws.exact_models import FAST, Conditions, Exact, FastBonds, Assembly, Wells
+from tests.laws.exact_models import FAST, Assembly, Conditions, Exact, FastBonds, Wells
 from tests.laws.linear_maps import Oscillator, in_bath
 from tests.support.seeded import seeded
 
@@ -32,9 +31,9 @@ MOST = 6400
 #: some 30 averages with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth.
 BOUND = 7.5
 
-#: Margins of averages of anharmonic motions, by the square of their pace: SIER2 is exact where they are harmonic, and the
-#: cosines of dipoles with a pace of 0.3 were found right within 0.2 %; where constraints are solved in each drift, they
-#: were off by 0.2 times the square of the pace.
+#: Margins of averages of anharmonic motions, by the square of their pace. SIER2 is exact where they are harmonic, and
+#: cosines of dipoles with a pace of 0.3 were right within 0.2 %. Where constraints are solved in each drift, these are
+#: off by 0.2 times the square of the pace.
 ERROR, CONSTRAINED_ERROR = 0.03, 0.3
 
 
@@ -159,13 +158,14 @@ class Run:
         exact: exact averages of a row of `rows`, by name.
     """
 
-    def __init__(self, method: Method, kinds: tuple, copies: int, seed: int):
+    def __init__(self, method: Method, kinds: tuple, copies: int, seed: int, platform: str):
         """
         Args:
             method: of the sampling.
             kinds: of molecules.
             copies: of each.
             seed: of places and of the integrator.
+            platform: name of the platform.
         """
         self._method, self._kinds = method, kinds
         self._thermal = GAS_CONSTANT * method.temperature
@@ -179,23 +179,15 @@ class Run:
             method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
         )
         self._integrator = self._make_integrator(kinds, seed)
-        self._context = self._make_context(seed)
+        self._context = self._make_context(seed, platform)
         self._masses = np.array(
             [assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())]
         )
         # The motion of the centre of mass stays as it is where nothing holds it.
         self._is_held = any(not kind.is_free for kind in kinds)
         self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
-        #: Steps from one sample to the next: the slowest relaxation, by friction or against it, takes some ten.
-        self.stride = (
-            method.every
-            if not method.is_ergodic
-            else 4
-            if method.pressure
-            else 1
-            if method.is_exact
-            else self._strides()
-        )
+        #: Steps from one sample to the next.
+        self.stride = self._strides()
         self.exact = self._averages()
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
@@ -216,17 +208,24 @@ class Run:
             assembly.system.addForce(seeded(barostat, seed + 1))
         return seeded(method.integrator(**options), seed + 1)
 
-    def _make_context(self, seed: int) -> openmm.Context:
-        platform = openmm.Platform.getPlatformByName("Reference")
-        context = openmm.Context(self._assembly.system, self._integrator, platform)
+    def _make_context(self, seed: int, platform: str) -> openmm.Context:
+        on = openmm.Platform.getPlatformByName(platform)
+        context = openmm.Context(self._assembly.system, self._integrator, on)
         context.setPositions(np.concatenate(self._assembly.positions))
         context.setVelocitiesToTemperature(self._method.temperature, seed + 1)
         return context
 
     def _strides(self) -> int:
-        friction = self._method.friction
+        """Return a fifth of the slowest relaxation, by friction or against it; it is a few moves for the volume."""
+        method = self._method
+        if not method.is_ergodic:
+            return method.every
+        if method.pressure:
+            return 4
+        if method.is_exact:
+            return 1
         pace = min(part.pace for part in self._assembly.parts)
-        return max(1, min(20, round(1 / (5 * min(friction, pace, pace**2 / friction)))))
+        return max(1, min(20, round(1 / (5 * min(method.friction, pace, pace**2 / method.friction)))))
 
     # --- averages ---
 
@@ -237,7 +236,7 @@ class Run:
             for number, part in enumerate(assembly.parts):
                 result |= {f"{number} {name}": exact for name, exact in part.exact.items()}
                 if self._has_memory:
-                    result |= {f"{number} {name}": exact for name, exact in part.remembered.items()}
+                    result |= {f"{number} {name}": exact for name, exact in (part.remembered or {}).items()}
         if not self._method.is_ergodic:
             freedoms = self._freedoms
             result |= {"K": Exact(1.0), "K^2": Exact(1 + 2 / freedoms)}
@@ -353,10 +352,3 @@ def _make_periodic(system: openmm.System) -> None:
     for _ in range(system.getNumParticles()):
         force.addParticle()
     system.addForce(force)
-
-
-def run(method: Method, kinds: tuple, copies: int = 30, seed: int = 1) -> Run:
-    """Make a run, whose warnings about long steps are of no interest."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return Run(method, kinds, copies, seed)
