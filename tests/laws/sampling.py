@@ -152,7 +152,7 @@ Method = Bath | Trials | Rescaling
 
 
 class Run:
-    """A Context of a assembly at a draw of its exact distribution.
+    """A Context of an assembly, at a draw of its exact distribution.
 
     Attributes:
         exact: exact averages of a row of `rows`, by name.
@@ -289,13 +289,13 @@ class Run:
         # The first row has none before it.
         return result | {"K kept": kinetic * np.concatenate([kinetic[1:2], kinetic[:-1]])}
 
-    def _kinetic(self, v: np.ndarray) -> float:
+    def _kinetic(self, v: np.ndarray) -> np.ndarray:
         """Return kinetic energies over their mean, without that of a free centre of mass, (s,), of (s, N, 3)."""
         centre = np.zeros((1, 3)) if self._is_held else self._masses @ v / self._masses.sum()
         return ((v - centre[:, None]) ** 2).sum(axis=2) @ self._masses / (self._freedoms * self._thermal)
 
     def prepare(self) -> None:
-        """Go on until the start is forgotten, and make trials short enough that a quarter of them is accepted."""
+        """Go on until the start is forgotten, and make trials so short that a third of them is accepted."""
         made = 50 if self._method.pressure != "barostat" else 800
         self._integrator.step(made * self.stride)
         if not self._method.is_exact:
@@ -308,28 +308,28 @@ class Run:
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""
         self.prepare()
-        rows = np.zeros((0, len(self.exact)))
-        number = (2 if self._method.pressure else 4) * BLOCKS
-        while True:
-            rows = np.concatenate([rows, self.rows(number)])
-            blocks = rows[: len(rows) // BLOCKS * BLOCKS].reshape(BLOCKS, -1, rows.shape[1]).mean(axis=1)
-            off = blocks - blocks.mean(axis=0)
-            variances = (off**2).mean(axis=0)
-            correlation = (off[1:] * off[:-1]).mean(axis=0) / np.where(variances > 0, variances, 1.0)
-            if correlation.max() < CORRELATED or len(rows) >= MOST:
-                break
-            number = len(rows)
-        self.samples = len(rows)
-        kept = np.maximum(correlation, 0.0)
-        errors = np.sqrt(variances / (BLOCKS - 1) * (1 + kept) / (1 - kept))
-        self.errors = dict(zip(self.exact, errors, strict=True))
-        self.correlation = dict(zip(self.exact, correlation, strict=True))
+        rows = self.rows((2 if self._method.pressure else 4) * BLOCKS)
+        while _means(rows)[2].max() > CORRELATED and len(rows) < MOST:
+            rows = np.concatenate([rows, self.rows(len(rows))])
+        found, errors, _ = _means(rows)
         values, margins = np.array(list(self.exact.values())).T
-        found = blocks.mean(axis=0) - values
-        self.found = dict(zip(self.exact, found, strict=True))
-        beyond = np.sign(found) * np.maximum(np.abs(found) - margins, 0.0)
-        # Rounding of averages that do not vary, such as the sum of squares of a direction.
+        beyond = np.sign(found - values) * np.maximum(np.abs(found - values) - margins, 0.0)
+        # Averages that do not vary, such as a sum of squares of cosines, have the error of rounding.
         return dict(zip(self.exact, beyond / (errors + 1e-12), strict=True))
+
+
+def _means(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return means of columns, their standard errors, and correlations of neighbouring blocks.
+
+    The errors are those of blocks whose correlation decays exponentially.
+    """
+    blocks = rows.reshape(BLOCKS, -1, rows.shape[1]).mean(axis=1)
+    off = blocks - blocks.mean(axis=0)
+    variances = (off**2).mean(axis=0)
+    correlations = (off[1:] * off[:-1]).mean(axis=0) / np.where(variances > 0, variances, 1.0)
+    kept = np.clip(correlations, 0.0, 0.95)
+    errors = np.sqrt(variances / (BLOCKS - 1) * (1 + kept) / (1 - kept))
+    return blocks.mean(axis=0), errors, correlations
 
 
 def _margin(method: Method, pace: float) -> float:

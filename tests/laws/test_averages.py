@@ -92,6 +92,14 @@ def held_kinds(draw, oscillation: float, pace: float, anchors: bool, named: bool
     return Wells(mass, oscillation, anchors and draw(st.booleans()))
 
 
+def copies(pressure: str, *others: int):
+    """Draw numbers of copies: few, which show the number in the moments of the volume.
+
+    OpenMM's barostat tries changes by 30 % of an earlier volume, which make that of three molecules negative.
+    """
+    return {"": chosen(*others), "moves": chosen(3, 8), "barostat": chosen(10)}[pressure]
+
+
 @st.composite
 def baths(draw):
     engine = draw(chosen("exact", "native"))
@@ -117,7 +125,7 @@ def baths(draw):
     kinds += draw(st.lists(others, min_size=0 if pressure else 1, max_size=2, unique_by=type))
     substeps = draw(chosen(None, 1, 3)) if has_bonds(kinds) else None
     method = Bath(scheme, engine, friction, turning, draw(steps), draw(temperatures), pressure, substeps)
-    return Experiment(method, tuple(kinds), draw(chosen(3, 8)) if pressure else draw(chosen(30, 60)), draw(seeds))
+    return Experiment(method, tuple(kinds), draw(copies(pressure, 30, 60)), draw(seeds))
 
 
 @st.composite
@@ -138,7 +146,7 @@ def trials(draw):
     kinds += draw(st.lists(others, min_size=0 if pressure else 1, max_size=2, unique_by=type))
     substeps = draw(chosen(None, 1, 3)) if has_bonds(kinds) else None
     method = Trials(scheme, engine, number, share, chances, draw(steps), draw(temperatures), pressure, substeps)
-    return Experiment(method, tuple(kinds), draw(chosen(3, 8)) if pressure else draw(chosen(8, 30)), draw(seeds))
+    return Experiment(method, tuple(kinds), draw(copies(pressure, 8, 30)), draw(seeds))
 
 
 @st.composite
@@ -151,7 +159,7 @@ def rescalings(draw):
     kinds = (free,) if pressure else (draw(chosen(Wells(12.0, oscillation), free)),)
     rate, every = draw(chosen(0.1, 0.03)), draw(chosen(3, 1, 10))
     method = Rescaling(scheme, engine, rate, every, draw(steps), draw(temperatures), pressure)
-    return Experiment(method, kinds, draw(chosen(3, 8)), draw(seeds))
+    return Experiment(method, kinds, draw(copies(pressure, 3, 8)), draw(seeds))
 
 
 def has_bonds(kinds) -> bool:
