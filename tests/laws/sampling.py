@@ -306,10 +306,14 @@ class Run:
             self._integrator.step(made)
 
     def _first_rows(self) -> int:
-        """Return a number of rows: few with moves of the volume, which are slow, and many of one average alone."""
+        """Return a number of rows: few with moves of the volume, which are slow, and many where faults show little.
+
+        So they do in the few averages of rescaling, and where rejections find momenta that last.
+        """
         if self._method.pressure:
             return 2 * BLOCKS
-        return 4 * BLOCKS if self._method.is_ergodic else 16 * BLOCKS
+        lasts = isinstance(self._method, Trials) and self._method.share > 0.5
+        return 16 * BLOCKS if lasts or not self._method.is_ergodic else 4 * BLOCKS
 
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""

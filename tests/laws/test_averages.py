@@ -184,7 +184,7 @@ EXAMPLES = [
     Experiment(Bath(engine="native", friction=1.0), (Wells(pace=1.6), Free("pair", pace=0.1), FastBonds(pace=1.2)), 60),
     Experiment(Bath(pressure="moves"), (Free("pair", named=True), Wells(pace=0.5)), 5),
     Experiment(Trials("sier2", steps=2), (Wells(pace=0.9), Dipoles("triangle", site=True, pace=0.4)), 12),
-    Experiment(Trials("sier2", steps=2, share=0.9), (Joined(pace=0.2), Wells(pace=1.1)), 15),
+    Experiment(Trials("sier2", steps=3, share=0.9), (Wells(pace=0.7),), 30),
     Experiment(Trials("sier2", chances=1, share=0.5), (Chains(pace=0.1), Wells(pace=0.7)), 10),
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
     Experiment(Rescaling(rate=0.5, every=2), (Wells(pace=0.8),), 1),
@@ -193,6 +193,7 @@ EXAMPLES = [
 
 #: Slower ones.
 MORE = [
+    Experiment(Trials("sier2", steps=2, share=0.9), (Joined(pace=0.3), Wells(pace=0.7)), 8),
     Experiment(Bath(), (Dipoles(site=True), Quartics())),
     Experiment(Bath("sier4", "native"), (Wells(pace=1.0), Dipoles("pair", site=True, pace=0.1)), 8),
     Experiment(Bath(engine="native", pressure="barostat"), (Free(pace=0.1),), 10),
