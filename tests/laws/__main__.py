@@ -15,14 +15,13 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_order, test_preparing, test_readers, test_refusals
+from tests.laws import test_averages, test_order, test_preparing, test_readers, test_refusals
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-LAWS: dict[str, Law] = {
-    law.name: law for law in (test_order.LAW, test_preparing.LAW, test_refusals.LAW, test_readers.LAW)
-}
+MODULES = test_averages, test_order, test_preparing, test_readers, test_refusals
+LAWS: dict[str, Law] = {module.LAW.name: module.LAW for module in MODULES}
 
 
 def arguments() -> argparse.Namespace:
