@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.system.find_bodies import UnknownShapeError
 from tests.laws.molecules import (
     HELD_BY_CONSTRAINTS,
     SHAPES,
@@ -52,7 +54,7 @@ class Built:
         positions: (N, 3), nm, which satisfy the constraints; virtual sites are in their places.
         velocities: (N, 3), nm/ps, of bodies that are rigid and of constraints, at 300 K.
         named: particles of each named body.
-        bodies: None without named bodies.
+        bodies: None if the constraints alone say which there are.
         names: of the particles.
         preparation: of `prepare_system`; None if not prepared.
     """
@@ -101,10 +103,10 @@ class Mixture:
         if self.prepared != "no":
             heavy = 4.0 if self.prepared == "heavy" else None
             preparation = prepare_system(system, named or None, hydrogenMass=heavy)
-        bodies = RigidBodies.from_system(system, rigid=named, positions=positions) if named else None
+        bodies = _bodies(system, named, positions)
         velocities = _velocities(system, positions, named, rng)
         if self.remover:
-            masses = _masses(system)
+            masses = masses_of(system)
             velocities[masses > 0] -= masses @ velocities / masses.sum()
         names = tuple(
             f"{type(molecule).__name__} {number}, particle {i}"
@@ -112,6 +114,15 @@ class Mixture:
             for i in range(len(parts[number].masses))
         )
         return Built(system, plain, positions, velocities, named, bodies, names, preparation)
+
+
+def _bodies(system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray) -> RigidBodies | None:
+    """Return bodies whose shapes only positions give, with all others; None if there are none."""
+    try:
+        RigidBodies.from_system(system, rigid=named)
+    except UnknownShapeError:
+        return RigidBodies.from_system(system, rigid=named, positions=positions)
+    return None
 
 
 def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:
@@ -122,7 +133,8 @@ def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:
         first += len(each.masses)
 
 
-def _masses(system: openmm.System) -> np.ndarray:
+def masses_of(system: openmm.System) -> np.ndarray:
+    """Return masses (N,) in dalton."""
     return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
 
@@ -185,7 +197,7 @@ def multipliers(rows: np.ndarray, weighted: np.ndarray, right: np.ndarray) -> np
 
 def _satisfied(system: openmm.System, x: np.ndarray) -> np.ndarray:
     """Return positions at which constraints hold to rounding and virtual sites are in their places."""
-    masses = _masses(system)
+    masses = masses_of(system)
     pairs, lengths = constrained_pairs(system)
     inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)[None, :, None]
     # The starts are good to single precision, from which two steps of Newton's method reach rounding.
@@ -204,7 +216,7 @@ def _velocities(
     system: openmm.System, x: np.ndarray, named: tuple[tuple[int, ...], ...], rng: np.random.Generator
 ) -> np.ndarray:
     """Return thermal velocities (N, 3) in nm/ps that keep bodies rigid and constraints satisfied."""
-    masses = _masses(system)
+    masses = masses_of(system)
     noise = rng.normal(size=x.shape)
     inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
     v = noise * np.sqrt(GAS_CONSTANT * TEMPERATURE * inverse)[:, None]
@@ -214,17 +226,27 @@ def _velocities(
         weighted = rows * inverse[None, :, None]
         v = v - np.tensordot(multipliers(rows, weighted, rows.reshape(len(rows), -1) @ v.ravel()), weighted, 1)
     for body in map(list, named):
-        v[body] = rigid_velocities(masses[body], x[body], v[body])
+        v[body] = _rigid(masses[body], x[body], v[body])
     return v
 
 
-def rigid_velocities(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+def angular_velocity(masses: np.ndarray, r: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+    """Return the angular velocity of a body, about no axis on which all atoms are.
+
+    Args:
+        masses: (k,).
+        r: (k, 3), from the centre of mass.
+        momentum: (3,), the angular momentum.
+    """
+    inertia = np.einsum("k,kij->ij", masses, (r**2).sum(axis=1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
+    return np.linalg.pinv(inertia, rcond=1e-10, hermitian=True) @ momentum
+
+
+def _rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the velocities (k, 3) of a rigid body with the momentum and angular momentum of its atoms."""
     r = x - masses @ x / masses.sum()
-    inertia = np.einsum("k,kij->ij", masses, (r**2).sum(axis=1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
     momentum = (masses[:, None] * np.cross(r, v)).sum(axis=0)
-    spin = np.linalg.pinv(inertia, rcond=1e-10, hermitian=True) @ momentum
-    return masses @ v / masses.sum() + np.cross(spin, r)
+    return masses @ v / masses.sum() + np.cross(angular_velocity(masses, r, momentum), r)
 
 
 # --- forces -----------------------------------------------------------------------------------------------------------
@@ -237,9 +259,9 @@ def _add_bonded_forces(system: openmm.System, parts: list[Parts], x: np.ndarray)
         for i, j, constant in each.bonds:
             bonds.addBond(first + i, first + j, 1.01 * np.linalg.norm(x[first + i] - x[first + j]), constant)
         for i, j, k, constant in each.angles:
-            angles.addAngle(
-                first + i, first + j, first + k, 0.98 * _angle(*x[[first + i, first + j, first + k]]), constant
-            )
+            present = _angle(*x[[first + i, first + j, first + k]])
+            # About any other angle than a straight one the energy of atoms in line has a cusp.
+            angles.addAngle(first + i, first + j, first + k, math.pi if present > 3 else 0.98 * present, constant)
         for torsion in each.torsions:
             torsions.addTorsion(*(first + i for i in torsion), 3, 0.5, 5.0)
     for force, terms in (
@@ -317,8 +339,8 @@ def _box(mixture: Mixture, x: np.ndarray) -> np.ndarray:
 # --- strategies -------------------------------------------------------------------------------------------------------
 
 
-def molecules() -> st.SearchStrategy[Molecule]:
-    """Draw a molecule of any kind, the simplest first."""
+def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
+    """Draw a molecule of any kind, the simplest first, with or without named bodies."""
     ions = st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans())
     waters = st.builds(Water, st.sampled_from(["rigid", "hydrogens", "flexible"]))
     held = st.sampled_from(["nothing", "hydrogens", "bonds"])
@@ -327,15 +349,16 @@ def molecules() -> st.SearchStrategy[Molecule]:
     stars = st.builds(Star, st.integers(1, 4), st.sampled_from(["none", "bond", "constraint"]), st.booleans())
     stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
     rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
-    shapes = st.sampled_from(list(SHAPES))
-    named = st.builds(Body, shapes)
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
-    others = st.sampled_from(["none", *SHAPES])
-    jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
-    plain = st.one_of(waters, chains, stars, rings, named, held_bodies, lines, jointed)
-    with_sites = st.builds(WithSite, plain, st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(_has_parents)
-    tethered = st.builds(Tethered, st.one_of(plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
-    return st.one_of(ions, waters, chains, stars, rings, named, held_bodies, lines, jointed, with_sites, tethered)
+    plain = [waters, chains, stars, rings, held_bodies, lines]
+    if named:
+        shapes = st.sampled_from(list(SHAPES))
+        others = st.sampled_from(["none", *SHAPES])
+        jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
+        plain += [st.builds(Body, shapes), jointed]
+    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(_has_parents)
+    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
+    return st.one_of(ions, *plain, with_sites, tethered)
 
 
 def _has_parents(molecule: WithSite) -> bool:
@@ -345,7 +368,7 @@ def _has_parents(molecule: WithSite) -> bool:
     if len(places) < count:
         return False
     # A site on the line through two atoms makes no angle that can bend smoothly.
-    if molecule.angle and molecule.site in ("two", "image"):
+    if molecule.angle and molecule.site in ("two", "shifted"):
         return False
     if count < 3:
         return True
@@ -359,12 +382,12 @@ def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
 
 
 def mixtures(
-    surroundings: tuple[str, ...] = SURROUNDINGS, prepared: tuple[str, ...] = PREPARATIONS
+    surroundings: tuple[str, ...] = SURROUNDINGS, prepared: tuple[str, ...] = PREPARATIONS, named: bool = True
 ) -> st.SearchStrategy[Mixture]:
     """Draw a Mixture in which something moves."""
     return st.builds(
         Mixture,
-        st.lists(molecules(), min_size=1, max_size=5).map(_few).filter(_moves),
+        st.lists(molecules(named), min_size=1, max_size=5).map(_few).filter(_moves),
         st.integers(0, 2**16),
         st.sampled_from(surroundings),
         st.sampled_from(FORMS),

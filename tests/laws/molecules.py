@@ -306,8 +306,8 @@ class Jointed:
         path = [int(np.argmax([place[0] for place in SHAPES[self.shape][1]]))]
         origin = parts.places[path[0]]
         for i in range(self.beads):
-            path.append(parts.add(CARBON, origin + [0.15 * (i + 1), 0.04 * (i % 2), 0], _alternating(i)))
-        start = origin + [0.15 * (self.beads + 1), 0.03, 0.02]
+            path.append(parts.add(CARBON, np.add(origin, [0.15 * (i + 1), 0.04 * (i % 2), 0]), _alternating(i)))
+        start = np.add(origin, [0.15 * (self.beads + 1), 0.03, 0.02])
         if self.other == "none":
             path.append(parts.add(CARBON, start, 0.1))
         else:
@@ -319,7 +319,9 @@ class Jointed:
         bonded = list(pairwise(path))
         parts.bonds += [(i, j, COARSE if self.coarse else BOND) for i, j in bonded]
         if self.bends:
-            parts.angles += [(i, j, k, 10.0 if self.coarse else ANGLE) for i, j, k in zip(path, path[1:], path[2:])]
+            parts.angles += [
+                (i, j, k, 10.0 if self.coarse else ANGLE) for i, j, k in zip(path, path[1:], path[2:], strict=False)
+            ]
         return parts
 
 
@@ -360,13 +362,13 @@ def _local(i, j, k):
     return openmm.LocalCoordinatesSite([i, j, k], [1, 0, 0], [-1, 0.5, 0.5], [0, -1, 1], [0.02, -0.03, 0.01])
 
 
-def _image(i):
-    rows = [openmm.Vec3(-1, 0, 0), openmm.Vec3(0, -1, 0), openmm.Vec3(0, 0, 1)]
-    return openmm.SymmetrySite(i, *rows, openmm.Vec3(0.05, -0.1, 0.15), False)
+def _shifted(i):
+    rows = [openmm.Vec3(1, 0, 0), openmm.Vec3(0, 1, 0), openmm.Vec3(0, 0, 1)]
+    return openmm.SymmetrySite(i, *rows, openmm.Vec3(0.01, -0.02, 0.02), False)
 
 
 #: Number of particles on which a virtual site depends, and a function that makes it, by the kind of site.
-SITES = {"two": (2, _two), "three": (3, _three), "out": (3, _out), "local": (3, _local), "image": (1, _image)}
+SITES = {"two": (2, _two), "three": (3, _three), "out": (3, _out), "local": (3, _local), "shifted": (1, _shifted)}
 
 
 @dataclass(frozen=True)
