@@ -5,6 +5,7 @@ what was asked for. An error of `act` that is one of `REFUSALS` is a refusal, an
 """
 
 import copy
+import functools
 import inspect
 import math
 import pickle
@@ -15,8 +16,9 @@ import openmm
 from hypothesis import strategies as st
 from openmm import unit
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
+import openmm_sier
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.runs import names, update_shares
 
@@ -106,7 +108,8 @@ class DrawVelocities(Action):
         excess = np.abs(projected - after.velocities)[massive].max()
         assert excess < ALLOWED, f"{excess:.1e} nm/ps are not allowed"
         energy = 2 * run.kinetic_energy(after) / (GAS_CONSTANT * self.temperature)
-        low, high = chi2(run.freedoms(after)).ppf([CHANCE, 1 - CHANCE])
+        # Twice the kinetic energy in kT has the chi-square distribution.
+        low, high = 2 * gammaincinv(run.freedoms(after) / 2, [CHANCE, 1 - CHANCE])
         assert low <= energy <= high, f"twice the kinetic energy is {energy} kT, not from {low} to {high}"
 
 
@@ -316,17 +319,10 @@ def setters(cls):
 
 def questions(cls):
     """Names of all that users ask of an integrator: properties, and methods without arguments that return something."""
-    found = []
-    for name in dir(cls):
-        member = inspect.getattr_static(cls, name)
-        if name.startswith("_") or name in ("impl", "this", "thisown"):
-            continue
-        if isinstance(member, property):
-            found.append(name)
-        elif name.startswith(("get", "compute", "reported")) and callable(member):
-            if len(inspect.signature(member).parameters) == 1:
-                found.append(name)
-    return found
+    names = [name for name in dir(cls) if name.startswith(("get", "compute", "reported"))]
+    methods = [name for name in names if len(inspect.signature(getattr(cls, name)).parameters) == 1]
+    properties = [name for name in dir(cls) if isinstance(inspect.getattr_static(cls, name), property)]
+    return [*methods, *(name for name in properties if name != "thisown")]
 
 
 def plain(value):
@@ -349,7 +345,7 @@ class Set(Action):
 
     def act(self, run):
         getattr(run.integrator, self.name)(self.value)
-        run.settings.append((self.name, self.value))
+        run.settings.append(self)
 
     def shows(self, run, before, after):
         after.assert_near(before, 0)
@@ -406,7 +402,9 @@ QUESTIONS = {
     "pickle": lambda run: _copied(run, pickle.loads(pickle.dumps(run.integrator))),
     "XML": lambda run: _copied(run, _rewritten(run.integrator)),
     "print": lambda run: (repr(run.integrator), str(run.context.getIntegrator())),
-    "parameters": lambda run: [run.context.getParameter(name) for force in run.system.getForces() for name in names(force)],
+    "parameters": lambda run: [
+        run.context.getParameter(name) for force in run.system.getForces() for name in names(force)
+    ],
     "molecules": lambda run: run.context.getMolecules(),
     "nothing": lambda run: run.integrator.step(0),
 }
@@ -464,14 +462,16 @@ velocities = st.builds(SetVelocities, seeds)
 positions = st.builds(SetPositions, st.integers(0, 5), seeds, st.sampled_from([0.0, 1e-5]))
 
 
-def settings(cls):
-    """Return a strategy of setters of an integrator."""
-    strategies = [st.builds(Set, st.just(name), st.sampled_from(VALUES.get(name, USUAL_VALUES))) for name in setters(cls)]
-    return st.one_of(strategies)
+@functools.cache
+def setters_of(kind):
+    """Return a strategy of setters of an integrator of a kind."""
+    names = setters(getattr(openmm_sier, kind))
+    return st.one_of([st.builds(Set, st.just(name), st.sampled_from(VALUES.get(name, USUAL_VALUES))) for name in names])
 
 
-def changes(cls):
-    """Return a strategy of actions that change something in a Context with an integrator of a class."""
+@functools.cache
+def changes(kind):
+    """Return a strategy of actions that change something in a Context with an integrator of a kind."""
     return st.one_of(
         steps,
         draws,
@@ -487,22 +487,25 @@ def changes(cls):
         st.builds(Save, st.sampled_from(["checkpoint", "State", "XML"])),
         st.builds(Load, st.integers(0, 2)),
         st.builds(Reinitialize, st.booleans()),
-        settings(cls),
+        setters_of(kind),
     )
 
 
-def asked(cls):
-    """Return a strategy of questions about an integrator of a class."""
-    return st.builds(Ask, st.sampled_from([*QUESTIONS, *questions(cls)]))
+@functools.cache
+def asked(kind):
+    """Return a strategy of questions about an integrator of a kind."""
+    return st.builds(Ask, st.sampled_from([*QUESTIONS, *questions(getattr(openmm_sier, kind))]))
 
 
-def refused(cls):
+@functools.cache
+def refused(kind):
     """Return a strategy of what must be refused."""
     wrong = st.builds(Refused, st.sampled_from(sorted(WRONG)))
-    settings = st.builds(Set, st.sampled_from(setters(cls)), st.sampled_from(WRONG_VALUES))
-    return st.one_of(wrong, settings)
+    names = setters(getattr(openmm_sier, kind))
+    return st.one_of(wrong, st.builds(Set, st.sampled_from(names), st.sampled_from(WRONG_VALUES)))
 
 
-def actions(cls):
-    """Return a strategy of all actions with an integrator of a class."""
-    return st.one_of(changes(cls), changes(cls), asked(cls), refused(cls))
+@functools.cache
+def actions(kind):
+    """Return a strategy of all actions with an integrator of a kind."""
+    return st.one_of(changes(kind), changes(kind), asked(kind), refused(kind))

@@ -1,6 +1,7 @@
 """Integrators of all classes with their arguments, as data that Hypothesis draws and shrinks."""
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 from hypothesis import strategies as st
@@ -58,7 +59,7 @@ class Method:
         yield from dict.fromkeys((self, constant, dataclasses.replace(constant, engine="exact")))
 
     def make(self, bodies=None, before=()):
-        """Return the integrator, after calls of its methods, given by name and argument."""
+        """Return the integrator, after calls of setters, which have a name and a value."""
         arguments = dict(self.arguments)
         if self.kind == "SIERThermostatIntegrator":
             of_thermostat = {
@@ -69,8 +70,8 @@ class Method:
             arguments["thermostat"] = VelocityRescaling(**of_thermostat)
         integrator = self.cls(**arguments, bodies=bodies, engine=self.engine)
         integrator.setRandomNumberSeed(SEED)
-        for name, value in before:
-            getattr(integrator, name)(value)
+        for setting in before:
+            getattr(integrator, setting.name)(setting.value)
         return integrator
 
 
@@ -98,6 +99,7 @@ def _methods_of(kind, arguments):
     return st.builds(made, _engines, st.fixed_dictionaries(arguments))
 
 
+@functools.cache
 def methods(kinds=None):
     """Return a strategy of integrators of all classes, or of those of which the names are given."""
     at_temperature = {"temperature": st.just(300.0), "pressure": _pressures, "barostatInterval": _intervals}

@@ -8,11 +8,20 @@ import numpy as np
 import openmm
 from hypothesis import reject
 
-from tests.support.restarts import everything, full_state
-from tests.support.waters import platform
+from tests.support.restarts import clock_and_box, full_state
+from tests.support.waters import phase_point, platform
 
 #: Errors by which the package and OpenMM refuse what users ask for.
 REFUSALS = (openmm.OpenMMException, ValueError, TypeError)
+
+#: nm and nm/ps: two Contexts at the same view differ by rounding, which three steps and what is asked between them
+#: magnify little. The exact engine reads its bodies from the atoms, to 1e-15 nm; OpenMM's solvers stop at a relative
+#: tolerance of 1e-9 of lengths, which is divided by the step for velocities. A change that was missed displaces atoms
+#: by 1e-6 nm or more.
+ROUNDING = {"exact": (1e-10, 1e-7), "native": (1e-8, 1e-5)}
+
+#: The same for the same steps in another number of calls, or of settings before and after a Context is made.
+SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"]}
 
 #: Factor on the edges of boxes.
 ROOM = 1.1
@@ -117,7 +126,9 @@ class Run:
     @cached_property
     def pull(self):
         """The force of `_pull` in the System."""
-        return next(f for f in self.system.getForces() if isinstance(f, openmm.CustomExternalForce) and "pull" in names(f))
+        return next(
+            f for f in self.system.getForces() if isinstance(f, openmm.CustomExternalForce) and "pull" in names(f)
+        )
 
     @property
     def is_periodic(self):
@@ -127,8 +138,10 @@ class Run:
         return View(self.context)
 
     def everything(self):
-        """All that a restart must repeat."""
-        return everything(self.context)
+        """All that a restart must repeat, and at last the counted heat."""
+        tally = self.integrator.impl.stored.tally
+        atoms = phase_point(self.context), clock_and_box(self.context)
+        return (*atoms[0], *atoms[1], tally.draws, tally.seed, *tally.counts.values(), self.integrator.countedHeat)
 
     def twin(self, settings=None):
         """Return a new run of the same mixture and method, with the same settings from the start."""
@@ -141,10 +154,10 @@ class Run:
         self.view().show_in(other.context)
         return other
 
-    def continued(self, integrator):
-        """Return this run in a new Context with another integrator."""
+    def continued(self, integrator, settings, saved):
+        """Return this run in a new Context with another integrator, which has settings, and with what was saved."""
         other = copy.copy(self)
-        other.settings, other.saved = list(self.settings), list(self.saved)
+        other.settings, other.saved = list(settings), list(saved)
         other.integrator, other.context = integrator, self.bind(integrator)
         return other
 
@@ -197,7 +210,9 @@ class Run:
             row = np.zeros((len(root), 3))
             for one, sign in ((i, 1), (j, -1)):
                 if root[one]:
-                    row[one] = sign * (positions[i] - positions[j]) / np.linalg.norm(positions[i] - positions[j]) / root[one]
+                    row[one] = (
+                        sign * (positions[i] - positions[j]) / np.linalg.norm(positions[i] - positions[j]) / root[one]
+                    )
             rows.append(row.ravel() @ basis)
         if not rows:
             return basis
@@ -243,6 +258,29 @@ class Run:
             growth = (view.velocities[i] - view.velocities[j]) @ along / distance
             largest = 1 + np.abs(view.velocities).max()
             assert abs(growth) < 10 * tolerance * largest, f"atoms {i} and {j} part with {growth} nm/ps"
+
+
+def end(run, steps=2):
+    """Make steps; return the error, if there is one."""
+    try:
+        run.integrator.step(steps)
+    except REFUSALS as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def assert_alike(one, two, positions=0.0, velocities=0.0):
+    """Compare all of two runs: the same bits, or positions and velocities within tolerances in nm and nm/ps.
+
+    The heat, a sum over all steps, may be added up in another order.
+    """
+    *these, heat = one
+    *those, expected = two
+    for k, (a, b) in enumerate(zip(these, those, strict=True)):
+        name, tolerance = [("positions", positions), ("velocities", velocities), ("other numbers", velocities)][min(k, 2)]
+        difference = np.abs(np.subtract(a, b)).max()
+        assert difference <= tolerance, f"{name} differ by {difference:.1e}"
+    assert np.isclose(heat, expected, rtol=1e-9, atol=1e-6 + 1e3 * velocities, equal_nan=True), f"heat {heat}, {expected}"
 
 
 def started(mixture, method, name="Reference", forces=()):
