@@ -37,7 +37,14 @@ GAP, CUTOFF = 0.25, 0.7
 #: Most particles of a mixture.
 PARTICLES = 40
 
-TEMPERATURE = 300.0
+#: K, and dalton: of velocities and of the hydrogens of "heavy".
+TEMPERATURE, HEAVY = 300.0, 4.0
+
+#: A truncated octahedron and a rhombic dodecahedron, of edge 1.
+TRICLINIC = (
+    np.array([[1, 0, 0], [1 / 3, 0.94, 0], [-1 / 3, 0.47, 0.82]]),
+    np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 0.71]]),
+)
 
 SURROUNDINGS = ("vacuum", "cut-off", "PME", "triclinic PME")
 FORMS = ("plain", "switched", "custom", "none")
@@ -101,7 +108,7 @@ class Mixture:
         system = openmm.XmlSerializer.clone(plain)
         preparation = None
         if self.prepared != "no":
-            heavy = 4.0 if self.prepared == "heavy" else None
+            heavy = HEAVY if self.prepared == "heavy" else None
             preparation = prepare_system(system, named or None, hydrogenMass=heavy)
         bodies = _bodies(system, named, positions)
         velocities = _velocities(system, positions, named, rng)
@@ -329,11 +336,12 @@ def _without_dispersion(force: openmm.NonbondedForce) -> openmm.CustomNonbondedF
 
 def _box(mixture: Mixture, x: np.ndarray) -> np.ndarray:
     """Return vectors of a box in which images of the molecules do not touch."""
-    extent = np.ptp(x, axis=0) + GAP
+    extent = np.maximum(np.ptp(x, axis=0) + GAP, 2.05 * CUTOFF)
+    room = np.random.default_rng([mixture.seed, 1]).uniform(1, 1.4, 3)
     if mixture.surroundings != "triclinic PME":
-        return np.diag(np.maximum(extent, 2.05 * CUTOFF))
-    edge = max(extent.max(), 2.05 * CUTOFF) / 0.81
-    return edge * np.array([[1, 0, 0], [1 / 3, 0.94, 0], [-1 / 3, 0.47, 0.82]])
+        return np.diag(extent * room)
+    shape = TRICLINIC[mixture.seed % 2]
+    return extent.max() / shape.diagonal().min() * room[0] * shape
 
 
 # --- strategies -------------------------------------------------------------------------------------------------------
@@ -356,7 +364,9 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
         plain += [st.builds(Body, shapes), jointed]
-    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(_has_parents)
+    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
+        _has_parents
+    )
     tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
     return st.one_of(ions, *plain, with_sites, tethered)
 
