@@ -277,10 +277,14 @@ def assert_alike(one, two, positions=0.0, velocities=0.0):
     *these, heat = one
     *those, expected = two
     for k, (a, b) in enumerate(zip(these, those, strict=True)):
-        name, tolerance = [("positions", positions), ("velocities", velocities), ("other numbers", velocities)][min(k, 2)]
+        name, tolerance = [("positions", positions), ("velocities", velocities), ("other numbers", velocities)][
+            min(k, 2)
+        ]
         difference = np.abs(np.subtract(a, b)).max()
         assert difference <= tolerance, f"{name} differ by {difference:.1e}"
-    assert np.isclose(heat, expected, rtol=1e-9, atol=1e-6 + 1e3 * velocities, equal_nan=True), f"heat {heat}, {expected}"
+    assert np.isclose(heat, expected, rtol=1e-9, atol=1e-6 + 1e3 * velocities, equal_nan=True), (
+        f"heat {heat}, {expected}"
+    )
 
 
 def started(mixture, method, name="Reference", forces=()):

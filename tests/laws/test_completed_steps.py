@@ -254,9 +254,9 @@ def of_threads(platform: str) -> st.SearchStrategy[Threads]:
     return st.builds(Threads, mixtures(), methods(), signals, st.just(platform))
 
 
-INTERRUPTIONS = Law("interruptions", interruptions, few=20)
-INTERRUPTS = Law("interrupts", interrupts, few=10)
-THREADS = Law("threads", of_threads, few=5)
+INTERRUPTIONS = Law("interruptions", interruptions, few=15)
+INTERRUPTS = Law("interrupts", interrupts, few=6)
+THREADS = Law("threads", of_threads, few=4)
 
 
 @INTERRUPTIONS.numbers()

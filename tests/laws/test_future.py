@@ -125,8 +125,8 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 
 
-FUTURES = Law("futures", futures, few=20)
-RESTARTS = Law("restarts", restarts, few=20)
+FUTURES = Law("futures", futures, few=15)
+RESTARTS = Law("restarts", restarts, few=15)
 
 
 @FUTURES.numbers()

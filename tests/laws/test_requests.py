@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import pytest
 from hypothesis import strategies as st
 
-from tests.laws.actions import Action, Set, Step, actions, setters_of
+from tests.laws.actions import Action, Set, Step, actions, setters, setters_of, values_of
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
+from tests.laws.methods import Method, method, methods
 from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.molecules import Water
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -75,15 +77,15 @@ class Setting:
             end(run)
             run.context.loadCheckpoint(start)
         found = outcome(run) if tried(run, self.setting) else None
-        for method, settings in self.others(run.method):
+        for other, settings in self.others(run.method):
             try:
-                expected = outcome(Run(self.mixture, method, self.platform, settings))
+                expected = outcome(Run(self.mixture, other, self.platform, settings))
             except REFUSALS:
                 expected = None
             refused = ["accepted" if result else "refused" for result in (found, expected)]
-            assert refused[0] == refused[1], f"the setter is {refused[0]}, and {settings or method} is {refused[1]}"
+            assert refused[0] == refused[1], f"the setter is {refused[0]}, and {settings or other} is {refused[1]}"
             if found is not None:
-                assert_alike(found, expected, *SAME[method.engine])
+                assert_alike(found, expected, *SAME[other.engine])
 
     def others(self, method: Method) -> list[tuple[Method, list]]:
         """Return methods and earlier settings that give the same integrator."""
@@ -115,19 +117,39 @@ def requests(draw: st.DrawFn, platform: str) -> Requests:
     return Requests(draw(mixtures()), method, tuple(draw(st.lists(actions(method.kind), max_size=6))), platform)
 
 
-@st.composite
-def settings(draw: st.DrawFn, platform: str) -> Setting:
-    method = draw(methods())
-    return Setting(draw(mixtures()), method, draw(setters_of(method.kind)), draw(st.booleans()), platform)
+def settings(platform: str) -> st.SearchStrategy[Setting]:
+    return methods().flatmap(
+        lambda method: st.builds(
+            Setting, mixtures(), st.just(method), setters_of(method.kind), st.booleans(), st.just(platform)
+        )
+    )
 
 
-REQUESTS = Law("requests", requests, few=20)
-SETTINGS = Law("settings", settings, few=15)
+#: Methods by which every setter is tried.
+SIMPLE = [
+    method("SIERIntegrator", stepSize=0.001),
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, stepSize=0.001),
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, rotationalFriction=3.0, stepSize=0.001),
+    method("SIERHMCIntegrator", temperature=300.0, schemeStepSize=0.001, stepsPerTrial=2),
+    method("SIERThermostatIntegrator", temperature=300.0, rate=5.0, every=1, stepSize=0.001),
+]
+
+
+REQUESTS = Law("requests", requests, few=15)
+SETTINGS = Law("settings", settings, few=5)
 
 
 @REQUESTS.numbers()
 def test_what_is_asked_for_is_there(examples):
     REQUESTS.hold(examples)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+@pytest.mark.parametrize("simple", SIMPLE, ids=lambda simple: simple.kind)
+def test_every_setter_does_what_the_argument_does(simple, engine):
+    for name in setters(simple.cls):
+        setting = Set(name, values_of(name)[0])
+        Setting(Mixture((Water(),)), replace(simple, engine=engine), setting).check()
 
 
 @SETTINGS.numbers()
