@@ -27,7 +27,7 @@ SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"]}
 ROOM = 1.1
 
 #: Motions of a body that are smaller than this part of the largest are those of a line about itself, from which its
-#: atoms may be off by 1e-5 nm. Constraints of which a combination changes by less than this part are redundant.
+#: atoms may be off by 1e-5 nm. Constraints that others imply change by less than this.
 LINE, REDUNDANT = 1e-3, 1e-7
 
 
@@ -217,7 +217,9 @@ class Run:
         if not rows:
             return basis
         _, sizes, kernel = np.linalg.svd(np.array(rows))
-        return basis @ kernel[np.sum(sizes > REDUNDANT * sizes.max()) :].T
+        # The rows of constraints within a rigid body are rounding.
+        scale = 1 / root[root > 0].max()
+        return basis @ kernel[np.sum(sizes > REDUNDANT * scale) :].T
 
     def projected(self, view):
         """Return the velocities of atoms with mass that are nearest to those of a view, in kinetic energy."""

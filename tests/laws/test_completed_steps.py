@@ -208,9 +208,9 @@ class Threads:
     platform: str = "Reference"
 
     def check(self) -> None:
-        started(self.mixture, self.method, self.platform)
-        run, probe = probed(self.mixture, self.method, self.platform)
-        other, _ = probed(self.mixture, self.method, self.platform)
+        method = started(self.mixture, self.method, self.platform).method
+        run, probe = probed(self.mixture, method, self.platform)
+        other, _ = probed(self.mixture, method, self.platform)
         observer = Observer(run)
 
         def act() -> None:

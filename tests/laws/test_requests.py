@@ -114,7 +114,9 @@ def outcome(run: Run) -> tuple | None:
 @st.composite
 def requests(draw: st.DrawFn, platform: str) -> Requests:
     method = draw(methods())
-    return Requests(draw(mixtures()), method, tuple(draw(st.lists(actions(method.kind), max_size=6))), platform)
+    return Requests(
+        draw(mixtures()), method, tuple(draw(st.lists(actions(method.kind), min_size=2, max_size=8))), platform
+    )
 
 
 def settings(platform: str) -> st.SearchStrategy[Setting]:
