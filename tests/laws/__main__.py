@@ -15,12 +15,25 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_order, test_preparing
+from tests.laws import test_completed_steps, test_future, test_order, test_preparing, test_requests
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-LAWS: dict[str, Law] = {law.name: law for law in (test_order.LAW, test_preparing.LAW)}
+LAWS: dict[str, Law] = {
+    law.name: law
+    for law in (
+        test_order.LAW,
+        test_preparing.LAW,
+        test_requests.REQUESTS,
+        test_requests.SETTINGS,
+        test_future.FUTURES,
+        test_future.RESTARTS,
+        test_completed_steps.INTERRUPTIONS,
+        test_completed_steps.INTERRUPTS,
+        test_completed_steps.THREADS,
+    )
+}
 
 
 def arguments() -> argparse.Namespace:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import openmm
 from hypothesis import strategies as st
 
-from tests.laws.actions import Action, Step, changes
+from tests.laws.action_strategies import changes
+from tests.laws.actions import Action, Step
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixtures import Mixture, mixtures

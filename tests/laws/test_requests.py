@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import pytest
 from hypothesis import strategies as st
 
-from tests.laws.actions import Action, Set, Step, actions, setters, setters_of, values_of
+from tests.laws.action_strategies import actions, setters_of
+from tests.laws.actions import Action, Step
+from tests.laws.integrator_actions import Set, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixtures import Mixture, mixtures
