@@ -15,13 +15,31 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_averages, test_order, test_preparing, test_readers, test_refusals
+from tests.laws import (
+    test_averages,
+    test_completed_steps,
+    test_future,
+    test_order,
+    test_preparing,
+    test_readers,
+    test_refusals,
+    test_requests,
+)
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-MODULES = test_averages, test_order, test_preparing, test_readers, test_refusals
-LAWS: dict[str, Law] = {module.LAW.name: module.LAW for module in MODULES}
+MODULES = (
+    test_order,
+    test_preparing,
+    test_requests,
+    test_future,
+    test_completed_steps,
+    test_averages,
+    test_readers,
+    test_refusals,
+)
+LAWS = {law.name: law for module in MODULES for law in vars(module).values() if isinstance(law, Law)}
 
 
 def arguments() -> argparse.Namespace:
