@@ -307,10 +307,11 @@ class _Writer:
 
     def _beside_bath(self, drift: Drift) -> Operation:
         """Return the part of a drift on one side of a bath in its middle."""
+        kick: tuple[Operation, ...] = ()
         if self.longest is not None:
             number, kick = steps_with_bath(2 * drift.fraction, self.longest), (Kick(1.0, 0.0, FAST),)
         elif self.resolution.around_bath:
-            number, kick = self.resolution.around_bath, ()
+            number = self.resolution.around_bath
         else:
             return drift
         half = Drift(0.5, (1.0,), drift.side)

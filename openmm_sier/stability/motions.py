@@ -268,8 +268,8 @@ def harmonic_vibrations(
             bends = constrained_bends(force, mobility, owners, constraints)
             if bends.squares.max(initial=0) > 0:
                 k = int(bends.squares.argmax())
-                atoms, square = tuple(bends.atoms[k].tolist()), float(bends.squares[k])
-                yield Vibration(entry, atoms, square, bends.gradients[k], "angle")
+                bent = tuple(bends.atoms[k].tolist())
+                yield Vibration(entry, bent, float(bends.squares[k]), bends.gradients[k], "angle")
 
 
 def shortest_period(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], groups: int) -> float | None:

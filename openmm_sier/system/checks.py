@@ -183,13 +183,12 @@ def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
     """
     if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         return
-    constraints = tables.constraints(system)
-    for species in bodies.species:
-        is_held = constraints.hold(species.atoms)
+    kinds = [species.atoms for species in bodies.species]
+    for atoms, is_held in zip(kinds, tables.constraints(system).hold(kinds), strict=True):
         if not is_held.all():
             raise openmm.OpenMMException(
                 "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
-                f"constraints do not join all atoms of {bodies.describe_atoms(species.atoms[np.argmin(is_held)])}. "
+                f"constraints do not join all atoms of {bodies.describe_atoms(atoms[np.argmin(is_held)])}. "
                 "Remove the AndersenThermostat and use SIERLangevinIntegrator"
             )
 
