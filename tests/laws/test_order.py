@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
 from openmm_sier.dynamics.schemes import CATALOGUE
+from openmm_sier.engines.choice import EXACT_PLATFORMS
 from tests.laws.law import Law
 from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
 from tests.laws.oracle import Oracle
@@ -98,7 +99,8 @@ class Order:
                 prepare_system(system, hydrogenMass=HEAVY if self.mixture.prepared == "heavy" else None)
         scheme = CATALOGUE[self.scheme]
         integrator = SIERIntegrator(STEPS[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform))
+        precision = {} if self.platform in EXACT_PLATFORMS else {"Precision": "double"}
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform), precision)
         for step in STEPS:
             integrator.setStepSize(step)
             context.setPositions(x)
@@ -173,7 +175,7 @@ def test_errors_fall_with_the_order_of_the_scheme_on_gpu_platforms():
             "--seed",
             "1",
             "--examples",
-            "5",
+            "3",
         ]
         process = subprocess.run(command, capture_output=True, text=True, env=opencl.environment(), check=False)
         assert process.returncode == 0, process.stdout + process.stderr[-2000:]
