@@ -20,7 +20,7 @@ from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
-from openmm_sier.system import bound_systems, checks
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import ForceGroups, group_mask
 
 
@@ -187,6 +187,7 @@ class IntegratorImpl:
             )
         checks.refuse_drude_particles(system)
         checks.refuse_impossible_masses(system)
+        checks.refuse_sites_without_place(system)
         installation.refuse_additions(self.integrator, self._computations)
         refuse_other_bodies(system, self.settings.bodies)
         if self.settings.fast_groups is None:
@@ -214,7 +215,7 @@ class IntegratorImpl:
         if (not on_gpu and requested != "native") or requested == "exact":
             # The exact engine decides on trials in Python.
             method = replace(method, trial_steps=0)
-        self.program = program_for(method, system, groups, on_gpu, checks_positions)
+        self.program = program_for(method, system, self.settings.bodies, groups, on_gpu, checks_positions)
         # What the exact engine stores makes the kernels of GPUs slower.
         is_lean = on_gpu and requested != "exact"
         vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_method())
@@ -247,4 +248,3 @@ class IntegratorImpl:
         if self.ensemble.is_random and not tally.seed:
             tally.seed = self.integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1
         self.set_program_variables()
-        bound_systems.add(context)

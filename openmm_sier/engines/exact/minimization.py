@@ -20,7 +20,7 @@ from openmm_sier.system import tables
 def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
     """Return whether every distance inside every body is constrained."""
     constraints = tables.constraints(system)
-    return all(constraints.hold(species.atoms).all() for species in bodies.species)
+    return all(held.all() for held in constraints.hold(species.atoms for species in bodies.species))
 
 
 def minimize_bodies(

@@ -83,10 +83,7 @@ class NativeEngine(Engine):
         self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
-        fraction = program.inner_fraction
-        self.step_check = StepCheck(
-            system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
-        )
+        self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)
         #: The step size of OpenMM's own clock.
         self._step_of_clock = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None

@@ -1,7 +1,6 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
 import copy
-import re
 from collections.abc import Iterable
 from functools import partial
 
@@ -33,9 +32,6 @@ PARTS = PREFIX + "parts"
 
 #: The per-atom variables of both engines, which are there where a run may go on with the other one.
 ALL_VECTORS = (*STATE_VARIABLES, *VECTORS)
-
-#: The force of one group in an expression.
-GROUP_FORCE = re.compile(r"\bf\d+(?=/m)")
 
 #: OpenMM's own computations, by the targets of statements without an expression.
 OWN = {
@@ -121,7 +117,7 @@ def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> No
     OpenMM computes what uses no force together with what uses the next force, and statements after the last one alone,
     in kernels of their own.
     """
-    used = [name for statement in program.statements for name in GROUP_FORCE.findall(statement.expression)]
+    used = [term.name for statement in program.statements if (term := statement.force) is not None and term.is_of_group]
     if used:
         integrator.beginIfBlock(f"{PART} = {NEVER}")
         integrator.addComputePerDof("v", f"v + {used[-1]}/m")

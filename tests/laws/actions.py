@@ -1,0 +1,276 @@
+"""What users do to a Context, as data that Hypothesis draws, orders and shrinks.
+
+Each action is a frozen dataclass with a method `act`, which does it, and `shows`, which asserts that the Context shows
+what was asked for. An error of `act` that is one of `REFUSALS` is a refusal, and must have changed nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+from scipy.spatial.transform import Rotation
+from scipy.special import gammaincinv
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from tests.laws.runs import update_shares
+
+#: Chance of a kinetic energy outside of the bounds for a temperature, on either side: that of 6.1 standard errors.
+CHANCE = 5e-10
+
+#: nm/ps: velocities that bodies and constraints allow are known to 1e-3 where atoms are off by 1e-5 nm; what is missed
+#: is as large as thermal velocities.
+ALLOWED = 1e-3
+
+
+class Action:
+    """The base class. What it leaves out holds for questions: `changes` tells whether the Context may differ."""
+
+    changes = True
+
+    def applies(self, run):
+        """Return whether a run can be asked for this."""
+        return True
+
+    def act(self, run):
+        raise NotImplementedError
+
+    def shows(self, run, before, after):
+        """Assert that the Context shows what was asked for, by the views before and after."""
+
+
+# --- steps ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Step(Action):
+    count: int
+
+    def act(self, run):
+        run.integrator.step(self.count)
+
+    def shows(self, run, before, after):
+        assert after.steps == before.steps + self.count
+        step = run.integrator.getStepSize()._value
+        assert abs(after.time - before.time - self.count * step) < 1e-12
+        run.assert_rigid(after, 1e-6)
+        frozen = run.masses == 0
+        frozen[[i for i in range(len(frozen)) if run.system.isVirtualSite(i)]] = False
+        assert np.array_equal(after.positions[frozen], before.positions[frozen]), "frozen atoms moved"
+        assert after.parameters == before.parameters
+
+
+# --- atoms ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DrawVelocities(Action):
+    temperature: float
+    seed: int
+
+    def act(self, run):
+        run.context.setVelocitiesToTemperature(self.temperature, self.seed)
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.positions, before.positions)
+        # Velocities are those that bodies and constraints allow, and as many of them as there are freedoms.
+        projected = run.projected(after)
+        massive = run.masses > 0
+        kept = (after.velocities == before.velocities).all(axis=1) & massive
+        assert not kept.any(), f"velocities of atoms {np.flatnonzero(kept)} are those of before"
+        excess = np.abs(projected - after.velocities)[massive].max()
+        assert excess < ALLOWED, f"{excess:.1e} nm/ps are not allowed"
+        energy = 2 * run.kinetic_energy(after) / (GAS_CONSTANT * self.temperature)
+        # Twice the kinetic energy in kT has the chi-square distribution.
+        low, high = 2 * gammaincinv(run.freedoms(after) / 2, [CHANCE, 1 - CHANCE])
+        assert low <= energy <= high, f"twice the kinetic energy is {energy} kT, not from {low} to {high}"
+
+
+@dataclass(frozen=True)
+class SetVelocities(Action):
+    seed: int
+
+    def velocities(self, run):
+        spread = np.sqrt(np.divide(1.0, run.masses, out=np.zeros_like(run.masses), where=run.masses > 0))
+        return np.random.default_rng(self.seed).normal(size=(len(spread), 3)) * spread[:, None]
+
+    def act(self, run):
+        run.context.setVelocities(self.velocities(run))
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.positions, before.positions)
+        massive = run.masses > 0
+        # GPUs in mixed precision keep doubles.
+        assert np.array_equal(after.velocities[massive], self.velocities(run)[massive])
+
+
+@dataclass(frozen=True)
+class SetPositions(Action):
+    """Displace and turn a molecule as a whole, and perhaps each atom by a little, which constraints do not allow."""
+
+    molecule: int
+    seed: int
+    off: float = 0.0
+
+    def positions(self, run, before):
+        rng = np.random.default_rng(self.seed)
+        molecules = run.context.getMolecules()
+        atoms = list(molecules[self.molecule % len(molecules)])
+        moved = before.positions.copy()
+        centre = moved[atoms].mean(axis=0)
+        turn = Rotation.from_rotvec(rng.normal(scale=0.02, size=3))
+        moved[atoms] = turn.apply(moved[atoms] - centre) + centre + rng.normal(scale=0.005, size=3)
+        return moved + self.off * rng.uniform(-1, 1, moved.shape)
+
+    def act(self, run):
+        run.context.setPositions(self.positions(run, run.view()))
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.velocities, before.velocities)
+        asked = self.positions(run, before)
+        own = [i for i in range(len(asked)) if not run.system.isVirtualSite(i)]
+        assert np.array_equal(after.positions[own], asked[own])
+
+
+@dataclass(frozen=True)
+class SetBoth(Action):
+    """Positions and then velocities."""
+
+    positions: SetPositions
+    velocities: SetVelocities
+
+    def act(self, run):
+        self.positions.act(run)
+        self.velocities.act(run)
+
+    def shows(self, run, before, after):
+        asked = self.positions.positions(run, before)
+        own = [i for i in range(len(asked)) if not run.system.isVirtualSite(i)]
+        assert np.array_equal(after.positions[own], asked[own])
+        massive = run.masses > 0
+        assert np.array_equal(after.velocities[massive], self.velocities.velocities(run)[massive])
+
+
+@dataclass(frozen=True)
+class ApplyConstraints(Action):
+    def act(self, run):
+        run.context.applyConstraints(1e-9)
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.velocities, before.velocities)
+        for i, j, length in run.constraints:
+            distance = np.linalg.norm(after.positions[i] - after.positions[j])
+            assert abs(distance - length) < 1e-6 * length
+
+
+@dataclass(frozen=True)
+class ApplyVelocityConstraints(Action):
+    def act(self, run):
+        run.context.applyVelocityConstraints(1e-9)
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.positions, before.positions)
+        massive = run.masses > 0
+        wrong = np.abs(run.projected(before) - after.velocities)[massive].max()
+        assert wrong < ALLOWED, f"velocities are {wrong:.1e} nm/ps from the nearest that are allowed"
+
+
+@dataclass(frozen=True)
+class Minimize(Action):
+    iterations: int
+
+    def act(self, run):
+        run.energy_before = run.potential_energy()
+        openmm.LocalEnergyMinimizer.minimize(run.context, 1.0, self.iterations)
+
+    def shows(self, run, before, after):
+        assert after.steps == before.steps
+        assert np.array_equal(after.box, before.box)
+        # Constraints are satisfied at the end, which may cost what rounding of their lengths costs.
+        energy = run.potential_energy()
+        assert energy <= run.energy_before + 1e-3, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
+        run.assert_rigid(after, 1e-4, moves=False)
+
+
+# --- what forces depend on --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SetBox(Action):
+    factor: float
+
+    def applies(self, run):
+        return run.is_periodic
+
+    def act(self, run):
+        run.context.setPeriodicBoxVectors(*(self.factor * run.view().box))
+
+    def shows(self, run, before, after):
+        assert np.array_equal(after.box, self.factor * before.box)
+        assert np.array_equal(after.positions, before.positions)
+
+
+@dataclass(frozen=True)
+class SetParameter(Action):
+    name: str
+    value: float
+
+    def act(self, run):
+        run.context.setParameter(self.name, self.value)
+
+    def shows(self, run, before, after):
+        assert after.parameters == before.parameters | {self.name: self.value}
+        assert run.context.getParameter(self.name) == self.value
+
+
+@dataclass(frozen=True)
+class UpdateParameters(Action):
+    """Change a Force in the System and in the Context."""
+
+    share: float
+
+    def act(self, run):
+        update_shares(run, [self.share * (1 + k % 2) for k in range(run.pull.getNumParticles())])
+
+
+# --- saving and loading -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Save(Action):
+    """Save a checkpoint or a State. The run goes on as a restart does, so that this is no mere question."""
+
+    way: str
+
+    def act(self, run):
+        run.saved.append((run.view(), run.save(self.way)))
+
+    def shows(self, run, before, after):
+        after.assert_near(before, 0)
+
+
+@dataclass(frozen=True)
+class Load(Action):
+    number: int
+
+    def applies(self, run):
+        return bool(run.saved)
+
+    def act(self, run):
+        run.saved[self.number % len(run.saved)][1](run.context)
+
+    def shows(self, run, before, after):
+        after.assert_near(run.saved[self.number % len(run.saved)][0], 0)
+
+
+@dataclass(frozen=True)
+class Reinitialize(Action):
+    preserve: bool
+
+    def act(self, run):
+        view = run.view()
+        run.context.reinitialize(preserveState=self.preserve)
+        if not self.preserve:
+            view.show_in(run.context)
+
+    def shows(self, run, before, after):
+        after.assert_near(before, 0)

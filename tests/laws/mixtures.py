@@ -1,0 +1,419 @@
+"""Random Systems: mixtures of molecules in vacuum or in a box, prepared or not, and the strategy that draws them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from openmm_sier import Preparation, RigidBodies, prepare_system
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.system.find_bodies import UnknownShapeError
+from tests.laws.molecules import (
+    HELD_BY_CONSTRAINTS,
+    SHAPES,
+    SITES,
+    Body,
+    Chain,
+    Ion,
+    Jointed,
+    Molecule,
+    Parts,
+    Ring,
+    Star,
+    Tethered,
+    Water,
+    WithSite,
+)
+
+#: nm: between molecules at least; radius of the cut-off.
+GAP, CUTOFF = 0.25, 0.7
+
+#: Most particles of a mixture.
+PARTICLES = 40
+
+#: K, and dalton: of velocities and of the hydrogens of "heavy".
+TEMPERATURE, HEAVY = 300.0, 4.0
+
+#: A truncated octahedron and a rhombic dodecahedron, of edge 1.
+TRICLINIC = (
+    np.array([[1, 0, 0], [1 / 3, 0.94, 0], [-1 / 3, 0.47, 0.82]]),
+    np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 0.71]]),
+)
+
+SURROUNDINGS = ("vacuum", "cut-off", "PME", "triclinic PME")
+FORMS = ("plain", "switched", "custom", "none")
+PREPARATIONS = ("no", "yes", "heavy")
+
+
+@dataclass(frozen=True)
+class Built:
+    """What a Mixture describes.
+
+    Attributes:
+        system: prepared or not, as the mixture says.
+        plain: the same before it was prepared.
+        positions: (N, 3), nm, which satisfy the constraints; virtual sites are in their places.
+        velocities: (N, 3), nm/ps, of bodies that are rigid and of constraints, at 300 K.
+        named: particles of each named body.
+        bodies: None if the constraints alone say which there are.
+        names: of the particles.
+        preparation: of `prepare_system`; None if not prepared.
+    """
+
+    system: openmm.System
+    plain: openmm.System
+    positions: np.ndarray
+    velocities: np.ndarray
+    named: tuple[tuple[int, ...], ...]
+    bodies: RigidBodies | None
+    names: tuple[str, ...]
+    preparation: Preparation | None
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """A System by its description.
+
+    Attributes:
+        molecules: of `tests.laws.molecules`.
+        seed: of places and velocities.
+        surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
+        form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
+        remover: whether there is a CMMotionRemover.
+        prepared: "no", "yes" or "heavy" (with a hydrogenMass).
+    """
+
+    molecules: tuple[Molecule, ...]
+    seed: int = 0
+    surroundings: str = "vacuum"
+    form: str = "plain"
+    remover: bool = False
+    prepared: str = "no"
+
+    def build(self) -> Built:
+        """Make the System, its positions and its velocities, the same ones each time."""
+        rng = np.random.default_rng(self.seed)
+        parts = [molecule.parts() for molecule in self.molecules]
+        plain = _particles(parts)
+        positions = _satisfied(plain, _placed(parts, rng))
+        _add_bonded_forces(plain, parts, positions)
+        _surround(self, plain, parts, positions)
+        named = tuple(tuple(first + i for i in body) for first, each in _numbered(parts) for body in each.bodies)
+        system = openmm.XmlSerializer.clone(plain)
+        preparation = None
+        if self.prepared != "no":
+            heavy = HEAVY if self.prepared == "heavy" else None
+            preparation = prepare_system(system, named or None, hydrogenMass=heavy)
+        bodies = _bodies(system, named, positions)
+        velocities = _velocities(system, positions, named, rng)
+        if self.remover:
+            masses = masses_of(system)
+            velocities[masses > 0] -= masses @ velocities / masses.sum()
+        names = tuple(
+            f"{type(molecule).__name__} {number}, particle {i}"
+            for number, molecule in enumerate(self.molecules)
+            for i in range(len(parts[number].masses))
+        )
+        return Built(system, plain, positions, velocities, named, bodies, names, preparation)
+
+
+def _bodies(system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray) -> RigidBodies | None:
+    """Return bodies whose shapes only positions give, with all others; None if there are none."""
+    try:
+        RigidBodies.from_system(system, rigid=named)
+    except UnknownShapeError:
+        return RigidBodies.from_system(system, rigid=named, positions=positions)
+    return None
+
+
+def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:
+    """Yield the first particle of each molecule, and the molecule."""
+    first = 0
+    for each in parts:
+        yield first, each
+        first += len(each.masses)
+
+
+def masses_of(system: openmm.System) -> np.ndarray:
+    """Return masses (N,) in dalton."""
+    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+
+# --- particles and places ---------------------------------------------------------------------------------------------
+
+
+def _particles(parts: list[Parts]) -> openmm.System:
+    """Make a System of particles, constraints and virtual sites.
+
+    Lengths are numbers of single precision, to which OpenMM's SETTLE rounds.
+    """
+    system = openmm.System()
+    for first, each in _numbered(parts):
+        for mass in each.masses:
+            system.addParticle(mass)
+        for i, j in each.constraints:
+            length = float(np.float32(np.linalg.norm(each.places[i] - each.places[j])))
+            system.addConstraint(first + i, first + j, length)
+        for i, (parents, make) in each.sites.items():
+            system.setVirtualSite(first + i, make(*(first + parent for parent in parents)))
+    return system
+
+
+def _placed(parts: list[Parts], rng: np.random.Generator) -> np.ndarray:
+    """Put molecules beside each other, each turned at random; return positions (N, 3) in nm."""
+    placed = np.empty((0, 3))
+    for each in parts:
+        shape = Rotation.random(rng=rng).apply(np.array(each.places) - np.mean(each.places, axis=0))
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        away = 0.0
+        while len(placed) and np.linalg.norm(placed[:, None] - (shape + away * direction), axis=2).min() < GAP:
+            away += 0.04
+        placed = np.concatenate([placed, shape + away * direction])
+    return placed
+
+
+def constrained_pairs(system: openmm.System) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs (K, 2) of particles with a mass, and their constrained lengths in nm."""
+    rows = [system.getConstraintParameters(k) for k in range(system.getNumConstraints())]
+    rows = [row for row in rows if system.getParticleMass(row[0])._value and system.getParticleMass(row[1])._value]
+    pairs = np.array([row[:2] for row in rows], dtype=int).reshape(-1, 2)
+    return pairs, np.array([row[2]._value for row in rows])
+
+
+def gradients(pairs: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return half of the derivatives (K, N, 3) of the squared lengths of constraints."""
+    result = np.zeros((len(pairs), *x.shape))
+    apart = x[pairs[:, 0]] - x[pairs[:, 1]]
+    result[np.arange(len(pairs)), pairs[:, 0]] = apart
+    result[np.arange(len(pairs)), pairs[:, 1]] = -apart
+    return result
+
+
+def multipliers(rows: np.ndarray, weighted: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve the equations of constraints, which may be redundant."""
+    matrix = weighted.reshape(len(rows), -1) @ rows.reshape(len(rows), -1).T
+    return np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ right
+
+
+def _satisfied(system: openmm.System, x: np.ndarray) -> np.ndarray:
+    """Return positions at which constraints hold to rounding and virtual sites are in their places."""
+    masses = masses_of(system)
+    pairs, lengths = constrained_pairs(system)
+    inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)[None, :, None]
+    # The starts are good to single precision, from which two steps of Newton's method reach rounding.
+    for _ in range(3 if len(pairs) else 0):
+        rows = gradients(pairs, x)
+        excess = (((x[pairs[:, 0]] - x[pairs[:, 1]]) ** 2).sum(axis=1) - lengths**2) / 2
+        weighted = rows * inverse
+        x = x - np.tensordot(multipliers(rows, weighted, excess), weighted, 1)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(x)
+    context.computeVirtualSites()
+    return context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+
+
+def _velocities(
+    system: openmm.System, x: np.ndarray, named: tuple[tuple[int, ...], ...], rng: np.random.Generator
+) -> np.ndarray:
+    """Return thermal velocities (N, 3) in nm/ps that keep bodies rigid and constraints satisfied."""
+    masses = masses_of(system)
+    noise = rng.normal(size=x.shape)
+    inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0)
+    v = noise * np.sqrt(GAS_CONSTANT * TEMPERATURE * inverse)[:, None]
+    pairs, _ = constrained_pairs(system)
+    if len(pairs):
+        rows = gradients(pairs, x)
+        weighted = rows * inverse[None, :, None]
+        v = v - np.tensordot(multipliers(rows, weighted, rows.reshape(len(rows), -1) @ v.ravel()), weighted, 1)
+    for body in map(list, named):
+        v[body] = _rigid(masses[body], x[body], v[body])
+    return v
+
+
+def angular_velocity(masses: np.ndarray, r: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+    """Return the angular velocity of a body, about no axis on which all atoms are.
+
+    Args:
+        masses: (k,).
+        r: (k, 3), from the centre of mass.
+        momentum: (3,), the angular momentum.
+    """
+    inertia = np.einsum("k,kij->ij", masses, (r**2).sum(axis=1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
+    return np.linalg.pinv(inertia, rcond=1e-10, hermitian=True) @ momentum
+
+
+def _rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the velocities (k, 3) of a rigid body with the momentum and angular momentum of its atoms."""
+    r = x - masses @ x / masses.sum()
+    momentum = (masses[:, None] * np.cross(r, v)).sum(axis=0)
+    return masses @ v / masses.sum() + np.cross(angular_velocity(masses, r, momentum), r)
+
+
+# --- forces -----------------------------------------------------------------------------------------------------------
+
+
+def _add_bonded_forces(system: openmm.System, parts: list[Parts], x: np.ndarray) -> None:
+    """Add bonds, angles and torsions, a little away from their minimum."""
+    bonds, angles, torsions = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce(), openmm.PeriodicTorsionForce()
+    for first, each in _numbered(parts):
+        for i, j, constant in each.bonds:
+            bonds.addBond(first + i, first + j, 1.01 * np.linalg.norm(x[first + i] - x[first + j]), constant)
+        for i, j, k, constant in each.angles:
+            present = _angle(*x[[first + i, first + j, first + k]])
+            # About any other angle than a straight one the energy of atoms in line has a cusp.
+            angles.addAngle(first + i, first + j, first + k, math.pi if present > 3 else 0.98 * present, constant)
+        for torsion in each.torsions:
+            torsions.addTorsion(*(first + i for i in torsion), 3, 0.5, 5.0)
+    for force, terms in (
+        (bonds, bonds.getNumBonds),
+        (angles, angles.getNumAngles),
+        (torsions, torsions.getNumTorsions),
+    ):
+        if terms():
+            system.addForce(force)
+
+
+def _angle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a - b, c - b)), (a - b) @ (c - b)))
+
+
+def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np.ndarray) -> None:
+    """Add nonbonded forces, the box and what removes the motion of the centre."""
+    if mixture.form != "none":
+        force = openmm.NonbondedForce()
+        linked = []
+        for first, each in _numbered(parts):
+            for i, (mass, charge) in enumerate(zip(each.masses, each.charges, strict=True)):
+                light = 0 < mass < 2
+                force.addParticle(charge, 0.1 if light else 0.25, 0.0 if i in each.sites else (0.05 if light else 0.4))
+            joined = [*each.constraints, *(bond[:2] for bond in each.bonds), *each.links]
+            linked += [(first + i, first + j) for i, j in joined]
+        force.createExceptionsFromBonds(linked, 0.83, 0.5)
+        _set_method(mixture, force)
+        system.addForce(force)
+        if mixture.form == "custom":
+            system.addForce(_without_dispersion(force))
+    if mixture.surroundings != "vacuum":
+        system.setDefaultPeriodicBoxVectors(*_box(mixture, x))
+    if mixture.remover:
+        system.addForce(openmm.CMMotionRemover(1))
+
+
+def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
+    methods = {"vacuum": force.NoCutoff, "cut-off": force.CutoffPeriodic}
+    force.setNonbondedMethod(methods.get(mixture.surroundings, force.PME))
+    force.setCutoffDistance(CUTOFF)
+    # A conductor, with which forces end at the cut-off.
+    force.setReactionFieldDielectric(1e9)
+    if mixture.form == "switched":
+        force.setUseSwitchingFunction(True)
+        force.setSwitchingDistance(0.8 * CUTOFF)
+
+
+def _without_dispersion(force: openmm.NonbondedForce) -> openmm.CustomNonbondedForce:
+    """Take the Lennard-Jones terms out of a NonbondedForce, and return a CustomNonbondedForce of them."""
+    custom = openmm.CustomNonbondedForce("4*sqrt(e1*e2)*((s/r)^12-(s/r)^6); s=(s1+s2)/2")
+    custom.addPerParticleParameter("s")
+    custom.addPerParticleParameter("e")
+    periodic = force.getNonbondedMethod() != force.NoCutoff
+    custom.setNonbondedMethod(custom.CutoffPeriodic if periodic else custom.NoCutoff)
+    custom.setCutoffDistance(CUTOFF)
+    for i in range(force.getNumParticles()):
+        charge, sigma, epsilon = force.getParticleParameters(i)
+        custom.addParticle([sigma, epsilon])
+        force.setParticleParameters(i, charge, sigma, 0.0)
+    for k in range(force.getNumExceptions()):
+        custom.addExclusion(*force.getExceptionParameters(k)[:2])
+    return custom
+
+
+def _box(mixture: Mixture, x: np.ndarray) -> np.ndarray:
+    """Return vectors of a box in which images of the molecules do not touch."""
+    extent = np.maximum(np.ptp(x, axis=0) + GAP, 2.05 * CUTOFF)
+    room = np.random.default_rng([mixture.seed, 1]).uniform(1, 1.4, 3)
+    if mixture.surroundings != "triclinic PME":
+        return np.diag(extent * room)
+    shape = TRICLINIC[mixture.seed % 2]
+    return extent.max() / shape.diagonal().min() * room[0] * shape
+
+
+# --- strategies -------------------------------------------------------------------------------------------------------
+
+
+def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
+    """Draw a molecule of any kind, the simplest first, with or without named bodies."""
+    ions = st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans())
+    waters = st.builds(Water, st.sampled_from(["rigid", "hydrogens", "flexible"]))
+    held = st.sampled_from(["nothing", "hydrogens", "bonds"])
+    chains = st.builds(Chain, st.integers(2, 6), st.integers(0, 2), held, st.booleans())
+    lines = st.builds(Chain, st.integers(3, 5), st.just(0), st.just("bonds"), st.booleans(), st.just(True))
+    stars = st.builds(Star, st.integers(1, 4), st.sampled_from(["none", "bond", "constraint"]), st.booleans())
+    stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
+    rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
+    held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
+    plain = [waters, chains, stars, rings, held_bodies, lines]
+    if named:
+        shapes = st.sampled_from(list(SHAPES))
+        others = st.sampled_from(["none", *SHAPES])
+        jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
+        plain += [st.builds(Body, shapes), jointed]
+    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
+        _has_parents
+    )
+    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
+    return st.one_of(ions, *plain, with_sites, tethered)
+
+
+def _has_parents(molecule: WithSite) -> bool:
+    """Whether a molecule has as many atoms as the site depends on, not in line where the site needs a plane."""
+    places = np.array(molecule.molecule.parts().places)
+    count = max(SITES[molecule.site][0], 2 if molecule.angle else 1)
+    if len(places) < count:
+        return False
+    # A site on the line through two atoms makes no angle that can bend smoothly.
+    if molecule.angle and molecule.site in ("two", "shifted"):
+        return False
+    if count < 3:
+        return True
+    return bool(np.linalg.norm(np.cross(places[1] - places[0], places[2] - places[0])) > 1e-3)
+
+
+def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
+    """Return the first molecules, with `PARTICLES` at most."""
+    totals = np.cumsum([len(molecule.parts().masses) for molecule in drawn])
+    return tuple(drawn[: max(1, int((totals <= PARTICLES).sum()))])
+
+
+def mixtures(
+    surroundings: tuple[str, ...] = SURROUNDINGS,
+    prepared: tuple[str, ...] = PREPARATIONS,
+    named: bool = True,
+    least: int = 1,
+) -> st.SearchStrategy[Mixture]:
+    """Draw a Mixture of `least` molecules or more, in which something moves."""
+    return st.builds(
+        Mixture,
+        st.lists(molecules(named), min_size=least, max_size=5).map(_few).filter(_moves),
+        st.integers(0, 2**16),
+        st.sampled_from(surroundings),
+        st.sampled_from(FORMS),
+        st.booleans(),
+        st.sampled_from(prepared),
+    )
+
+
+def _moves(drawn: tuple[Molecule, ...]) -> bool:
+    return any(mass > 0 for molecule in drawn for mass in molecule.parts().masses)
+
+
+def is_frozen(mixture: Mixture) -> bool:
+    """Return whether a mixture has atoms without mass that are no virtual sites, so that momentum is not conserved."""
+    parts = [molecule.parts() for molecule in mixture.molecules]
+    return any(not mass and i not in each.sites for each in parts for i, mass in enumerate(each.masses))

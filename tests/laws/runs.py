@@ -1,0 +1,317 @@
+"""A Context with a mixture and an integrator, the view that users have of it, and the motions that it allows."""
+
+import copy
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+import openmm
+from hypothesis import reject
+
+from tests.support.restarts import clock_and_box, full_state
+from tests.support.waters import phase_point, platform
+
+#: Errors by which the package and OpenMM refuse what users ask for.
+REFUSALS = (openmm.OpenMMException, ValueError, TypeError)
+
+#: nm and nm/ps: two Contexts at the same view differ by rounding, which three steps and what is asked between them
+#: magnify little. The exact engine reads its bodies from the atoms, to 1e-15 nm; OpenMM's solvers stop at a relative
+#: tolerance of 1e-9 of lengths, which is divided by the step for velocities. A change that was missed displaces atoms
+#: by 1e-6 nm or more.
+ROUNDING = {"exact": (1e-10, 1e-7), "native": (1e-8, 1e-5)}
+
+#: The same for the same steps in another number of calls, or of settings before and after a Context is made.
+SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"]}
+
+#: Factor on the edges of boxes.
+ROOM = 1.1
+
+#: Motions of a body that are smaller than this part of the largest are those of a line about itself, from which its
+#: atoms may be off by 1e-5 nm. Constraints that others imply change by less than this.
+LINE, REDUNDANT = 1e-3, 1e-7
+
+
+class View:
+    """All that users see of a Context, without energies: OpenMM draws random numbers for those of CustomIntegrators.
+
+    Attributes:
+        positions, velocities: (N, 3), nm and nm/ps.
+        box: (3, 3), nm.
+        time: ps.
+        steps: the step count.
+        parameters: by name.
+    """
+
+    def __init__(self, context):
+        state = openmm.Context.getState(context, positions=True, velocities=True, parameters=True)
+        self.positions = np.array(state.getPositions(asNumpy=True)._value)
+        self.velocities = np.array(state.getVelocities(asNumpy=True)._value)
+        self.box = np.array(state.getPeriodicBoxVectors(asNumpy=True)._value)
+        self.time = state.getTime()._value
+        self.steps = state.getStepCount()
+        self.parameters = dict(state.getParameters())
+
+    def show_in(self, context):
+        """Set a Context to this."""
+        context.setPeriodicBoxVectors(*self.box)
+        for name, value in self.parameters.items():
+            context.setParameter(name, value)
+        context.setPositions(self.positions)
+        context.setVelocities(self.velocities)
+        context.setTime(self.time)
+        context.setStepCount(self.steps)
+
+    def differences(self, other):
+        """Return the largest difference of each of the numbers, by name."""
+        names = {"positions", "velocities", "box", "time", "steps"}
+        found = {name: float(np.abs(np.subtract(getattr(self, name), getattr(other, name))).max()) for name in names}
+        if self.parameters != other.parameters:
+            found["parameters"] = np.inf
+        return found
+
+    def assert_near(self, other, tolerance, of_velocities=None):
+        """Compare with another view; tolerances in nm and nm/ps, zero for the same bits."""
+        tolerances = {"velocities": tolerance if of_velocities is None else of_velocities, "time": 1e-12, "steps": 0}
+        for name, difference in self.differences(other).items():
+            # A difference that is not a number is none of the numbers below.
+            assert difference <= tolerances.get(name, tolerance), f"{name} differ by {difference:.1e}"
+
+
+class Run:
+    """A mixture in a Context with an integrator.
+
+    Attributes:
+        mixture, method, name: of which it is made: Systems, integrator and platform.
+        settings: setters of the integrator that were called and their arguments.
+        saved: what was saved, for later.
+    """
+
+    def __init__(self, mixture, method, name="Reference", settings=(), forces=()):
+        self.mixture, self.method, self.name, self.settings = mixture, method, name, list(settings)
+        self.saved = []
+        self.built = built = mixture.build()
+        self.system = built.system
+        self.system.addForce(self._pull())
+        for force in forces:
+            self.system.addForce(force())
+        if self.is_periodic:
+            # Room for moves to a smaller volume.
+            edges = [ROOM * edge for edge in self.system.getDefaultPeriodicBoxVectors()]
+            self.system.setDefaultPeriodicBoxVectors(*edges)
+        self.integrator = method.make(built.bodies, settings)
+        self.context = self.bind(self.integrator)
+        self.context.setPositions(built.positions)
+        self.context.setVelocities(built.velocities)
+
+    def _pull(self):
+        """Return a force on each massive atom with a global parameter and one for each atom."""
+        force = openmm.CustomExternalForce("pull*share*z")
+        force.addGlobalParameter("pull", 1.0)
+        force.addPerParticleParameter("share")
+        for atom in np.flatnonzero(self.masses):
+            force.addParticle(int(atom), [0.1 * (1 + atom % 3)])
+        return force
+
+    def bind(self, integrator):
+        """Return a Context of the System with an integrator."""
+        properties = {"Threads": "1", "DeterministicForces": "true"} if self.name == "CPU" else {}
+        if self.name == "OpenCL":
+            properties = {"Precision": "mixed"}
+        return openmm.Context(self.system, integrator, platform(self.name), properties)
+
+    @cached_property
+    def masses(self):
+        return np.array([self.system.getParticleMass(i)._value for i in range(self.system.getNumParticles())])
+
+    @cached_property
+    def pull(self):
+        """The force of `_pull` in the System."""
+        return next(
+            f for f in self.system.getForces() if isinstance(f, openmm.CustomExternalForce) and "pull" in names(f)
+        )
+
+    @property
+    def is_periodic(self):
+        return self.system.usesPeriodicBoundaryConditions()
+
+    def view(self):
+        return View(self.context)
+
+    def everything(self):
+        """All that a restart must repeat, and at last the counted heat."""
+        tally = self.integrator.impl.stored.tally
+        atoms = phase_point(self.context), clock_and_box(self.context)
+        return (*atoms[0], *atoms[1], tally.draws, tally.seed, *tally.counts.values(), self.integrator.countedHeat)
+
+    def twin(self, settings=None):
+        """Return a new run of the same mixture and method, with the same settings from the start."""
+        return Run(self.mixture, self.method, self.name, self.settings if settings is None else settings)
+
+    def at_same_view(self):
+        """Return a new run that users cannot distinguish from this one, but for the random numbers to come."""
+        other = self.twin()
+        update_shares(other, [self.pull.getParticleParameters(k)[1] for k in range(self.pull.getNumParticles())])
+        self.view().show_in(other.context)
+        return other
+
+    def continued(self, integrator, settings, saved):
+        """Return this run in a new Context with another integrator, which has settings, and with what was saved."""
+        other = copy.copy(self)
+        other.settings, other.saved = list(settings), list(saved)
+        other.integrator, other.context = integrator, self.bind(integrator)
+        return other
+
+    def save(self, way):
+        """Return a function that continues in a Context from here."""
+        if way == "checkpoint":
+            checkpoint = self.context.createCheckpoint()
+            return lambda context: context.loadCheckpoint(checkpoint)
+        state = full_state(self.context)
+        if way == "XML":
+            state = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(state))
+        return lambda context: context.setState(state)
+
+    # --- motions that constraints and bodies allow ---
+
+    @property
+    def rigid(self):
+        """Atoms with mass of each rigid body of several atoms."""
+        bodies = self.integrator.bodies if self.method.engine == "exact" else self.built.bodies
+        lists = [] if bodies is None else [atoms for species in bodies.species for atoms in species.atoms.tolist()]
+        massive = [[i for i in atoms if self.masses[i] > 0] for atoms in lists]
+        return [atoms for atoms in massive if len(atoms) > 1]
+
+    @property
+    def constraints(self):
+        """Pairs of atoms at least one of which moves, and lengths in nm."""
+        found = []
+        for k in range(self.system.getNumConstraints()):
+            i, j, length = self.system.getConstraintParameters(k)
+            if self.masses[i] or self.masses[j]:
+                found.append((i, j, length._value))
+        return found
+
+    def allowed(self, positions):
+        """Return an orthonormal basis of the allowed velocities times the roots of the masses, (3N, freedoms)."""
+        root = np.sqrt(self.masses)
+        owned = {i for atoms in self.rigid for i in atoms}
+        columns = [np.eye(3 * len(root))[3 * i + k] for i in np.flatnonzero(root) if i not in owned for k in range(3)]
+        for atoms in self.rigid:
+            centred = positions - np.average(positions[atoms], axis=0, weights=self.masses[atoms])
+            motions = np.zeros((6, len(root), 3))
+            for k in range(3):
+                motions[k, atoms, k] = root[atoms]
+                motions[3 + k, atoms] = root[atoms, None] * np.cross(np.eye(3)[k], centred[atoms])
+            basis, sizes, _ = np.linalg.svd(motions.reshape(6, -1).T, full_matrices=False)
+            columns += list(basis.T[sizes > LINE * sizes.max()])
+        basis = np.array(columns).T
+        rows = []
+        for i, j, _ in self.constraints:
+            row = np.zeros((len(root), 3))
+            for one, sign in ((i, 1), (j, -1)):
+                if root[one]:
+                    row[one] = (
+                        sign * (positions[i] - positions[j]) / np.linalg.norm(positions[i] - positions[j]) / root[one]
+                    )
+            rows.append(row.ravel() @ basis)
+        if not rows:
+            return basis
+        _, sizes, kernel = np.linalg.svd(np.array(rows))
+        # The rows of constraints within a rigid body are rounding.
+        scale = 1 / root[root > 0].max()
+        return basis @ kernel[np.sum(sizes > REDUNDANT * scale) :].T
+
+    def projected(self, view):
+        """Return the velocities of atoms with mass that are nearest to those of a view, in kinetic energy."""
+        basis, root = self.allowed(view.positions), np.sqrt(self.masses)[:, None]
+        weighted = (basis @ (basis.T @ (root * view.velocities).ravel())).reshape(-1, 3)
+        return np.divide(weighted, root, out=np.zeros_like(weighted), where=root > 0)
+
+    def freedoms(self, view):
+        return self.allowed(view.positions).shape[1]
+
+    def kinetic_energy(self, view):
+        return 0.5 * float(np.sum(self.masses[:, None] * view.velocities**2))
+
+    def potential_energy(self):
+        """Return the potential energy at the positions, as OpenMM computes it in another Context, kJ/mol."""
+        context = openmm.Context(self.system, openmm.VerletIntegrator(0.001), platform(self.name))
+        self.view().show_in(context)
+        return context.getState(energy=True).getPotentialEnergy()._value
+
+    def assert_rigid(self, view, tolerance, moves=True):
+        """Distances that constraints and bodies hold have their lengths, and velocities do not change them.
+
+        Args:
+            view: View of the Context.
+            tolerance: relative, for positions; velocities may be wrong by ten times this and their largest.
+            moves: whether velocities are looked at.
+        """
+        pairs = [(i, j, length) for i, j, length in self.constraints]
+        at_start = self.built.positions
+        for atoms in self.rigid:
+            pairs += [(i, j, np.linalg.norm(at_start[i] - at_start[j])) for i, j in combinations(atoms, 2)]
+        for i, j, length in pairs:
+            along = view.positions[i] - view.positions[j]
+            distance = np.linalg.norm(along)
+            assert abs(distance - length) < tolerance * length, f"atoms {i} and {j}: {distance} nm in place of {length}"
+            if not moves:
+                continue
+            growth = (view.velocities[i] - view.velocities[j]) @ along / distance
+            largest = 1 + np.abs(view.velocities).max()
+            assert abs(growth) < 10 * tolerance * largest, f"atoms {i} and {j} part with {growth} nm/ps"
+
+
+def end(run, steps=2):
+    """Make steps; return the error, if there is one."""
+    try:
+        run.integrator.step(steps)
+    except REFUSALS as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def assert_alike(one, two, positions=0.0, velocities=0.0):
+    """Compare all of two runs: the same bits, or positions and velocities within tolerances in nm and nm/ps.
+
+    The heat, a sum over all steps, may be added up in another order.
+    """
+    *these, heat = one
+    *those, expected = two
+    for k, (a, b) in enumerate(zip(these, those, strict=True)):
+        name, tolerance = [("positions", positions), ("velocities", velocities), ("other numbers", velocities)][
+            min(k, 2)
+        ]
+        difference = np.abs(np.subtract(a, b)).max()
+        assert difference <= tolerance, f"{name} differ by {difference:.1e}"
+    assert np.isclose(heat, expected, rtol=1e-9, atol=1e-6 + 1e3 * velocities, equal_nan=True), (
+        f"heat {heat}, {expected}"
+    )
+
+
+def started(mixture, method, name="Reference", forces=()):
+    """Return a run of a mixture with a method, or with the first of its alternatives that the System accepts.
+
+    The example is rejected if no integrator accepts the mixture.
+    """
+    for alternative in method.alternatives():
+        try:
+            run = Run(mixture, alternative, name, forces=forces)
+            run.integrator.step(0)
+        except REFUSALS:
+            continue
+        return run
+    return reject()
+
+
+def names(force):
+    """Names of the global parameters of a Force that has any."""
+    count = getattr(force, "getNumGlobalParameters", lambda: 0)()
+    return [force.getGlobalParameterName(k) for k in range(count)]
+
+
+def update_shares(run, shares):
+    """Give the atoms of `Run.pull` other parameters."""
+    for k, share in enumerate(shares):
+        run.pull.setParticleParameters(k, run.pull.getParticleParameters(k)[0], share)
+    run.pull.updateParametersInContext(run.context)

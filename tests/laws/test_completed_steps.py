@@ -1,0 +1,274 @@
+"""Completed steps: after errors, signals and interrupts whoever looks sees one, and the run goes on undisturbed."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+from hypothesis import reject
+from hypothesis import strategies as st
+
+from tests.laws.law import Law
+from tests.laws.methods import Method, methods
+from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.runs import REFUSALS, SAME, Run, View, assert_alike, end, started
+from tests.support.faults import Fault, lines_run
+
+#: Signals that a program may handle.
+SIGNALS = [name for name in ("SIGTERM", "SIGUSR1", "SIGINT", "SIGHUP", "SIGUSR2", "SIGALRM") if hasattr(signal, name)]
+
+#: Number of steps of an undisturbed run, and of the call that is disturbed.
+STEPS, DISTURBED = 6, 4
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens during a call of `step`.
+
+    Attributes:
+        what: name of a signal, "error" or "nan".
+        force: number of the force evaluation, from 1, at which it happens.
+        reply: of the handler of a signal: "look", "save" or "raise".
+    """
+
+    what: str
+    force: int
+    reply: str = "look"
+
+
+class Probe:
+    """A PythonForce that exerts no force, and at one of whose evaluations something happens."""
+
+    def __init__(self, particles: int):
+        self._zeros = np.zeros((particles, 3))
+        self._remaining, self._act = 0, None
+
+    def force(self) -> openmm.PythonForce:
+        """Return the force for a System."""
+        return openmm.PythonForce(self._compute)
+
+    @contextlib.contextmanager
+    def armed(self, number: int, act: Callable[[], np.ndarray | None]) -> Iterator[None]:
+        """Within this, let a function act at an evaluation; the forces there are what it returns, if not None."""
+        self._remaining, self._act = number, act
+        try:
+            yield
+        finally:
+            self._remaining = 0
+
+    def _compute(self, state: openmm.State) -> tuple[float, np.ndarray]:
+        self._remaining -= 1
+        forces = self._act() if self._remaining == 0 else None
+        return 0.0, self._zeros if forces is None else forces
+
+
+@contextlib.contextmanager
+def handling(name: str, handler: Callable) -> Iterator[None]:
+    """Handle a signal by a function."""
+    number = getattr(signal, name)
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
+class Undisturbed:
+    """The states of an undisturbed run, by step number."""
+
+    def __init__(self, mixture: Mixture, method: Method, platform: str):
+        self.run = started(mixture, method, platform, forces=[Probe(count(mixture)).force])
+        self.method = self.run.method
+        self.states = [self.run.everything()]
+        for _ in range(STEPS):
+            # A volume move may end a run where the box becomes too small.
+            if end(self.run, 1):
+                reject()
+            self.states.append(self.run.everything())
+
+    def assert_has(self, everything: tuple, view: View, run: Run) -> None:
+        """The state of a run is that of its step here."""
+        assert 0 <= view.steps <= STEPS, f"step {view.steps}"
+        assert_alike(everything, self.states[view.steps], *SAME[self.method.engine])
+        run.assert_rigid(view, 1e-6)
+
+    def assert_ends(self, run: Run) -> None:
+        """A run that goes on to the last step is there the same."""
+        run.integrator.step(STEPS - run.view().steps)
+        self.assert_has(run.everything(), run.view(), run)
+
+
+def count(mixture: Mixture) -> int:
+    """Return the number of particles of a mixture."""
+    return sum(len(molecule.parts().masses) for molecule in mixture.molecules)
+
+
+def probed(mixture: Mixture, method: Method, platform: str) -> tuple[Run, Probe]:
+    """Return a run that is ready to make steps, and the probe in it."""
+    probe = Probe(count(mixture))
+    run = Run(mixture, method, platform, forces=[probe.force])
+    run.integrator.step(0)
+    return run, probe
+
+
+class Observer:
+    """Looks at a run from handlers of signals and after errors."""
+
+    def __init__(self, run: Run):
+        self._run = run
+        self.seen = []
+        self.threads = []
+        self.checkpoints = []
+
+    def look(self) -> None:
+        self.threads.append(threading.current_thread())
+        self.seen.append((self._run.everything(), self._run.view()))
+
+    def handler(self, reply: str) -> Callable:
+        """Return a handler of signals."""
+
+        def handle(number, frame):
+            self.look()
+            if reply == "save":
+                self.checkpoints.append(self._run.context.createCheckpoint())
+            if reply == "raise":
+                raise Fault
+
+        return handle
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """A signal, an error or a force that is not finite at a force evaluation."""
+
+    mixture: Mixture
+    method: Method
+    event: Event
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        event = self.event
+        undisturbed = Undisturbed(self.mixture, self.method, self.platform)
+        run, probe = probed(self.mixture, undisturbed.method, self.platform)
+        observer = Observer(run)
+        is_signal = event.what in SIGNALS
+
+        def act() -> np.ndarray | None:
+            if is_signal:
+                signal.raise_signal(getattr(signal, event.what))
+            elif event.what == "error":
+                raise Fault
+            return np.full((count(self.mixture), 3), np.nan) if event.what == "nan" else None
+
+        handled = handling(event.what, observer.handler(event.reply)) if is_signal else contextlib.nullcontext()
+        with handled, probe.armed(event.force, act):
+            try:
+                run.integrator.step(DISTURBED)
+            except (Fault, *REFUSALS):
+                observer.look()
+        for everything, view in observer.seen:
+            undisturbed.assert_has(everything, view, run)
+        undisturbed.assert_ends(run)
+        for checkpoint in observer.checkpoints:
+            other, _ = probed(self.mixture, undisturbed.method, self.platform)
+            other.context.loadCheckpoint(checkpoint)
+            undisturbed.assert_ends(other)
+
+
+@dataclass(frozen=True)
+class Interrupt:
+    """A KeyboardInterrupt at a line of the package, counted from the beginning of a call of `step`."""
+
+    mixture: Mixture
+    method: Method
+    line: int
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        undisturbed = Undisturbed(self.mixture, self.method, self.platform)
+        run, _ = probed(self.mixture, undisturbed.method, self.platform)
+        lines_run(lambda: run.integrator.step(2), self.line, KeyboardInterrupt)
+        undisturbed.assert_has(run.everything(), run.view(), run)
+        undisturbed.assert_ends(run)
+
+
+@dataclass(frozen=True)
+class Threads:
+    """A signal while the main thread makes steps, before another thread makes some in another Context."""
+
+    mixture: Mixture
+    method: Method
+    event: Event
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        method = started(self.mixture, self.method, self.platform).method
+        run, probe = probed(self.mixture, method, self.platform)
+        other, _ = probed(self.mixture, method, self.platform)
+        observer = Observer(run)
+
+        def act() -> None:
+            signal.raise_signal(getattr(signal, self.event.what))
+            thread = threading.Thread(target=other.integrator.step, args=(2,))
+            thread.start()
+            thread.join(60)
+
+        with handling(self.event.what, observer.handler("look")), probe.armed(self.event.force, act):
+            run.integrator.step(DISTURBED)
+        found = {thread.name for thread in observer.threads} - {threading.main_thread().name}
+        assert not found, f"the handler was called by {found}"
+
+
+# --- strategies -------------------------------------------------------------------------------------------------------
+
+forces = st.integers(1, 12)
+signals = st.builds(Event, st.sampled_from(SIGNALS), forces, st.sampled_from(["look", "save", "raise"]))
+faults = st.builds(Event, st.sampled_from(["error", "nan"]), forces)
+
+
+@st.composite
+def interruptions(draw: st.DrawFn, platform: str) -> Interruption:
+    method, event = draw(methods()), draw(st.one_of(signals, faults))
+    if event.what not in SIGNALS:
+        # OpenMM's own steps are left where an error occurred.
+        method = dataclasses.replace(method, engine="exact")
+    if event.what == "nan" and method.kind == "SIERHMCIntegrator":
+        # The trial is rejected, and the run is another one.
+        event = dataclasses.replace(event, what="error")
+    return Interruption(draw(mixtures()), method, event, platform)
+
+
+def interrupts(platform: str) -> st.SearchStrategy[Interrupt]:
+    # OpenMM's own steps are left where an error occurred.
+    exact = methods().map(lambda method: dataclasses.replace(method, engine="exact"))
+    return st.builds(Interrupt, mixtures(), exact, st.integers(1, 300), st.just(platform))
+
+
+def of_threads(platform: str) -> st.SearchStrategy[Threads]:
+    return st.builds(Threads, mixtures(), methods(), signals, st.just(platform))
+
+
+INTERRUPTIONS = Law("interruptions", interruptions, few=15)
+INTERRUPTS = Law("interrupts", interrupts, few=6)
+THREADS = Law("threads", of_threads, few=4)
+
+
+@INTERRUPTIONS.numbers()
+def test_whoever_looks_sees_a_completed_step(examples):
+    INTERRUPTIONS.hold(examples)
+
+
+@INTERRUPTS.numbers()
+def test_an_interrupt_at_any_line_leaves_a_completed_step(examples):
+    INTERRUPTS.hold(examples)
+
+
+@THREADS.numbers()
+def test_handlers_are_called_by_the_main_thread(examples):
+    THREADS.hold(examples)

@@ -1,0 +1,161 @@
+"""Requests: what is asked for is there, and questions and refusals change nothing, now and later."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, replace
+
+import pytest
+from hypothesis import strategies as st
+
+from tests.laws.action_strategies import actions, setters_of
+from tests.laws.actions import Action, Step
+from tests.laws.integrator_actions import Set, setters, values_of
+from tests.laws.law import Law
+from tests.laws.methods import Method, method, methods
+from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.molecules import Water
+from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
+
+
+@dataclass(frozen=True)
+class Requests:
+    """Actions in a Context, each of which must show, and the same without questions and without what was refused."""
+
+    mixture: Mixture
+    method: Method
+    asked: tuple[Action, ...]
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        run = started(self.mixture, self.method, self.platform)
+        done = [action for action in self.asked if tried(run, action)]
+        error = end(run)
+        twin = Run(self.mixture, run.method, self.platform)
+        twin.integrator.step(0)
+        for action in done:
+            if action.changes:
+                action.act(twin)
+        expected = end(twin)
+        assert error == expected, f"{error} in place of {expected} without questions and without what was refused"
+        assert_alike(run.everything(), twin.everything())
+
+
+def tried(run: Run, action: Action) -> bool:
+    """Do an action and assert that it shows; return whether it was done, and not refused."""
+    if not action.applies(run):
+        return False
+    before = run.view()
+    try:
+        action.act(run)
+    except REFUSALS:
+        # A step that fails may come after others that were completed.
+        if not isinstance(action, Step):
+            run.view().assert_near(before, 0)
+        return isinstance(action, Step)
+    action.shows(run, before, run.view())
+    return True
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setter of a bound integrator, and the constructor's argument: both give the same run, or are refused.
+
+    Attributes:
+        aged: whether steps were made before, and undone by a checkpoint.
+    """
+
+    mixture: Mixture
+    method: Method
+    setting: Set
+    aged: bool = False
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        run = started(self.mixture, self.method, self.platform)
+        # A checkpoint from before the first noise does not bring back the generator of the Reference and CPU platforms.
+        if self.aged and not run.method.draws_from_openmm:
+            start = run.context.createCheckpoint()
+            end(run)
+            run.context.loadCheckpoint(start)
+        found = outcome(run) if tried(run, self.setting) else None
+        for other, settings in self.others(run.method):
+            try:
+                expected = outcome(Run(self.mixture, other, self.platform, settings))
+            except REFUSALS:
+                expected = None
+            refused = ["accepted" if result else "refused" for result in (found, expected)]
+            assert refused[0] == refused[1], f"the setter is {refused[0]}, and {settings or other} is {refused[1]}"
+            if found is not None:
+                assert_alike(found, expected, *SAME[other.engine])
+
+    def others(self, method: Method) -> list[tuple[Method, list]]:
+        """Return methods and earlier settings that give the same integrator."""
+        # A seed is for the next Context.
+        settings = [] if self.setting.name == "setRandomNumberSeed" else [self.setting]
+        argument = argument_of(method, self.setting.name)
+        # An integrator that was made without a pressure keeps its volume.
+        if argument == "pressure" and method.get("pressure") is None:
+            return [(method, settings)]
+        by_argument = [] if argument is None else [(method.having(**{argument: self.setting.value}), [])]
+        return [(method, settings), *by_argument]
+
+
+def argument_of(method: Method, setter: str) -> str | None:
+    """Return the name of the constructor's argument that a setter sets; None if there is none."""
+    name = setter[3].lower() + setter[4:]
+    names = [*inspect.signature(method.cls).parameters, *dict(method.arguments)]
+    return next((argument for argument in names if argument.startswith(name)), None)
+
+
+def outcome(run: Run) -> tuple | None:
+    """Return all that a run is after some steps, or None if they are refused."""
+    return None if end(run, 3) else run.everything()
+
+
+@st.composite
+def requests(draw: st.DrawFn, platform: str) -> Requests:
+    method = draw(methods())
+    return Requests(
+        draw(mixtures()), method, tuple(draw(st.lists(actions(method.kind), min_size=2, max_size=8))), platform
+    )
+
+
+def settings(platform: str) -> st.SearchStrategy[Setting]:
+    return methods().flatmap(
+        lambda method: st.builds(
+            Setting, mixtures(), st.just(method), setters_of(method.kind), st.booleans(), st.just(platform)
+        )
+    )
+
+
+#: Methods by which every setter is tried.
+SIMPLE = [
+    method("SIERIntegrator", stepSize=0.001),
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, stepSize=0.001),
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, rotationalFriction=3.0, stepSize=0.001),
+    method("SIERHMCIntegrator", temperature=300.0, schemeStepSize=0.001, stepsPerTrial=2),
+    method("SIERThermostatIntegrator", temperature=300.0, rate=5.0, every=1, stepSize=0.001),
+]
+
+
+REQUESTS = Law("requests", requests, few=15)
+SETTINGS = Law("settings", settings, few=5)
+
+
+@REQUESTS.numbers()
+def test_what_is_asked_for_is_there(examples):
+    REQUESTS.hold(examples)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+@pytest.mark.parametrize("simple", SIMPLE, ids=lambda simple: simple.kind)
+def test_every_setter_does_what_the_argument_does(simple, engine):
+    for name in setters(simple.cls):
+        setting = Set(name, values_of(name)[0])
+        Setting(Mixture((Water(),)), replace(simple, engine=engine), setting).check()
+
+
+@SETTINGS.numbers()
+def test_a_setter_does_what_the_argument_does(examples):
+    SETTINGS.hold(examples)
