@@ -203,6 +203,34 @@ def test_named_bodies_that_constraints_hold_are_taken(cluster):
         assert integrator.engine == "native"
 
 
+def test_setters_refuse_what_the_constructor_refuses_and_change_nothing(cluster):
+    system, point = cluster
+    integrator = SIERLangevinIntegrator(300, 1, 0.002, engine="native")
+    context = context_at(system, integrator, point, steps=1)
+    with pytest.raises(openmm.OpenMMException, match="has one friction"):
+        integrator.setRotationalFriction(50)
+    assert (integrator.getFriction()._value, integrator.getRotationalFriction()._value) == (1, 1)
+    integrator.setRotationalFriction(1)
+    with pytest.raises(openmm.OpenMMException, match="has one friction"):
+        integrator.setFriction(2)
+    assert integrator.getFriction()._value == 1
+    integrator.step(1)
+    assert context.getStepCount() == 2
+
+
+def test_andersen_thermostat_is_refused_beside_bodies_without_constraints(cluster):
+    """It hits single atoms. Where constraints join them OpenMM hits all of a body."""
+    system, point = cluster
+    atoms = [[0, 1, 2]]
+    bodies = RigidBodies.from_system(system, rigid=atoms, positions=point[0])
+    andersen = with_forces(system, openmm.AndersenThermostat(300, 1))
+    context_at(andersen, SIERIntegrator(0.002, engine="exact"), point)
+    while andersen.getNumConstraints():
+        andersen.removeConstraint(0)
+    with pytest.raises(openmm.OpenMMException, match=r"AndersenThermostat.*SIERLangevinIntegrator"):
+        context_at(andersen, SIERIntegrator(0.002, bodies=bodies, engine="exact"), point)
+
+
 def test_andersen_thermostat_is_refused(cluster):
     system, point = cluster
     system = with_forces(system, openmm.AndersenThermostat(300, 1))

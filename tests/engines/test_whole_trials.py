@@ -220,3 +220,37 @@ def test_stored_xml_rejects_ends_with_broken_constraints(tmp_path):
     # Some two thirds, with a standard deviation of 0.03 between seeds.
     assert 0.1 < accepted / made < 0.9
     assert max(spinning.broken(positions) for positions, _ in rows) < 1e-6
+
+
+# --- trials that fail ---
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_the_centre_stays_where_a_trial_ends_in_nan(engine):
+    """One atom moves between walls of NaN, 1e-4 nm from it on both sides, where trials fail; behind them none begins."""
+    system = openmm.System()
+    for _ in range(40):
+        system.addParticle(16.0)
+    wall = openmm.CustomExternalForce("select(step(abs(x - middle) - 1e-4), sqrt(-1 - x*x), 0)")
+    wall.addGlobalParameter("middle", 0)
+    wall.addParticle(0)
+    system.addForce(wall)
+    system.addForce(openmm.CMMotionRemover(1))
+    positions = np.random.default_rng(0).random((40, 3))
+    integrator = seeded(SIERHMCIntegrator(300, 0.004, stepsPerTrial=8, engine=engine), 7)
+    context = context_at(system, integrator, (positions, np.zeros_like(positions)), "CPU")
+    failed = 0
+    for _ in range(20):
+        context.setParameter("middle", phase_point(context)[0][0, 0])
+        integrator.step(1)
+        failed += not math.isfinite(integrator.lastEnergyError)
+        # Of velocities of 0.4 nm/ps, to rounding.
+        assert np.abs(phase_point(context)[1].mean(axis=0)).max() < 1e-14
+    # In a trial the atom goes 0.01 nm, and less than 1e-4 in one of a hundred.
+    assert failed > 10
+    before = phase_point(context)
+    context.setParameter("middle", -1e6)
+    with pytest.raises(openmm.OpenMMException, match="energy at the beginning of step 21 is nan"):
+        integrator.step(1)
+    assert np.array_equal(phase_point(context), before)
+    assert (integrator.trials, context.getStepCount()) == (20, 20)

@@ -133,5 +133,5 @@ def test_copies_have_a_watch_of_their_own(box):
     original = context_at(system, integrator, point)
     clone = copy.deepcopy(integrator)
     context = context_at(system, clone, point, steps=1)
-    assert clone.impl.session.watch is not integrator.impl.watch
+    assert clone.impl.session.watch is not integrator.impl.session.watch
     assert context.getStepCount() - original.getStepCount() == 1
