@@ -84,11 +84,13 @@ class Run:
         mixture, method, name: of which it is made: Systems, integrator and platform.
         settings: setters of the integrator that were called and their arguments.
         saved: what was saved, for later.
+        drawn, repeats: the last action that drew velocities, and whether it was the one before too.
     """
 
     def __init__(self, mixture, method, name="Reference", settings=(), forces=()):
         self.mixture, self.method, self.name, self.settings = mixture, method, name, list(settings)
         self.saved = []
+        self.drawn, self.repeats = None, False
         self.built = built = mixture.build()
         self.system = built.system
         self.system.addForce(self._pull())
