@@ -114,8 +114,7 @@ class SetPositions(Action):
 
     def positions(self, run, before):
         rng = np.random.default_rng(self.seed)
-        molecules = run.context.getMolecules()
-        atoms = list(molecules[self.molecule % len(molecules)])
+        atoms = run.molecules[self.molecule % len(run.molecules)]
         moved = before.positions.copy()
         centre = moved[atoms].mean(axis=0)
         turn = Rotation.from_rotvec(rng.normal(scale=0.02, size=3))

@@ -132,6 +132,15 @@ class Run:
             f for f in self.system.getForces() if isinstance(f, openmm.CustomExternalForce) and "pull" in names(f)
         )
 
+    @cached_property
+    def molecules(self):
+        """Atoms of each molecule; named bodies are parts of one."""
+        found = [set(molecule) for molecule in self.context.getMolecules()]
+        for body in map(set, self.built.named):
+            joined = [molecule for molecule in found if molecule & body]
+            found = [molecule for molecule in found if not molecule & body] + [set().union(*joined)]
+        return [sorted(molecule) for molecule in found]
+
     @property
     def is_periodic(self):
         return self.system.usesPeriodicBoundaryConditions()
