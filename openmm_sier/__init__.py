@@ -9,7 +9,7 @@ from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.integrators.tuning import tune
 from openmm_sier.integrators.tuning_results import Tuning
-from openmm_sier.observe.force_check import ForceCheck, ForceFault, check_forces
+from openmm_sier.observe.force_check import ForceCheck, ForceDoubt, ForceFault, check_forces
 from openmm_sier.prepare.frames import FramedSystem, with_frames
 from openmm_sier.prepare.inertia import set_inertia
 from openmm_sier.prepare.pme import balance_pme
@@ -25,6 +25,6 @@ __all__ = ["SIER2", "SIER2P3", "SIER2V2", "SIER4", "SIER4G", "SIER4P", "SIER4V",
 __all__ += ["SIERHMCIntegrator", "SIERIntegrator", "SIERLangevinIntegrator", "SIERThermostatIntegrator"]
 __all__ += ["Tuning", "tune"]
 __all__ += ["BodyState", "RigidBodies", "RigidityError", "SelectedBodies", "make_whole", "select_bodies"]
-__all__ += ["ForceCheck", "ForceFault", "check_forces"]
+__all__ += ["ForceCheck", "ForceDoubt", "ForceFault", "check_forces"]
 __all__ += ["FramedSystem", "Preparation", "__version__", "balance_pme", "prepare_system"]
 __all__ += ["set_inertia", "with_frames"]

@@ -2,11 +2,12 @@
 
 OpenMM tells a Python integrator nothing about its Context. So a Context with a SIER integrator becomes a `SIERContext`
 (`integrators/context.py`), whose methods extend OpenMM's; other Contexts do not change. The methods below do not belong
-to a Context. They are OpenMM's unless they get a SIER integrator or its Context. Their purposes, and the consequences
-without them:
+to a Context. They do what OpenMM's do unless they get a SIER integrator or its Context. Their purposes, and the
+consequences without them:
 
 - `Context.__init__`: writes the integrator's program for the System, and makes the engine and the `SIERContext`.
-  *Without*: there is no engine, and a System that it cannot move is not refused.
+  *Without*: there is no engine, and a System that it cannot move is not refused. Registers each Context, with any
+  integrator, in `system/bound_systems.py`. *Without*: a System is prepared too late, and nothing follows.
 - `updateParametersInContext` of every Force: notifies the integrator. *Without*: kicks use cached forces of the old
   parameters.
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid that have no constraints, or constraints that OpenMM's solvers
@@ -28,7 +29,7 @@ from openmm_sier.integrators.context import SIERContext
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
 from openmm_sier.integrators.storage import revived, written
-from openmm_sier.system import tables
+from openmm_sier.system import bound_systems, tables
 
 
 def install() -> None:
@@ -78,6 +79,7 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
         revived(integrator, SIERIntegrator)
     if not isinstance(integrator, SIERIntegrator):
         method(context, *args, **kwargs)
+        bound_systems.add(context)
         return
     if type(context) is not openmm.Context:
         raise openmm.OpenMMException("A SIER integrator needs an openmm.Context itself, and this is of a subclass")
@@ -86,6 +88,7 @@ def _bind(method: Callable, context: openmm.Context, *args: Any, **kwargs: Any) 
         method(context, *args, **kwargs)
         context.__class__ = SIERContext
         integrator.impl.bind(context)
+    bound_systems.add(context)
 
 
 def _refuse_compound(integrator: openmm.Integrator) -> None:
@@ -99,9 +102,11 @@ def _refuse_compound(integrator: openmm.Integrator) -> None:
 
 
 def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
-    method(force, context, *args, **kwargs)
     if isinstance(context, SIERContext):
-        context.impl.changed(Changes.FORCES)
+        with context.session.changing(Changes.FORCES):
+            method(force, context, *args, **kwargs)
+    else:
+        method(force, context, *args, **kwargs)
 
 
 def _keep_bodies(
@@ -109,7 +114,7 @@ def _keep_bodies(
 ) -> None:
     by_openmm = functools.partial(method, context, tolerance, maxIterations, reporter)
     if isinstance(context, SIERContext):
-        context.impl.minimize(by_openmm, tolerance, maxIterations, reporter)
+        context.session.act("minimize", by_openmm, tolerance, maxIterations, reporter)
     else:
         by_openmm()
 

@@ -153,9 +153,11 @@ def diffusion(frames: mdtraj.Trajectory, step: float, skip: float) -> Estimate:
     """
     interval = step * round(EVERY / step)
     first = [residue.atom(0).index for residue in frames.topology.residues]
+    masses = [atom.element.mass for atom in frames.topology.atoms]
     later = frames[round(skip / interval) :]
+    paths = transport.unwrapped(later.xyz, later.unitcell_lengths, masses)
     try:
-        return transport.self_diffusion(transport.unwrapped(later.xyz[:, first], later.unitcell_lengths), interval)
+        return transport.self_diffusion(paths[:, first], interval)
     except transport.TooShortError:
         return Estimate(math.nan, math.nan)
 

@@ -1,6 +1,7 @@
 """Transport coefficients of liquids: shear viscosity from pressure tensors, and self-diffusion from positions."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -112,19 +113,36 @@ def self_diffusion(centres: np.ndarray, interval: float, first: float = 2.0, las
     return mean_and_error(slopes).times(NM2_PER_PS / 6)
 
 
-def unwrapped(wrapped: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return continuous paths of positions (n, m, 3) in rectangular boxes of edges (n, 3), without the mean motion.
+def unwrapped(wrapped: np.ndarray, edges: np.ndarray, masses: Sequence[float] | None = None) -> np.ndarray:
+    """Return continuous paths (n, m, 3) of particles in rectangular boxes.
 
     >>> paths = unwrapped(np.array([[[0.9, 0, 0], [0, 0, 0]], [[0.1, 0, 0], [0, 0, 0]]]), np.ones((2, 3)))
 
-    Each step is the shortest one in the box at its end, which keeps diffusion correct if the box changes.
+    Each step is the shortest one in the box at its end, which keeps diffusion correct if the box changes. In a heat
+    bath with friction the box as a whole diffuses, too. To leave this motion out, give all particles with their masses,
+    and select those of interest from the paths.
+
+    Args:
+        wrapped: positions of m particles in n frames, (n, m, 3), nm.
+        edges: of the boxes, (n, 3), nm.
+        masses: of all particles of the box, (m,), in any unit, for paths without the motion of the centre of mass; None
+            for the paths as they are.
+
+    Raises:
+        ValueError: there are not as many masses as particles, or all are zero.
 
     Source: von Bülow, Bullerjahn and Hummer, J. Chem. Phys. 153, 021101 (2020).
     """
     steps = np.diff(np.asarray(wrapped, dtype=float), axis=0)
     box_edges = edges[1:, None]
     steps -= box_edges * np.round(steps / box_edges)
-    steps -= steps.mean(axis=1, keepdims=True)
+    if masses is not None:
+        if len(masses) != steps.shape[1] or not np.sum(masses) > 0:
+            raise ValueError(
+                f"masses must be those of all {steps.shape[1]} particles, got {len(masses)} masses with the sum "
+                f"{np.sum(masses):g}"
+            )
+        steps -= np.average(steps, axis=1, weights=masses)[:, None]
     return np.concatenate([wrapped[:1], wrapped[:1] + np.cumsum(steps, axis=0)])
 
 

@@ -218,8 +218,7 @@ def summary(
     """Print means over several runs.
 
     Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five or
-    more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ. --json
-    and --plot replace only files that they wrote earlier.
+    more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ.
     """
     _execute("summary", logs, json, plot, skip, overwrite)
 

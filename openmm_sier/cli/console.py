@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table as RichTable
 
-from openmm_sier.cli.streams import printable
+from openmm_sier.cli.streams import printable, show
 from openmm_sier.inputs.report import Advance, Report
 
 PS_PER_NS = 1000.0
@@ -25,7 +25,7 @@ LINE_AFTER, LONGEST_SILENCE = 30.0, 600.0
 
 def note(message: str) -> None:
     """Print a line of progress information."""
-    print(printable(message), flush=True)
+    show(printable(message))
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> None:
@@ -43,7 +43,10 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], lef
     for row in rows:
         rich_table.add_row(*map(printable, row))
     # In a file, lines are as long as they need to be.
-    Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False).print(rich_table)
+    console = Console(width=None if sys.stdout.isatty() else 160, highlight=False, markup=False)
+    with console.capture() as captured:
+        console.print(rich_table)
+    show(captured.get(), end="")
 
 
 @contextmanager

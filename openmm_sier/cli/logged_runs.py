@@ -26,8 +26,15 @@ from openmm_sier.cli.settings import CONTINUED, RunSettings, checkpoint_of
 from openmm_sier.dynamics.correlation import is_constant
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
 
+#: Columns that grow from row to row, and columns without gaps.
+CLOCKS = "Step", "Time (ps)"
+ENERGIES = POTENTIAL, "Total Energy (kJ/mole)"
+
 #: Required columns.
-NEEDED = ("Step", "Time (ps)", POTENTIAL, "Total Energy (kJ/mole)", CONSERVED, *TEMPERATURES)
+NEEDED = (*CLOCKS, *ENERGIES, CONSERVED, *TEMPERATURES)
+
+#: Larger numbers, of which squares are not finite, are none of a run.
+LARGEST = 1e100
 
 #: Options in which runs of one kind may differ.
 MAY_DIFFER = {
@@ -160,6 +167,7 @@ def read_run(path: Path) -> Run:
         )
     if (rows := len(log["Step"])) < FEWEST_ROWS:
         raise RunError(f"{path} has {rows} rows so far and needs {FEWEST_ROWS} or more: let the run continue")
+    _check_rows(path, log)
     checkpoint = checkpoint_of(path)
     # A log is also read without its checkpoint.
     with suppress(ValueError, LookupError, TypeError, OSError):
@@ -168,6 +176,28 @@ def read_run(path: Path) -> Run:
         if same_file(plan.report, path):
             return Run(path, log, plan, notes.unsettled)
     return Run(path, log)
+
+
+def _check_rows(path: Path, log: dict[str, np.ndarray]) -> None:
+    """Refuse rows that no run writes.
+
+    Raises:
+        RunError: naming the row.
+    """
+    for name in CLOCKS:
+        values = log[name]
+        is_wrong = np.concatenate([~(values[:1] >= 0), ~(np.diff(values) > 0)])
+        _refuse_row(path, is_wrong, f"{name} is not above that of the row before, or negative")
+    for name, values in log.items():
+        # Columns without a meaning in a run are NaN.
+        is_wrong = ~np.isfinite(values) if name in ENERGIES else np.isinf(values)
+        _refuse_row(path, is_wrong | (np.abs(values) > LARGEST), f"{name} is not finite")
+
+
+def _refuse_row(path: Path, is_wrong: np.ndarray, reason: str) -> None:
+    if is_wrong.any():
+        row = int(is_wrong.argmax()) + 1
+        raise RunError(f"{path} was edited or damaged: in row {row}, {reason}. Give a log as a run writes it")
 
 
 def read_logs(paths: Sequence[Path]) -> Runs:

@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
         streams.complain(str(stop) or "interrupted")
         return SIGNALLED + getattr(stop, "signum", signal.SIGINT)
     except BrokenPipeError:
-        # The reader of the output has ended, as `head` does.
+        # The reader of standard error has ended.
         streams.discard(sys.stdout)
         streams.discard(sys.stderr)
         return FAILED

@@ -49,10 +49,11 @@ class NewRun:
         sources: files of the input, by purpose.
         notes: of the checkpoint that is continued; None for a new run.
         unsettled: how a doubtful equilibration ended, in words; None without one.
-        may_replace: whether a picture of an earlier run is replaced.
+        continues: whether the run was begun earlier, so that the picture of its log is replaced.
     """
 
     notes = None
+    continues = False
 
     def __init__(self, options: Mapping[str, Any]):
         """Plan a run by the options of a user, and open its coordinates and topology.
@@ -68,7 +69,6 @@ class NewRun:
             box = self.sources["box"]
             planning.refuse_foreign_force_field(self.settings, options, self._origin.checkpoint, box)
         self.unsettled: str | None = None
-        self.may_replace = self.settings.overwrite
 
     def check_inputs(self, outputs: Outputs) -> None:
         """Accept all inputs."""

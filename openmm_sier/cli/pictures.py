@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
+import os
 import textwrap
 from collections.abc import Collection
 from pathlib import Path
@@ -20,12 +22,16 @@ from openmm_sier.cli.results import ACCEPTANCE, DENSITY, TEMPERATURE_NAMES
 from openmm_sier.cli.settling import binned
 from openmm_sier.inputs.source_files import FilePath
 from openmm_sier.observe.conservation import CONSERVED, POTENTIAL, TEMPERATURES
+from openmm_sier.system.untrusted_files import open_regular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: Metadata that matplotlib writes, by the ending of the name: no date, so that equal logs give equal files.
 ENDINGS: dict[str, dict[str, Any]] = {".png": {}, ".svg": {"Date": None}}
+
+#: Bytes at the beginning of a picture that hold its metadata.
+METADATA = 2**13
 
 #: Largest number of means over equal times in a line.
 MOST_MEANS = 60
@@ -36,6 +42,9 @@ STYLES = "-", "--", "-."
 
 #: Inches, and letters in a line of the title.
 WIDTH, HEIGHT_OF_PANEL, HEIGHT_OF_TITLE, LETTERS = 9.0, 2.6, 0.9, 62
+
+#: A legend with four entries, beside a title.
+LEGEND: Any = {"borderaxespad": 0, "fontsize": 11, "handlelength": 1.9, "columnspacing": 1.2}
 
 RC: Any = {
     "font.size": 13,
@@ -71,13 +80,20 @@ class Panel(NamedTuple):
     has_mean: bool = False
 
 
-def check(path: Path, inputs: Collection[FilePath], overwrite: bool, outputs: Collection[Path] = ()) -> None:
+def check(
+    path: Path,
+    inputs: Collection[FilePath],
+    overwrite: bool,
+    outputs: Collection[Path] = (),
+    log: Path | None = None,
+) -> None:
     """Refuse a picture that cannot be drawn, or would overwrite another file.
 
     Args:
         path: of the picture.
         inputs, outputs: other files that the command reads and writes.
-        overwrite: whether an existing file is replaced.
+        overwrite: whether any existing file is replaced.
+        log: the first log of an earlier picture that is replaced too; None for none.
 
     Raises:
         Misused: its name has a wrong ending.
@@ -87,7 +103,7 @@ def check(path: Path, inputs: Collection[FilePath], overwrite: bool, outputs: Co
     if path.suffix.lower() not in ENDINGS:
         raise Misused(f"the name of a picture must end in {' or '.join(ENDINGS)}, got {path}")
     check_place(path, inputs, outputs)
-    if not overwrite:
+    if not overwrite and not (log is not None and path.is_file() and _is_of(path, log)):
         refuse_to_replace(path)
     try:
         import matplotlib.figure  # noqa: F401
@@ -95,6 +111,18 @@ def check(path: Path, inputs: Collection[FilePath], overwrite: bool, outputs: Co
         raise ModuleNotFoundError(
             "pictures need matplotlib; install it with: pip install 'openmm-sier[plot]'"
         ) from error
+
+
+def _mark(path: Path, log: Path) -> str:
+    """Return the text in a picture by which a later command recognizes it as that of a log."""
+    name = os.path.relpath(os.path.realpath(log), os.path.dirname(os.path.realpath(path)))
+    return f"openmm-sier {hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()}"
+
+
+def _is_of(path: Path, log: Path) -> bool:
+    """Return whether a file is the picture of a log, or of several of which this is the first."""
+    with open_regular(path) as file:
+        return _mark(path, log).encode() in file.read(METADATA)
 
 
 def draw(runs: Runs, path: Path) -> None:
@@ -117,7 +145,8 @@ def draw(runs: Runs, path: Path) -> None:
         axes[-1].set_xlabel("trials" if runs.unit == "trials" else "time (ps)")
         figure.align_ylabels(axes)
         content, ending = io.BytesIO(), path.suffix.lower()
-        figure.savefig(content, format=ending[1:], metadata=ENDINGS[ending])
+        metadata = ENDINGS[ending] | {"Description": _mark(path, runs.first.path)}
+        figure.savefig(content, format=ending[1:], metadata=metadata)
     records.replace(path, content.getbuffer())
 
 
@@ -161,7 +190,7 @@ def _draw_panel(axes: Axes, runs: Runs, panel: Panel) -> None:
         if plan and plan.ensemble != "nve":
             axes.axhline(plan.temperature, color="0.2", lw=2, ls=":", label="bath")
         # Above the panel, right of its title, where no line runs through it.
-        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=len(panel.colours) + 1)
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(panel.colours) + 1, **LEGEND)
     if runs.begin:
         # Left out of means.
         axes.axvspan(0, runs.begin, facecolor="0.94", edgecolor="0.8", hatch="//", lw=0, zorder=0)

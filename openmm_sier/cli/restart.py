@@ -50,7 +50,7 @@ def checkpoint_to_continue(options: Mapping[str, Any], locks: FileLocks) -> Path
 class Restart:
     """The beginning of a run that continues from its checkpoint, with the attributes and methods of `NewRun`."""
 
-    may_replace = True
+    continues = True
 
     def __init__(self, options: Mapping[str, Any], checkpoint: Path):
         """Plan a run by a locked checkpoint and the options of a user.

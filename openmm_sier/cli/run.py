@@ -19,7 +19,7 @@ from openmm_sier.cli.many import command as many
 from openmm_sier.cli.new_run import NewRun
 from openmm_sier.cli.restart import Restart, checkpoint_to_continue
 from openmm_sier.cli.settings import RunSettings
-from openmm_sier.cli.settling import read_runs
+from openmm_sier.cli.settling import read_runs, verdict
 from openmm_sier.cli.simulated_system import SimulatedSystem
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.inputs.pdb_files import first_line
@@ -71,7 +71,7 @@ def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, req
     """Execute a run, from its beginning to the table at its end."""
     settings = beginning.settings
     outputs = Outputs(settings, beginning.checkpoint)
-    outputs.check([*beginning.sources.values(), *([config] if config else [])], beginning.may_replace)
+    outputs.check([*beginning.sources.values(), *([config] if config else [])], beginning.continues)
     try:
         beginning.check_inputs(outputs)
     except NothingLeft:
@@ -95,14 +95,20 @@ def _run(beginning: NewRun | Restart, config: Path | None, locks: FileLocks, req
 
 
 def _report(settings: RunSettings, cost: list[tuple[str, str]], unsettled: str | None) -> None:
-    """Print the table at the end of a run, and draw its log."""
+    """Print the table at the end of a run, of the part from which `summary` takes means, and draw its log."""
     log = read_log(settings.report)
+    runs = read_runs([settings.report]) if len(log["Step"]) >= results.FEWEST_ROWS else None
+    if runs:
+        log = runs.first.after(runs.begin)
     quantities = results.quantities(log, settings.ensemble, settings.moves_volume)
     rows = [(quantity.name, str(quantity)) for quantity in quantities]
     rows += [("WARNING: not equilibrated", f"after {unsettled}")] if unsettled else []
     table(f"{settings.title}, {settings.steps * settings.step_time:g} ps", ("", ""), rows + cost)
+    if runs and runs.begin:
+        note(verdict(runs))
     if settings.plot:
-        pictures.draw(read_runs([settings.report]), settings.plot)
+        # A log that is too short is refused there.
+        pictures.draw(runs or read_runs([settings.report]), settings.plot)
 
 
 class RunningSimulation:

@@ -41,6 +41,15 @@ def check_platform(name: str | None) -> None:
         raise Misused(f"argument --platform: expected one of those that OpenMM has here, {', '.join(here)}; got {name}")
 
 
+def _needs_a_box(settings: RunSettings) -> str | None:
+    """Return the option of a run that requires a periodic box; None without one."""
+    if settings.pressure_tensor:
+        return "--pressure-tensor"
+    if settings.moves_volume:
+        return "--ensemble npt" if settings.ensemble == "npt" else "--pressure"
+    return None
+
+
 def with_rigid_bodies(box: Box, rigid: Sequence[str] | None = None) -> tuple[Box, RigidBodies]:
     """Find the rigid bodies of a box, print the selected ones, and return the box with these whole.
 
@@ -97,6 +106,10 @@ class SimulatedSystem:
         )
         is_periodic = box.system.usesPeriodicBoundaryConditions()
         hint = "" if is_periodic else " (--edges gives a box)"
+        if not is_periodic and (needed := _needs_a_box(settings)):
+            raise RunError(
+                f"{needed} requires a periodic box, and the input has none: give one by --edges, or in the files"
+            )
         note(f"{settings.box}: force field {' '.join(box.files)} ({box.reason}); {describe(box)}{hint}")
         self.settings = settings
         whole, bodies = with_rigid_bodies(box, settings.rigid)
@@ -110,8 +123,6 @@ class SimulatedSystem:
         if settings.rigid:
             for change in preparation.done:
                 note(change)
-        if settings.pressure_tensor and not is_periodic:
-            raise RunError("--pressure-tensor requires a periodic box, and the input has none")
         self.inputs = {purpose: file.fingerprint for purpose, file in sources.items()}
 
     def context(self, step: int = 0) -> openmm.Context:

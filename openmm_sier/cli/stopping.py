@@ -5,7 +5,8 @@ from __future__ import annotations
 import signal
 from typing import Any
 
-from openmm_sier.engines.interrupts import SIGNALS
+#: Signals that usually end a program: Ctrl-C, and those of batch systems and of closing terminals.
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Stopped(KeyboardInterrupt):

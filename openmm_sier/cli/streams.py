@@ -35,6 +35,14 @@ def discard(stream: TextIO) -> None:
         os.close(null)
 
 
+def show(text: str, end: str = "\n") -> None:
+    """Print a text on standard output. If its reader has ended, as `head` does, the command goes on without it."""
+    try:
+        print(text, end=end, flush=True)
+    except BrokenPipeError:
+        discard(sys.stdout)
+
+
 def complain(message: str) -> None:
     """Print one line on standard error, or nothing if that fails, as with a closed terminal."""
     try:
@@ -50,7 +58,7 @@ def in_one_line(message: Warning | BaseException | str) -> str:
 
 def note_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning as one line among the notes; replaces `warnings.showwarning`."""
-    print(printable(f"warning: {in_one_line(message)}"), flush=True)
+    show(printable(f"warning: {in_one_line(message)}"))
 
 
 def described(error: Exception) -> str:

@@ -6,7 +6,7 @@ Arrays of atoms have OpenMM's shape (N, 3).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -49,7 +49,21 @@ class NotFiniteError(ValueError):
         super().__init__(f"the {self.what} is not finite")
 
 
-@dataclass(frozen=True, eq=False)
+class PlaceCache:
+    """Results for one potential at the centres and attitudes of a state, once they have been computed.
+
+    Attributes:
+        forces: forces and torques of the kicks, each (3, n), kJ/mol/nm and kJ/mol.
+        energy: potential energy, kJ/mol.
+        members: state of the bodies that fast forces move, with a cache of its own for these forces.
+    """
+
+    forces: Pair | None = None
+    energy: float | None = None
+    members: "BodyState | None" = None
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class BodyState:
     """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
 
@@ -58,12 +72,25 @@ class BodyState:
         p: momenta, (3, n), dalton nm/ps.
         A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
         L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
+        cache: of the place (q, A). States that differ in momenta share it; `dataclasses.replace` gives a new one.
     """
 
     q: np.ndarray
     p: np.ndarray
     A: np.ndarray
     L: np.ndarray
+    cache: PlaceCache = field(init=False, repr=False)
+
+    def __init__(
+        self, q: np.ndarray, p: np.ndarray, A: np.ndarray, L: np.ndarray, cache: PlaceCache | None = None
+    ) -> None:
+        # Several of these are made in a step, and the generated constructor of a frozen class takes twice as long.
+        attributes = self.__dict__
+        attributes["q"] = q
+        attributes["p"] = p
+        attributes["A"] = A
+        attributes["L"] = L
+        attributes["cache"] = PlaceCache() if cache is None else cache
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
@@ -91,6 +118,7 @@ class BodySet:
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
         molecules: molecule index of each body, (n,).
+        moved: largest distance by which an atom was moved to give bodies of a kind one geometry, nm.
         sites: the atoms, with their positions in the bodies.
     """
 
@@ -101,6 +129,7 @@ class BodySet:
         labels: Sequence[str] | None = None,
         links: tuple = ((), ()),
         molecules: np.ndarray | None = None,
+        moved: float = 0.0,
     ):
         """
         Args:
@@ -110,6 +139,7 @@ class BodySet:
             links: pairs of point bodies at fixed distances, (c, 2), and the distances, (c,), nm.
             molecules: molecule index of each body, (n,). With None, linked bodies form a molecule, and any other body
                 is a molecule.
+            moved: largest distance in nm by which an atom was moved to give bodies of a kind one geometry.
 
         Raises:
             ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
@@ -118,6 +148,7 @@ class BodySet:
         self.species = tuple(species)
         self.n_particles = n_particles
         self.labels = labels
+        self.moved = moved
         counts = [s.atoms.shape[0] for s in self.species]
         starts = np.cumsum([0, *counts])
         self.n = int(starts[-1])
@@ -150,7 +181,9 @@ class BodySet:
             words.append(f"{points} point{'s' if points > 1 else ''}")
         if constraints:
             words.append(f"{constraints} constraint{'s' if constraints > 1 else ''} between points")
-        return f"<{type(self).__name__}: {', '.join(words) or 'none'}>"
+        # Rounding moves atoms by less.
+        changes = f"; atoms moved by up to {self.moved:.1g} nm" if self.moved > 1e-8 else ""
+        return f"<{type(self).__name__}: {', '.join(words) or 'none'}{changes}>"
 
     @cached_property
     def constraints(self) -> Constraints:
@@ -395,7 +428,8 @@ class BodySet:
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
         """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
-        return BodyState(state.q, state.p + self.masses * velocity[:, None], state.A, state.L)
+        p = state.p + self.masses * velocity[:, None]
+        return BodyState(state.q, p, state.A, state.L, state.cache)
 
     def stopped(self, state: BodyState) -> tuple[BodyState, float]:
         """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""

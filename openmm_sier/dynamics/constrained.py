@@ -28,10 +28,8 @@ that about the displaced ones. `DisplacedForces` corrects for this by a rigid ro
 the total angular momentum is exact.
 """
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import cache, partial
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,24 +37,24 @@ from numpy.typing import ArrayLike
 from openmm_sier.dynamics import kernels, operators
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints import Constraints
-from openmm_sier.dynamics.constraints.geodesic import SUZUKI
-from openmm_sier.dynamics.operators import AFTER_STEP, CachedForces, Operator, Rotation
+from openmm_sier.dynamics.operators import Forces, Operator, Rotation, Table, always
+from openmm_sier.dynamics.plan import Drift, Inner, Kick, Operation, Project
 from openmm_sier.dynamics.rotation import exact
-from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import Thermostat
+
+#: Makes the operator of a drift in a step, ps.
+Drifts = Callable[[Drift, float], Operator]
 
 
 def constrained_operators(
     bodies: BodySet,
-    forces: CachedForces,
+    forces: Forces,
     constraints: Constraints,
     rotation: Rotation = exact,
     groups: ArrayLike | None = None,
-    composition: Sequence[float] = SUZUKI,
-) -> dict[str, Operator]:
-    """Return the operators of all schemes without a heat bath, for bodies with constraints between them.
+) -> dict[type[Operation], Any]:
+    """Return the table of all schemes without a heat bath, for bodies with constraints between them.
 
     Args:
         bodies: all bodies; those that are constrained are points.
@@ -64,14 +62,13 @@ def constrained_operators(
         constraints: in the numbering of the bodies.
         rotation: free-rotation map of the rigid bodies.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
-        composition: RATTLE steps as fractions of a drift, see `constraints.geodesic`.
     """
-    drift = constrained_drift(operators.drift(bodies, rotation), constraints, composition)
+    kick = operators.kick(bodies, forces)
+    gradient_kick = constrained_gradient_kick(bodies, forces, constraints, groups)
     return {
-        KICK: operators.kick(bodies, forces),
-        GRADIENT_KICK: constrained_gradient_kick(bodies, forces, constraints, groups),
-        **operators.drifts(drift),
-        AFTER_STEP: projection(constraints),
+        Kick: lambda operation, step: gradient_kick if operation.shift else kick,
+        Drift: constrained_drifts(operators.drift(bodies, rotation), constraints),
+        Project: always(projection(constraints)),
     }
 
 
@@ -82,7 +79,7 @@ def projection(constraints: Constraints) -> Operator:
 
     def apply(state: BodyState) -> BodyState:
         p = constraints.project(state.q, state.p)
-        return BodyState(state.q, p, state.A, state.L)
+        return BodyState(state.q, p, state.A, state.L, state.cache)
 
     return apply
 
@@ -106,7 +103,7 @@ def constrained_bath(bath: Operator, constraints: Constraints, tally: Tally) -> 
         columns = constraints.members
         removed = 0.5 * float(((warmed.p[:, columns] ** 2 - p[:, columns] ** 2) / constraints.masses[columns]).sum())
         tally.heat -= removed
-        return replace(warmed, p=p)
+        return BodyState(warmed.q, p, warmed.A, warmed.L, warmed.cache)
 
     return apply
 
@@ -124,7 +121,7 @@ def bath_operator(bath: Thermostat, bodies: BodySet, tally: Tally) -> Operator:
 
 
 def constrained_gradient_kick(
-    bodies: BodySet, forces: CachedForces, constraints: Constraints, groups: ArrayLike | None = None
+    bodies: BodySet, forces: Forces, constraints: Constraints, groups: ArrayLike | None = None
 ) -> Operator:
     """Return the gradient kick of bodies with constraints; see the module and `operators.kick`.
 
@@ -136,16 +133,19 @@ def constrained_gradient_kick(
     inverses = bodies.inverse_masses, bodies.inverse_moments
 
     def apply(state: BodyState, h: float, shift: float) -> BodyState:
-        F, tau = forces(state)
+        cache = state.cache
+        if cache.forces is None:
+            cache.forces = forces(state.q, state.A)
+        F, tau = cache.forces
         q, A = np.empty(state.q.shape), np.empty(state.A.shape)
         kernels.bodies.displace(bodies.n, state.q, state.A, F, tau, shift, *inverses, q, A)
         q[:, columns] = constraints.displaced(state.q, F, shift)[:, columns]
-        F, tau = forces.compute(q, A)
+        F, tau = forces(q, A)
         F = displaced(state.q, q, F)
         p, L = np.empty(state.p.shape), np.empty(state.L.shape)
         kernels.bodies.kick(bodies.n, state.p, state.L, F, tau, h, state.q, q, p, L)
         L[:, grouped] = state.L[:, grouped]
-        return BodyState(state.q, p, state.A, L)
+        return BodyState(state.q, p, state.A, L, state.cache)
 
     return apply
 
@@ -190,65 +190,63 @@ class DisplacedForces:
 # --- drifts ---
 
 
-def constrained_drift(drift: Operator, constraints: Constraints, composition: Sequence[float]) -> Operator:
-    """Return the drift of all bodies: constrained ones follow geodesics by a composition of RATTLE steps.
+def constrained_drifts(drift: Operator, constraints: Constraints) -> Drifts:
+    """Return the entry of a table for drifts of all bodies, of which constrained ones follow geodesics.
 
-    The operator raises ConstraintError if momenta are far too large for the time.
+    The operators raise ConstraintError if momenta are far too large for the time.
     """
     if not len(constraints.pairs):
-        return drift
+        return always(drift)
 
-    def apply(state: BodyState, h: float) -> BodyState:
-        q, p = constraints.drift(state.q, state.p, h, composition)
-        free = drift(state, h)
-        return BodyState(q, p, free.A, free.L)
+    def operator(operation: Drift, step: float) -> Operator:
+        def apply(state: BodyState, h: float) -> BodyState:
+            q, p = constraints.drift(state.q, state.p, h, operation.weights)
+            free = drift(state, h)
+            return BodyState(q, p, free.A, free.L)
 
-    return apply
+        return apply
+
+    return operator
 
 
-#: (bodies, time) -> bodies.
-Advance = Callable[[BodyState, float], BodyState]
+def inner_drifts(drifts: Drifts, members: ArrayLike, within: Table) -> Callable[[Inner, float], Operator]:
+    """Return the entry of a table for drifts in which some bodies move under fast forces.
 
-
-def nested_drift(drift: Operator, members: ArrayLike, within: Advance) -> Operator:
-    """Return the drift of all bodies, in which some move under fast forces.
-
-    The outer scheme then splits off the slow forces alone, H = (T + V_fast) + V_slow. Both flows are symmetric, and
-    the composite has the order of the outer scheme if the inner steps have it and are proportional to the outer ones.
-    Rigid bodies among the members turn freely between the fast kicks, as they do between the slow ones elsewhere.
-
-    A gradient kick of the outer scheme is unchanged: its bracket [V_slow, [T + V_fast, V_slow]] has no term from
-    V_fast, which commutes with V_slow.
-
-    The fast force at the end of a drift is reused at the start of the next one, if positions and attitudes are still
-    the same arrays, as they are after kicks and baths.
+    Rigid bodies among the members turn freely between the fast kicks, as they do between the slow ones elsewhere. The
+    fast force at the end of a drift serves the start of the next one, since the cache of the state has the members.
 
     Args:
-        drift: of all bodies.
+        drifts: entry for drifts of all bodies, under the constraints of those that are not members.
         members: columns of the bodies on which fast forces act, (m,), ascending, with all bodies that are constrained
             to one of them.
-        within: motion of the members, such as `equal_steps`.
+        within: table of the members alone, under their constraints.
     """
     columns = as_slice(np.asarray(members))
-    #: Positions and attitudes of all bodies at the end of the last drift, and the same of the members.
-    last: list[np.ndarray] = []
 
-    def places(state: BodyState) -> tuple[np.ndarray, np.ndarray]:
-        if last and last[0] is state.q and last[1] is state.A:
-            return last[2], last[3]
-        return state.q[:, columns].copy(), state.A[:, :, columns].copy()
+    def start_of(state: BodyState) -> BodyState:
+        p, L = state.p[:, columns].copy(), state.L[:, columns].copy()
+        last = state.cache.members
+        if last is not None:
+            return BodyState(last.q, p, last.A, L, last.cache)
+        return BodyState(state.q[:, columns].copy(), p, state.A[:, :, columns].copy(), L)
 
-    def apply(state: BodyState, h: float) -> BodyState:
-        q, A = places(state)
-        member_state = within(BodyState(q, state.p[:, columns].copy(), A, state.L[:, columns].copy()), h)
-        free = drift(state, h)
-        new_state = BodyState(free.q, state.p.copy(), free.A.copy() if free.A is state.A else free.A, state.L.copy())
-        new_state.q[:, columns], new_state.p[:, columns] = member_state.q, member_state.p
-        new_state.A[:, :, columns], new_state.L[:, columns] = member_state.A, member_state.L
-        last[:] = new_state.q, new_state.A, member_state.q, member_state.A
-        return new_state
+    def operator(operation: Inner, step: float) -> Operator:
+        drift = drifts(operation.drift, step)
+        inner_step = operators.calls(operation.operations, within, operation.inner_step(step))
 
-    return apply
+        def apply(state: BodyState, h: float) -> BodyState:
+            moved = operators.advance(inner_step, start_of(state))
+            others = drift(state, h)
+            A = others.A.copy() if others.A is state.A else others.A
+            end = BodyState(others.q, others.p.copy(), A, others.L.copy())
+            end.q[:, columns], end.p[:, columns] = moved.q, moved.p
+            end.A[:, :, columns], end.L[:, columns] = moved.A, moved.L
+            end.cache.members = moved
+            return end
+
+        return apply
+
+    return operator
 
 
 def as_slice(indices: np.ndarray) -> slice | np.ndarray:
@@ -259,96 +257,3 @@ def as_slice(indices: np.ndarray) -> slice | np.ndarray:
     if step > 0 and np.all(np.diff(indices) == step):
         return slice(int(indices[0]), int(indices[-1]) + 1, step)
     return indices
-
-
-def equal_steps(inner: Scheme, within: Mapping[str, Operator], longest: float) -> Advance:
-    """Return motion under fast forces by the least number of equal steps of a palindrome.
-
-    Take SIER4G as the inner scheme, with one step for a drift of up to 3 fs, two for the highest accuracy. Energy error
-    of two free chains of three CH2 (constrained C-H, springs up to 1100/cm), in drifts of 3 fs over 1.2 ps at 300 K:
-
-    | inner scheme, steps a drift | fast forces | rms(H), kJ/mol |
-    |---|---|---|
-    | SIER2, 2, 4, 8 or 12 | 2, 4, 8 or 12 | 0.11, 0.027, 0.0065, 0.0029 |
-    | SIER4, 1 or 2 | 4 or 8 | 0.0016, 0.0001 |
-    | SIER4G, 1 or 2 | 3 or 6 | 0.0013, 0.0001 |
-    | the same with plain `RATTLE` | 3 or 6 | 0.0018, 0.0005, and drifts by 0.0012, 0.0003 /ps |
-
-    Args:
-        inner: scheme of the steps.
-        within: its operators, see `constrained_operators`.
-        longest: upper bound of the steps, ps.
-
-    Raises:
-        ValueError: `longest` is not positive, or an operator of the scheme is not in `within`.
-    """
-    _check_longest(longest)
-    during_steps = {name: operator for name, operator in within.items() if name != AFTER_STEP}
-    stepper = cache(partial(operators.stepper, inner, during_steps))
-    stepper(longest)  # Fail here, not at the first step, if an operator is missing.
-
-    def move(bodies: BodyState, h: float) -> BodyState:
-        count = inner_steps(h, longest)
-        step = stepper(h / count)
-        for _ in range(count):
-            bodies = step(bodies)
-        return bodies
-
-    return move
-
-
-def steps_around_bath(within: Mapping[str, Operator], longest: float) -> dict[str, Advance]:
-    """Return motion under fast forces by leapfrog steps, with the bath in the middle of one of them.
-
-    The drifts to the bath and from it, together one drift, are an odd number of equal steps, each a whole kick and a
-    drift. So the bath stands between two half drifts, as in `Scheme.with_bath`, and harmonic motion under fast forces
-    has the right averages at the end of the drifts, however long the inner steps are. With a bath between steps of
-    velocity Verlet the variance of the positions of a mode would be too large by a share (omega h)^2/4: 12 % for a bond
-    of 19 fs and steps of 2 fs.
-
-    Momenta at the end lag behind by half an inner kick of the fast forces, and by half a kick of the others.
-
-    Args:
-        within: operators of the members, see `constrained_operators`.
-        longest: upper bound of the steps, ps.
-
-    Returns:
-        Motion of the members, by the names of the drifts to a bath and from one.
-
-    Raises:
-        ValueError: `longest` is not positive.
-    """
-    _check_longest(longest)
-    kick, drift = within[KICK], within[DRIFT]
-
-    def leapfrog(bodies: BodyState, e: float, steps: int) -> BodyState:
-        for _ in range(steps):
-            bodies = drift(kick(bodies, e), e)
-        return bodies
-
-    def to_bath(bodies: BodyState, h: float) -> BodyState:
-        count = steps_with_bath(2 * h, longest)
-        e = 2 * h / count
-        return drift(kick(leapfrog(bodies, e, count // 2), e), e / 2)
-
-    def from_bath(bodies: BodyState, h: float) -> BodyState:
-        count = steps_with_bath(2 * h, longest)
-        e = 2 * h / count
-        return leapfrog(drift(bodies, e / 2), e, count // 2)
-
-    return {DRIFT_TO_BATH: to_bath, DRIFT_FROM_BATH: from_bath}
-
-
-def _check_longest(longest: float) -> None:
-    if not longest > 0:
-        raise ValueError(f"the longest inner step must be positive, got {longest}")
-
-
-def inner_steps(h: float, longest: float) -> int:
-    """Return the number of inner steps into which a drift for the time h is divided, the same for h and -h."""
-    return max(1, math.ceil(abs(h) / longest * (1 - 1e-12)))
-
-
-def steps_with_bath(h: float, longest: float) -> int:
-    """Return the number of inner steps with a bath in the middle of one, which is odd."""
-    return 2 * (inner_steps(h, longest) // 2) + 1

@@ -3,9 +3,14 @@
 from dataclasses import dataclass
 
 from openmm_sier.dynamics.operators import Rotation
+from openmm_sier.dynamics.plan import inner_steps, steps_with_bath
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.thermostat import Thermostat
+
+#: Fewest inner steps of a drift with a bath in its middle. They follow bonds up to usual steps, so that a program that
+#: was written for a shorter step serves.
+FEWEST_WITH_BATH = 3
 
 
 @dataclass(frozen=True)
@@ -35,3 +40,17 @@ class IntegrationMethod:
     updates_context: bool = True
     counts_heat: bool | None = None
     trial_steps: int = 0
+
+    def inner_step(self, longest: float) -> float:
+        """Return the length of the inner steps in the longest drift, ps.
+
+        Args:
+            longest: their upper bound, ps, if `substeps` leaves the number open.
+        """
+        scheme, h = self.scheme, self.step
+        if self.substeps is not None:
+            return h * scheme.inner_fraction(self.substeps)
+        if scheme.bath_divides_drift:
+            return h / max(FEWEST_WITH_BATH, steps_with_bath(h, longest))
+        drift = h * scheme.longest_drift
+        return drift / inner_steps(drift, longest)

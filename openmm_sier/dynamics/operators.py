@@ -1,30 +1,33 @@
 """Operators of splitting schemes, and the calls that make a step.
 
-An operator is a function (state, time) -> state. It returns a new state that shares unchanged arrays: a kick keeps the
-arrays q and A themselves. `CachedForces` recognizes them, and so reuses the force at the end of a step at the start of
-the next one without any bookkeeping.
+An operator is a function (state, time) -> state. It returns a new state that shares unchanged arrays, and where
+positions and attitudes stay the cache of forces too (`BodyState.cache`). So the force at the end of a step serves
+the start of the next one without any bookkeeping.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
+from openmm_sier.dynamics.plan import Bath, Drift, Kick, Operation, Project, expanded, plan_step
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK
 
 #: (state, time) -> state; a gradient kick also takes its displacement per acceleration.
 Operator = Callable[..., BodyState]
 
-#: Name of an operator that, where there is one, ends every step whatever the scheme. It takes the state alone.
-AFTER_STEP = "after step"
+#: Forces and torques, each (3, n), on bodies with centres (3, n) and attitudes (3, 3, n).
+Forces = Callable[[np.ndarray, np.ndarray], Pair]
+
+#: For each class of operations a function (operation, step in ps) -> operator.
+Table = Mapping[type[Operation], Callable[[Any, float], Operator]]
 
 
-class StageCall(NamedTuple):
+class OperatorCall(NamedTuple):
     """A call of an operator in a step.
 
     Attributes:
@@ -57,54 +60,17 @@ class Rotation(Protocol):
         ...
 
 
-class CachedForces:
-    """Forces and torques that are recomputed only for new arrays of positions or attitudes.
-
-    Attributes:
-        compute: function (q, A) -> (F, tau), each (3, n), which caches nothing.
-    """
-
-    def __init__(self, compute: Callable[[np.ndarray, np.ndarray], Pair]):
-        self.compute = compute
-        self.invalidate()
-
-    def invalidate(self) -> None:
-        """Discard cached forces, after a change of the potential."""
-        self._q: np.ndarray | None = None
-        self._A: np.ndarray | None = None
-        self._forces: Pair | None = None
-
-    def __call__(self, state: BodyState) -> Pair:
-        """Return forces and torques at a state, (F, tau).
-
-        Raises:
-            ValueError: their shape differs from that of the positions, (3, n).
-        """
-        if self._forces is None or state.q is not self._q or state.A is not self._A:
-            # Free the memory of old forces before computing new ones.
-            self._forces = None
-            forces = self.compute(state.q, state.A)
-            if not forces[0].shape == forces[1].shape == state.q.shape:
-                shapes = f"{forces[0].shape} and {forces[1].shape}"
-                raise ValueError(f"forces must have the shape {state.q.shape} of the positions, got {shapes}")
-            self._q = state.q
-            self._A = state.A
-            self._forces = forces
-        return self._forces
+def always(operator: Operator) -> Callable[[Operation, float], Operator]:
+    """Return the entry of a table for operations of which all have one operator."""
+    return lambda operation, step: operator
 
 
-def body_operators(bodies: BodySet, forces: CachedForces, rotation: Rotation = exact) -> dict[str, Operator]:
-    """Return the operators of schemes without a heat bath."""
-    operator = kick(bodies, forces)
-    return {KICK: operator, GRADIENT_KICK: operator, **drifts(drift(bodies, rotation))}
+def body_operators(bodies: BodySet, forces: Forces, rotation: Rotation = exact) -> dict[type[Operation], Any]:
+    """Return the table of schemes without a heat bath, for bodies without constraints between them."""
+    return {Kick: always(kick(bodies, forces)), Drift: always(drift(bodies, rotation))}
 
 
-def drifts(operator: Operator) -> dict[str, Operator]:
-    """Return an operator for drifts on either side of a bath and elsewhere."""
-    return dict.fromkeys((DRIFT, DRIFT_TO_BATH, DRIFT_FROM_BATH), operator)
-
-
-def kick(bodies: BodySet, forces: CachedForces) -> Operator:
+def kick(bodies: BodySet, forces: Forces) -> Operator:
     """Return a kick: momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6 (U2)).
 
     With a shift s it is a gradient kick, by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau). Its force
@@ -120,15 +86,17 @@ def kick(bodies: BodySet, forces: CachedForces) -> Operator:
     inverses = bodies.inverse_masses, bodies.inverse_moments
 
     def apply(state: BodyState, h: float, shift: float = 0.0) -> BodyState:
-        F, tau = forces(state)
-        q = state.q
+        cache, q = state.cache, state.q
+        if cache.forces is None:
+            cache.forces = forces(q, state.A)
+        F, tau = cache.forces
         if shift:
             q, A = np.empty(state.q.shape), np.empty(state.A.shape)
             kernels.bodies.displace(bodies.n, state.q, state.A, F, tau, shift, *inverses, q, A)
-            F, tau = forces.compute(q, A)
+            F, tau = forces(q, A)
         p, L = np.empty(state.p.shape), np.empty(state.L.shape)
         kernels.bodies.kick(bodies.n, state.p, state.L, F, tau, h, state.q, q, p, L)
-        return BodyState(state.q, p, state.A, L)
+        return BodyState(state.q, p, state.A, L, state.cache)
 
     return apply
 
@@ -170,32 +138,30 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
     return apply
 
 
-def calls(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> list[StageCall]:
-    """Return the operators of a step of length h, one for each of the scheme's stages, with their times.
-
-    Args:
-        scheme: the scheme.
-        operators: operators by name.
-        h: length of the step, ps.
+def calls(operations: Iterable[Operation], table: Table, h: float) -> list[OperatorCall]:
+    """Return the calls that make a step of length h, ps.
 
     Raises:
-        ValueError: an operator of the scheme is not in `operators`.
+        ValueError: an operation is not in the table.
     """
-    if missing := [name for name in scheme.operators if name not in operators]:
-        raise ValueError(f"nothing executes the operator '{missing[0]}' of the scheme {scheme.name}")
-    result = [StageCall(operators[stage.operator], stage.times(h), stage.operator == BATH) for stage in scheme.stages]
-    if AFTER_STEP in operators:
-        result.append(StageCall(operators[AFTER_STEP], (), False))
+    result = []
+    for operation in expanded(operations):
+        if type(operation) not in table:
+            raise ValueError(f"nothing executes the operation '{operation}'")
+        operator = table[type(operation)](operation, h)
+        result.append(OperatorCall(operator, operation.times(h), isinstance(operation, Bath)))
     return result
 
 
-def stepper(scheme: Scheme, operators: Mapping[str, Operator], h: float) -> Stepper:
-    """Return a function that makes a step by `calls`, without changing the given state."""
-    stages = calls(scheme, operators, h)
+def advance(made: list[OperatorCall], state: BodyState) -> BodyState:
+    """Return the state after calls, without changing the given one."""
+    for operator, times, _ in made:
+        state = operator(state, *times)
+    return state
 
-    def step(state: BodyState) -> BodyState:
-        for operator, times, _ in stages:
-            state = operator(state, *times)
-        return state
 
-    return step
+def stepper(scheme: Scheme, table: Table, h: float, **options: Any) -> Stepper:
+    """Return a function that makes a step of a scheme, ps, by its plan without updates; `options` of `plan_step`."""
+    plan = plan_step(scheme, updates=False, projects=Project in table, **options)
+    made = calls(plan.operations, table, h)
+    return lambda state: advance(made, state)

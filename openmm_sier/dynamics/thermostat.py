@@ -82,7 +82,7 @@ class OrnsteinUhlenbeck(Thermostat):
             gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
             tally.draws += 1
             tally.heat += gain
-            return BodyState(state.q, p, state.A, L)
+            return BodyState(state.q, p, state.A, L, state.cache)
 
         return apply
 

@@ -17,7 +17,7 @@ class Actions:
     """Actions of OpenMM in a Context: drawn velocities, constraints, minimization. Constraints may be refused.
 
     An engine that can satisfy them itself has a subclass. In each method `by_openmm` calls the method of OpenMM that
-    the user called.
+    the user called, and records the change, so that the engine reads the Context again when it is asked for its bodies.
     """
 
     def __init__(self, context: openmm.Context, solver_test: SolverTest):
@@ -43,7 +43,7 @@ class Actions:
         self._solver_test.refuse(self._positions)
         by_openmm()
 
-    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
         """Draw velocities of all atoms, see `Context.setVelocitiesToTemperature`."""
         self.solve(by_openmm)
 

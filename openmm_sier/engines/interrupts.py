@@ -1,4 +1,4 @@
-"""Ctrl-C and other signals, which must not leave a Context between two steps."""
+"""Signals that Python handles wait while a Context is between two steps."""
 
 # What `signal` is made of. `signal` looks each handler up in an enumeration, which takes ten times as long.
 import _signal  # type: ignore[import-not-found]
@@ -7,57 +7,75 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, ClassVar
 
-#: Signals that usually end a program: Ctrl-C, and those of batch systems and of closing terminals.
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+Handler = Callable[[int, FrameType | None], Any]
 
-#: Signals that came since they were deferred.
-pending: list[tuple[int, FrameType | None]] = []
+#: Handlers by the numbers of their signals.
+Handlers = dict[int, Handler]
 
-_handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
+#: The numbers of all signals.
+NUMBERS = tuple(sorted(map(int, signal.valid_signals())))
+
+#: Signals that came since they were deferred, in this order, each with its handler.
+pending: list[tuple[Handler, int, FrameType | None]] = []
+
+#: The handlers of the signals that wait now, by number.
+_deferred: Handlers = {}
 
 
-def defer() -> dict[int, Any] | None:
-    """Let signals wait until `act_on_pending` or `release`.
+class _Found:
+    """What was found when handlers were last looked for, since they seldom change."""
 
-    Only signals with a handler in Python wait, and in another thread than the main one nothing has to.
+    entries: ClassVar[list[Any]] = []
+    handlers: ClassVar[Handlers] = {}
+
+
+def defer() -> Handlers | None:
+    """Let all signals with a handler in Python wait until `release`.
 
     Returns:
-        The handlers, for `release`; None where signals wait already, or need not.
+        The handlers, for `release`; None within a block where signals wait already, and in other threads than the main
+        one, where Python calls no handlers. Only who gets handlers may call `release` when signals are pending.
     """
-    # Python calls handlers in the main thread alone.
-    if _handlers or threading.current_thread() is not threading.main_thread():
+    if _deferred or threading.current_thread() is not threading.main_thread():
         return None
-    handlers = {}
+    entries = [*map(_signal.getsignal, NUMBERS)]
+    if entries != _Found.entries:
+        found = zip(NUMBERS, entries, strict=True)
+        _Found.handlers = {number: handler for number, handler in found if callable(handler)}
+        _Found.entries = entries
+    handlers = _Found.handlers
     try:
-        for number in SIGNALS:
-            handler = _signal.getsignal(number)
-            handlers[number] = handler
-            if callable(handler):
-                _handlers[number] = handler
-                _signal.signal(number, _wait)
+        for number, handler in handlers.items():
+            _deferred[number] = handler
+            _signal.signal(number, _wait)
     except BaseException:
         release(handlers)
         raise
     return handlers
 
 
-def release(handlers: dict[int, Any] | None) -> None:
-    """Put back handlers that `defer` returned, and call those of signals that came since."""
+def release(handlers: Handlers | None) -> None:
+    """Put back handlers that `defer` returned, and call those of all signals that came since, even if one raises."""
     if handlers is None:
         return
-    # A handler that is back may raise at once. That of Ctrl-C comes last, and has no entry any more: what is left of an
-    # entry would make the next block take itself for a nested one.
-    while _handlers:
-        _signal.signal(*_handlers.popitem())
+    try:
+        for number, handler in handlers.items():
+            _signal.signal(number, handler)
+        # Last, so that a block within a handler that is called before does not defer to `_wait`.
+        _deferred.clear()
+    except BaseException:
+        # A handler that is back already may raise at any moment. To put back what is back changes nothing.
+        release(handlers)
+        raise
     if pending:
-        _call_handlers(handlers)
+        _call_handlers()
 
 
 @contextmanager
 def deferred() -> Iterator[None]:
-    """Let signals wait until `act_on_pending` or the end of the block; of nested blocks the outermost defers."""
+    """Let signals wait until the end of the block; of nested blocks the outermost defers."""
     handlers = None
     try:
         handlers = defer()
@@ -66,17 +84,16 @@ def deferred() -> Iterator[None]:
         release(handlers)
 
 
-def act_on_pending() -> None:
-    """Call the handlers of signals that came since `defer`; that of Ctrl-C raises KeyboardInterrupt."""
-    if pending:
-        _call_handlers(dict(_handlers))
-
-
 def _wait(number: int, frame: FrameType | None) -> None:
-    pending.append((number, frame))
+    pending.append((_deferred[number], number, frame))
 
 
-def _call_handlers(handlers: dict[int, Any]) -> None:
+def _call_handlers() -> None:
     while pending:
-        number, frame = pending.pop(0)
-        handlers[number](number, frame)
+        handler, number, frame = pending.pop(0)
+        try:
+            handler(number, frame)
+        except BaseException:
+            # As without a wait, one that raises takes no signal from the others.
+            _call_handlers()
+            raise

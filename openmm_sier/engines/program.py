@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -10,6 +9,9 @@ from openmm_sier.engines.variables import PREFIX
 
 #: Targets of statements without an expression, each of which is one of OpenMM's own computations.
 CONSTRAIN_X, CONSTRAIN_V, UPDATE = "constrain x", "constrain v", "update context state"
+
+#: The force of all groups, in OpenMM's syntax.
+ALL_GROUPS = "f"
 
 #: Per-atom variables of programs. They hold positions or a displacement to be undone, velocities to return to (after a
 #: step with one bath in its middle those just after the bath), and the heat that the bath, and removers of the motion
@@ -22,6 +24,26 @@ START_X, START_V = (PREFIX + name for name in ("start_x", "start_v"))
 TRIAL_VECTORS = (START_X, START_V)
 
 
+class ForceTerm(NamedTuple):
+    """One of OpenMM's forces, as a term of the force that moves the atoms.
+
+    Attributes:
+        name: `ALL_GROUPS`, or the force of one group, such as `f0`.
+        sign: of the term.
+        is_slow: whether it has slow forces, which may act on virtual sites and between all atoms. Fast forces are
+            bonded and act on atoms alone.
+    """
+
+    name: str
+    sign: str = "+"
+    is_slow: bool = False
+
+    @property
+    def is_of_group(self) -> bool:
+        """Return whether it is the force of one group."""
+        return self.name != ALL_GROUPS
+
+
 class Statement(NamedTuple):
     """One computation.
 
@@ -29,10 +51,12 @@ class Statement(NamedTuple):
         target: the per-atom variable that it sets, or one of `CONSTRAIN_X`, `CONSTRAIN_V`, `UPDATE`.
         expression: of the new value, in OpenMM's syntax; `h` is the step of the scheme, `e` an inner step, `d` a
             step of RATTLE.
+        force: in the expression; None without one. OpenMM allows only one.
     """
 
     target: str
     expression: str = ""
+    force: ForceTerm | None = None
 
     @property
     def moves(self) -> bool:
@@ -40,9 +64,9 @@ class Statement(NamedTuple):
         return self.target in ("x", CONSTRAIN_X)
 
     @property
-    def needs_force(self) -> bool:
-        """Return whether it uses forces that may act on virtual sites; forces of single groups do not."""
-        return "f/m" in self.expression
+    def needs_slow_force(self) -> bool:
+        """Return whether it uses forces that may act on virtual sites, which must then be placed."""
+        return self.force is not None and self.force.is_slow
 
     def __str__(self) -> str:
         return f"{self.target} = {self.expression}".replace(PREFIX, "") if self.expression else self.target
@@ -66,8 +90,9 @@ class Line(NamedTuple):
     inner: tuple[Line, ...] = ()
 
     @property
-    def needs_force(self) -> bool:
-        return any(statement.needs_force for statement in self.statements)
+    def needs_slow_force(self) -> bool:
+        """Return whether it needs slow forces; inner lines use fast ones alone."""
+        return any(statement.needs_slow_force for statement in self.statements)
 
     @property
     def moves(self) -> bool:
@@ -149,9 +174,9 @@ class Program(NamedTuple):
 
     @property
     def vectors(self) -> tuple[str, ...]:
-        """Return the per-atom variables that the statements use."""
-        text = " ".join(f"{statement.target} {statement.expression}" for statement in self.statements)
-        used = tuple(name for name in VECTORS if re.search(rf"\b{name}\b", text))
+        """Return the per-atom variables that the statements set, and read afterwards."""
+        targets = {statement.target for statement in self.statements}
+        used = tuple(name for name in VECTORS if name in targets)
         return used if self.trials is None else (*used, *TRIAL_VECTORS)
 
     def __str__(self) -> str:

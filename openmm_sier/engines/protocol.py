@@ -2,7 +2,7 @@
 
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import Flag, auto
@@ -130,6 +130,18 @@ class Engine(ABC):
         """Return the integration force groups, a bit mask."""
         return self._integrator.getIntegrationForceGroups()
 
+    @abstractmethod
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        """Refuse what the engine cannot follow, when it is made and before settings are changed.
+
+        Args:
+            method: the scheme that would be executed.
+            groups: other integration force groups, a bit mask; None leaves them as they are.
+
+        Raises:
+            openmm.OpenMMException: the message says what that is, and the remedy. Nothing has been changed.
+        """
+
     # --- steps ---
 
     @abstractmethod
@@ -137,13 +149,18 @@ class Engine(ABC):
         """Take over all changes from the Context. Nothing has been changed if this raises an error."""
 
     @abstractmethod
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         """Advance by steps of the method's scheme, and the clock with them.
 
         Args:
             steps: number of steps.
+            signals: those that wait. Once there are any no further step is made; a trajectory, which is followed to
+                its end, has none.
             wants_energy: whether the potential energy of the end will be needed. An engine may compute it with the
                 last force.
+
+        Returns:
+            The number of steps that were made.
 
         Raises:
             TrajectoryError: a force or a position is not finite, or constraints cannot be satisfied.

@@ -1,36 +1,108 @@
 """Trials of hybrid Monte Carlo by the steps of an engine, and the test that a trajectory can be reversed."""
 
 import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.plan import Operation
 from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
-from openmm_sier.engines.trials import Outcome, Trial
+from openmm_sier.engines.trials import (
+    TRIAL,
+    Decide,
+    Draw,
+    Follow,
+    GoBack,
+    Keep,
+    Outcome,
+    StopCentre,
+    Trial,
+    WhileItGoesOn,
+)
 
 
 def make_trial(engine: Engine, trial: Trial) -> Outcome:
     """Make a trial step by step; see `Engine.make_trial`."""
     with engine.transaction():
-        if trial.kinetic:
-            draw_start(engine, trial)
-        engine.tally.draws += 1
-        start = engine.save()
-        potential = engine.potential_energy()
-        refuse_energy(potential, engine.clock)
-        energy = potential + engine.kinetic_energy()
-        errors, is_accepted = [], False
-        for _ in range(1 + trial.chances):
-            errors.append(_error_of_end(engine, trial, energy))
-            is_accepted = math.isfinite(errors[-1]) and errors[-1] <= trial.threshold
-            # From where forces are not finite no trajectory goes on, from the other side neither.
-            if is_accepted or not math.isfinite(errors[-1]):
-                break
-        if not is_accepted:
-            engine.restore(start, reverse=True)
-        if engine.removes_momentum:
-            engine.shift_velocities(-engine.centre_velocity())
-        return Outcome(potential, errors[0], is_accepted)
+        trajectory = Trajectory(engine, trial)
+        trajectory.execute(TRIAL)
+        return Outcome(trajectory.potential, trajectory.errors[0], trajectory.is_accepted)
+
+
+class Trajectory:
+    """The trajectory of a trial, made by the steps of an engine.
+
+    Attributes:
+        potential: potential energy of the start, kJ/mol.
+        errors: total energy at each end less that of the start, in kT; infinite where an end could not be reached.
+        is_accepted: whether the last end was accepted.
+    """
+
+    def __init__(self, engine: Engine, trial: Trial) -> None:
+        self._engine = engine
+        self._trial = trial
+        self.potential = math.nan
+        self.errors: list[float] = []
+        self.is_accepted = False
+        self._goes_on = True
+
+    def execute(self, operations: Sequence[Operation]) -> None:
+        """Execute operations of a trial."""
+        for operation in operations:
+            BY_STEPS[type(operation)](self, operation)
+
+    def _draw(self, operation: Draw) -> None:
+        if self._trial.kinetic:
+            draw_start(self._engine, self._trial)
+        self._engine.tally.draws += 1
+
+    def _keep(self, operation: Keep) -> None:
+        engine = self._engine
+        self._start = engine.save()
+        self.potential = engine.potential_energy()
+        refuse_energy(self.potential, engine.clock)
+        self._energy = self.potential + engine.kinetic_energy()
+
+    def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
+        while self._goes_on:
+            self.execute(operation.operations)
+
+    def _follow(self, operation: Follow) -> None:
+        engine, trial = self._engine, self._trial
+        try:
+            engine.propagate(trial.steps, wants_energy=True)
+            error = (engine.potential_energy() + engine.kinetic_energy() - self._energy) / trial.thermal
+        except TrajectoryError:
+            error = math.inf
+        self.errors.append(error if math.isfinite(error) else math.inf)
+
+    def _decide(self, operation: Decide) -> None:
+        # A trajectory cannot continue past forces that are not finite, in either direction.
+        is_finite = math.isfinite(self.errors[-1])
+        self.is_accepted = is_finite and self.errors[-1] <= self._trial.threshold
+        self._goes_on = is_finite and not self.is_accepted and len(self.errors) <= self._trial.chances
+
+    def _go_back(self, operation: GoBack) -> None:
+        if not self.is_accepted:
+            self._engine.restore(self._start, reverse=True)
+
+    def _stop_centre(self, operation: StopCentre) -> None:
+        if self._engine.removes_momentum:
+            self._engine.shift_velocities(-self._engine.centre_velocity())
+
+
+#: Functions that execute an operation of a trial, by its class.
+BY_STEPS: dict[type[Operation], Callable[[Trajectory, Any], None]] = {
+    Draw: Trajectory._draw,
+    Keep: Trajectory._keep,
+    WhileItGoesOn: Trajectory._while_it_goes_on,
+    Follow: Trajectory._follow,
+    Decide: Trajectory._decide,
+    GoBack: Trajectory._go_back,
+    StopCentre: Trajectory._stop_centre,
+}
 
 
 def draw_start(engine: Engine, trial: Trial) -> None:
@@ -39,19 +111,6 @@ def draw_start(engine: Engine, trial: Trial) -> None:
         engine.shift_velocities(trial.centre)
     engine.draw_momenta(trial.thermal, trial.share)
     engine.scale_velocities(math.sqrt(trial.kinetic / engine.kinetic_energy()), np.zeros(3))
-
-
-def _error_of_end(engine: Engine, trial: Trial, energy: float) -> float:
-    """Follow a trajectory to its next end; return the energy there less that of the start, in kT.
-
-    It is infinite where the trajectory cannot be followed.
-    """
-    try:
-        engine.propagate(trial.steps, wants_energy=True)
-        error = (engine.potential_energy() + engine.kinetic_energy() - energy) / trial.thermal
-    except TrajectoryError:
-        return math.inf
-    return error if math.isfinite(error) else math.inf
 
 
 def refuse_energy(energy: float, clock: Clock) -> None:

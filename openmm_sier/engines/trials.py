@@ -1,9 +1,11 @@
-"""A trial of hybrid Monte Carlo as an ensemble decides it and an engine makes it."""
+"""A trial of hybrid Monte Carlo: its choices, its result, and the list of operations by which every engine makes it."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from openmm_sier.dynamics.plan import Operation
 from openmm_sier.engines.variables import PREFIX
 
 #: Global variables in which an ensemble counts trials, with the error of the first end of the last one in kT.
@@ -45,3 +47,38 @@ class Outcome(NamedTuple):
     energy: float
     error: float
     is_accepted: bool
+
+
+class Draw(Operation):
+    """Momenta are drawn, in part or all of them, and scaled to the kinetic energy of the start."""
+
+
+class Keep(Operation):
+    """The start is kept, with its total energy."""
+
+
+class Follow(Operation):
+    """The trajectory is followed to its next end, whose energy comes with its last forces."""
+
+
+class Decide(Operation):
+    """The end is accepted or not. The trajectory goes on if it is not, and chances are left."""
+
+
+@dataclass(frozen=True)
+class WhileItGoesOn(Operation):
+    """Operations that are repeated while the trajectory goes on, at least once."""
+
+    operations: tuple[Operation, ...]
+
+
+class GoBack(Operation):
+    """The start comes back with reversed momenta, unless an end was accepted."""
+
+
+class StopCentre(Operation):
+    """The centre of mass is stopped, where a CMMotionRemover does so."""
+
+
+#: A trial.
+TRIAL = (Draw(), Keep(), WhileItGoesOn((Follow(), Decide())), GoBack(), StopCentre())

@@ -1,5 +1,6 @@
 """Variables of the CustomIntegrator, which carry what checkpoints and States must hold."""
 
+import math
 import weakref
 
 import openmm
@@ -37,9 +38,18 @@ class StoredTally:
         self.names = HEAT, DRAWS, SEED, *tally.counts
 
     def load(self) -> None:
-        """Set the tally to the variables."""
+        """Set the tally to the variables.
+
+        Raises:
+            openmm.OpenMMException: heat, draws or seed are not finite.
+        """
         get = self._integrator().getGlobalVariableByName  # type: ignore[union-attr]
         tally = self.tally
+        for name in (HEAT, DRAWS, SEED):
+            if not math.isfinite(value := get(name)):
+                raise openmm.OpenMMException(
+                    f"The State, checkpoint or XML has {name} = {value}, expected a finite number: give another one"
+                )
         tally.heat = get(HEAT)
         tally.draws = int(get(DRAWS))
         tally.seed = int(get(SEED))

@@ -1,10 +1,10 @@
 """The interface of ensembles, the one of constant energy, and what ensembles of constant temperature share."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import openmm
 from openmm import unit
@@ -14,6 +14,7 @@ from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.engines.protocol import Engine, TrajectoryError
+from openmm_sier.engines.session import Advance
 from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system.arguments import quantity_to_float, whole_number
@@ -23,10 +24,6 @@ SIZE, MOVES, ACCEPTED_MOVES = (PREFIX + name for name in ("volume_size", "volume
 
 #: Units of the fields of ensembles.
 UNITS = {"K": unit.kelvin, "1/ps": unit.picosecond**-1, "bar": unit.bar}
-
-
-#: Makes a number of steps of the integrator.
-Runner = Callable[[int], None]
 
 
 class Move(NamedTuple):
@@ -102,30 +99,29 @@ class Ensemble:
         """The moves between steps, in this order. The moves of a step that cannot be completed are undone."""
         return ()
 
-    def runner(self, engine: Engine) -> Runner:
-        """Return a function that makes steps with an engine, and the moves of the ensemble where they are due."""
-        advance = self.advancer(engine)
-        return partial(self._run, engine, advance) if self.moves else advance
+    def advancer(self, engine: Engine) -> Advance:
+        """Return a function that makes the next block of steps with an engine, see `Advance`.
 
-    def advancer(self, engine: Engine) -> Runner:
-        """Return a function that makes steps with an engine, none of which has moves before it."""
+        A block ends at a completed step. It is a number of steps, or one step with the moves before it.
+        """
+        make = self.maker(engine)
+        return partial(self._advance, engine, make) if self.moves else make
+
+    def maker(self, engine: Engine) -> Advance:
+        """Return a function that makes the next block of steps with an engine, none of which has moves before it."""
         return engine.propagate
 
-    def _run(self, engine: Engine, advance: Runner, steps: int) -> None:
-        """Make steps, each after the moves that are due before it."""
-        moves = self.moves
-        while steps:
-            made = engine.clock.steps
-            free = min(steps, *(move.every - 1 - made % move.every for move in moves))
-            if free:
-                advance(free)
-            else:
-                with engine.transaction(keeps_completed=True):
-                    for move in moves:
-                        if (made + 1) % move.every == 0:
-                            move.act(engine)
-                    advance(1)
-            steps -= free or 1
+    def _advance(self, engine: Engine, make: Advance, steps: int, signals: Collection[Any]) -> int:
+        """Make the steps before the next moves, or the moves and the step after them; see `Advance`."""
+        moves, made = self.moves, engine.clock.steps
+        free = min(steps, *(move.every - 1 - made % move.every for move in moves))
+        if free:
+            return make(free, signals)
+        with engine.transaction(keeps_completed=True):
+            for move in moves:
+                if (made + 1) % move.every == 0:
+                    move.act(engine)
+            return make(1, signals)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Hybrid Monte Carlo: a step is a trial, a trajectory that is accepted or rejected on its true energy."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import openmm
@@ -12,12 +13,12 @@ from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_c
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import BATH, Scheme
-from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.protocol import Clock, Engine
+from openmm_sier.engines.session import Advance
 from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
 from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
 from openmm_sier.engines.variables import PREFIX
-from openmm_sier.ensembles.ensemble import ConstantTemperature, Runner, make_number
+from openmm_sier.ensembles.ensemble import ConstantTemperature, make_number
 from openmm_sier.system.forces import kind_of
 
 #: Global variables: the step in ps at which reversibility was checked, and the error found, nm.
@@ -126,16 +127,11 @@ class Metropolis(ConstantTemperature):
                 )
         super().check(system, engine)
 
-    def advancer(self, engine: Engine) -> Runner:
-        return partial(self._make_trials, engine)
+    def maker(self, engine: Engine) -> Advance:
+        return partial(self._make_trial, engine)
 
-    def _make_trials(self, engine: Engine, number: int) -> None:
-        for _ in range(number):
-            self._step(engine)
-            act_on_pending()
-
-    def _step(self, engine: Engine) -> None:
-        """Make a trial, and count it at once, so that an error does not find it counted in part."""
+    def _make_trial(self, engine: Engine, steps: int, signals: Collection[Any]) -> int:
+        """Make a trial, and count it at once, so that an error does not find it counted in part; see `Advance`."""
         tally, length = engine.tally, self.steps_per_trial * engine.method.step
         self._check_reversal(engine)
         clock = engine.clock
@@ -143,6 +139,7 @@ class Metropolis(ConstantTemperature):
         made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         tally.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
+        return 1
 
     # --- the choices of a trial ---
 
@@ -174,6 +171,8 @@ class Metropolis(ConstantTemperature):
     def _check_reversal(self, engine: Engine) -> None:
         """Follow a trajectory there and back, once for each step size, with momenta that are drawn for it.
 
+        One that cannot be followed says nothing, and the next trial begins with another.
+
         Raises:
             openmm.OpenMMException: it does not come back.
         """
@@ -193,6 +192,8 @@ class Metropolis(ConstantTemperature):
                     break
         finally:
             engine.restore(sample)
+        if not math.isfinite(error):
+            return
         allowed = SINGLE_REVERSIBLE if engine.precision == "single" else REVERSIBLE
         if not error <= allowed:
             raise openmm.OpenMMException(_misses(steps, error, allowed, engine.precision))

@@ -17,6 +17,7 @@ from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.system import tables
+from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.molecules import make_whole
@@ -179,6 +180,7 @@ def build_system(
     settings = {"constraints": CONSTRAINTS[constraints or "none"], **_cut_off(box, interactions)}
     with refusing():
         system = create(rigidWater=True, removeCMMotion=False, **settings)
+        refuse_sites_without_place(system)
     finish_system(system, interactions)
     return system
 

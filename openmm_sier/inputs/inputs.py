@@ -154,7 +154,10 @@ def _box_of_topology(
     try:
         system = forcefields.build_system(create, coordinates.box, constraints, interactions)
     except ForceFieldError as error:
-        raise ForceFieldError(f"{topology}: {error}") from error
+        # OpenMM's reader calculates with bond lengths that it did not find.
+        is_incomplete = kind == PRMTOP and isinstance(error.__cause__, TypeError)
+        hint = ". Does a water with extra points lack the bond between its hydrogens?" if is_incomplete else ""
+        raise ForceFieldError(f"{topology}: {error}{hint}") from error
     return _box(source, system, file.topology, files)
 
 
@@ -166,6 +169,7 @@ def _box_of_system(source: _Source, interactions: Interactions) -> Box:
     with refusing(f"cannot read {topology} as {kind}"):
         system = read_system(io.BytesIO(topology.content))
         checks.refuse_impossible_masses(system)
+        checks.refuse_sites_without_place(system)
     for force in system.getForces():
         if forces.kind_of(force).sets:
             raise ForceFieldError(

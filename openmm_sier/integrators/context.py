@@ -8,7 +8,9 @@ import openmm
 from openmm import unit
 
 from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.session import Session
 from openmm_sier.integrators.impl import IntegratorImpl
+from openmm_sier.integrators.persistence import load_checkpoint, set_state, store
 
 #: The parameters of OpenMM's method.
 GET_STATE = inspect.signature(openmm.Context.getState)
@@ -41,8 +43,13 @@ class SIERContext(openmm.Context):
         """Return the Python part of the integrator."""
         return self.getIntegrator().impl
 
+    @property
+    def session(self) -> Session:
+        """Return the session of the integrator, which hears of changes."""
+        return self.impl.session
+
     def reinitialize(self, preserveState: bool = False) -> None:
-        self.impl.store()
+        store(self.impl)
         super().reinitialize(preserveState)
         self.impl.bind(self, keeps_tally=preserveState)
 
@@ -54,23 +61,22 @@ class SIERContext(openmm.Context):
         # The second name is deprecated.
         if not (arguments.get("integratorParameters") or arguments.get("getIntegratorParameters")):
             return super().getState(*args, **kwargs)
-        self.impl.store()
+        store(self.impl)
         state = super().getState(*args, **kwargs)
-        self.impl.changed(Changes.HISTORY)
+        self.session.changed(Changes.HISTORY)
         return state
 
     def createCheckpoint(self) -> bytes:
-        self.impl.store()
+        store(self.impl)
         checkpoint = super().createCheckpoint()
-        self.impl.changed(Changes.HISTORY)
+        self.session.changed(Changes.HISTORY)
         return checkpoint
 
     def loadCheckpoint(self, checkpoint: bytes) -> None:
-        super().loadCheckpoint(checkpoint)
-        self.impl.take_over()
+        load_checkpoint(self.impl, functools.partial(super().loadCheckpoint, checkpoint))
 
     def setState(self, state: openmm.State) -> None:
-        self.impl.take_over_state(functools.partial(self._set_state, state), _has_parameters(state))
+        set_state(self.impl, functools.partial(self._set_state, state), _has_parameters(state))
 
     def _set_state(self, state: openmm.State) -> None:
         """Set a State; of one of another kind of integrator, all but the parameters of the integrator."""
@@ -98,37 +104,37 @@ class SIERContext(openmm.Context):
     # --- changes ---
 
     def setPositions(self, positions: Any) -> None:
-        super().setPositions(positions)
-        self.impl.changed(Changes.ATOMS)
+        with self.session.changing(Changes.ATOMS):
+            super().setPositions(positions)
 
     def setVelocities(self, velocities: Any) -> None:
-        super().setVelocities(velocities)
-        self.impl.changed(Changes.ATOMS)
+        with self.session.changing(Changes.ATOMS):
+            super().setVelocities(velocities)
 
     def setParameter(self, name: str, value: float) -> None:
-        super().setParameter(name, value)
-        self.impl.changed()
+        with self.session.changing():
+            super().setParameter(name, value)
 
     def setTime(self, time: float | unit.Quantity) -> None:
-        super().setTime(time)
-        self.impl.changed()
+        with self.session.changing():
+            super().setTime(time)
 
     def setStepCount(self, count: int) -> None:
-        super().setStepCount(count)
-        self.impl.changed()
+        with self.session.changing():
+            super().setStepCount(count)
 
     def setPeriodicBoxVectors(self, a: Any, b: Any, c: Any) -> None:
-        super().setPeriodicBoxVectors(a, b, c)
-        self.impl.changed(Changes.BOX)
+        with self.session.changing(Changes.BOX):
+            super().setPeriodicBoxVectors(a, b, c)
 
     def setVelocitiesToTemperature(self, *args: Any) -> None:
-        self.impl.draw_velocities(functools.partial(super().setVelocitiesToTemperature, *args), *args)
+        self.session.act("draw_velocities", functools.partial(super().setVelocitiesToTemperature, *args), *args)
 
     def applyConstraints(self, tol: float | unit.Quantity) -> None:
-        self.impl.satisfy(functools.partial(super().applyConstraints, tol), velocities=False)
+        self.session.act("satisfy_positions", functools.partial(super().applyConstraints, tol))
 
     def applyVelocityConstraints(self, tol: float | unit.Quantity) -> None:
-        self.impl.satisfy(functools.partial(super().applyVelocityConstraints, tol), velocities=True)
+        self.session.act("satisfy_velocities", functools.partial(super().applyVelocityConstraints, tol))
 
 
 def _has_parameters(state: openmm.State) -> bool:

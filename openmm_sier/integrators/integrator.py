@@ -198,7 +198,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         if type(steps) is not int or steps < 0:
             steps = arguments.whole_number("steps", steps)
-        self.impl.step(steps)
+        self.impl.session.step(steps)
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all motion, a quantity in K.
@@ -230,12 +230,11 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.impl.engine.changes |= Changes.FORCES
+        self.impl.session.changed(Changes.FORCES)
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
-        super().setIntegrationForceGroups(groups)
-        self.impl.groups_changed()
+        self.impl.set_groups(groups)
 
     # --- copies ---
 

@@ -13,8 +13,11 @@ import openmm
 from openmm import unit
 
 from openmm_sier.engines.native import installation, trials
+from openmm_sier.engines.native.refusals import why_not
+from openmm_sier.engines.program import Program
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.impl import IntegratorImpl
+from openmm_sier.integrators.persistence import store
 
 
 def written(integrator: Any) -> openmm.CustomIntegrator:
@@ -23,17 +26,23 @@ def written(integrator: Any) -> openmm.CustomIntegrator:
     Its program is right for any System, while that of a Context is for its System only.
     """
     impl = integrator.impl
-    impl.store()
+    store(impl)
     copied, program = installation.without_program(integrator), impl.general_program()
-    installation.install(program, copied)
+    installation.install(program, copied, is_guarded=_does_less(impl, program))
     installation.set_trial(copied, impl.ensemble.trial(impl.method()))
     copied.setStepSize(impl.settings.step / (program.native_steps or 1))
     return copied
 
 
+def _does_less(impl: IntegratorImpl, program: Program) -> bool:
+    """Return whether a program without this package would do less than what was asked for."""
+    needs_package = impl.ensemble.needs_package or impl.settings.bodies is not None or impl.needs_sites
+    return needs_package or why_not(impl.method(), program) is not None
+
+
 def pickled(integrator: Any) -> str:
     """Return the XML for `unpickled`, without a program, which the integrator gets with a Context."""
-    integrator.impl.store()
+    store(integrator.impl)
     return openmm.XmlSerializer.serialize(installation.without_program(integrator))
 
 

@@ -20,6 +20,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Rigi
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
+from openmm_sier.system.second_context import cloned
 from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation, Temperatures, temperatures
 
@@ -123,7 +124,7 @@ def make_integrator(
         openmm.OpenMMException: OpenMM cannot satisfy the System's constraints.
     """
     SolverTest(system).refuse(lambda: positions)
-    system = openmm.XmlSerializer.clone(system)
+    system = cloned(system)
     integrator: Any = (
         OpenMMVerletIntegrator(step)
         if name == "verlet"

@@ -27,8 +27,34 @@ class AddedParticles:
     number: int
 
 
+#: Forces that get entries for added particles, or need none though they act on all particles.
+EXTENDED = (
+    openmm.NonbondedForce,
+    openmm.CustomNonbondedForce,
+    openmm.CustomCentroidBondForce,
+    openmm.CustomCVForce,
+)
+
+
+def refuse_other_forces(system: openmm.System) -> None:
+    """Refuse Forces that would act on added particles too.
+
+    Raises:
+        ValueError: a Force has an unsupported class. The message names the Force.
+    """
+    for entry in all_forces(system):
+        force = entry.force
+        if kind_of(force).acts_on in ("pairs", "whole") and not isinstance(force, EXTENDED):
+            raise ValueError(
+                f"{entry.name} ({type(force).__name__}) cannot be copied to a System with frames. Give the bodies to a "
+                "SIER integrator, by bodies=…, which needs no frames; or remove the Force"
+            )
+
+
 def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
-    """Add entries for added particles to the Forces of a System, including Forces inside other Forces.
+    """Add entries for added particles to the Forces of a System that `refuse_other_forces` accepts.
+
+    Forces inside other Forces get them too.
 
     Energies and forces of all other particles do not change, except for long-range corrections, which are proportional
     to N/(N + 1) for N particles by OpenMM's formula.
@@ -36,9 +62,6 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
     Args:
         system: openmm.System, whose Forces are changed.
         added: the particles.
-
-    Raises:
-        ValueError: a Force has an unsupported class. The message names the Force.
     """
     for entry in all_forces(system):
         force = entry.force
@@ -49,11 +72,6 @@ def add_to_forces(system: openmm.System, added: AddedParticles) -> None:
             _add_to_expression(force, added)
         elif isinstance(force, openmm.CustomCentroidBondForce):
             _keep_weights(force, added)
-        elif kind_of(force).acts_on in ("pairs", "whole") and not isinstance(force, openmm.CustomCVForce):
-            raise ValueError(
-                f"{entry.name} ({type(force).__name__}) cannot be copied to a System with frames. Give the bodies to a "
-                "SIER integrator, by bodies=…, which needs no frames; or remove the Force"
-            )
 
 
 def _add_to_expression(force: openmm.CustomNonbondedForce, added: AddedParticles) -> None:

@@ -23,7 +23,8 @@ class FastForces:
     frozen atoms. Forces added by the preparation are left out.
 
     Attributes:
-        owner: body index of each particle, (N,); -1 without a body; frozen atoms share an index.
+        owner: body index of each particle, (N,); -1 without a body; frozen atoms share an index, and virtual sites
+            placed by one body belong to it.
         moving: whether each particle moves with a body, (N,).
         acting: Forces that exert forces, by index.
         fast: Forces that can be fast, by index.
@@ -41,9 +42,10 @@ class FastForces:
             i: force for i, force in enumerate(system.getForces()) if i not in added and kind_of(force).exerts_forces
         }
         working = {i: between for i, force in self.acting.items() if len(between := working_terms(force, owner))}
-        self.owner = owner
+        self.owner = tables.with_sites(system, owner)
         self.fast = {i: self.acting[i] for i, between in working.items() if self.moving[between].all()}
-        self.slow = [self.acting[i] for i in working if i not in self.fast]
+        others = [self.acting[i] for i in working if i not in self.fast]
+        self.slow = [force for force in others if len(working_terms(force, self.owner))]
         inner = [
             (entry, working_terms(entry.force, owner))
             for entry in all_forces(system)

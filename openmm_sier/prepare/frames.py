@@ -14,13 +14,14 @@ from openmm import app
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.species import Species
-from openmm_sier.prepare.added_particles import AddedParticles, add_to_forces
+from openmm_sier.prepare.added_particles import AddedParticles, add_to_forces, refuse_other_forces
 from openmm_sier.prepare.frame_shapes import FrameShape
 from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies
 from openmm_sier.system.links import linked
+from openmm_sier.system.second_context import cloned
 from openmm_sier.system.solver_test import SolverTest
 
 #: Name of the residue of a frame, and prefix of the names of its particles.
@@ -163,12 +164,12 @@ def with_frames(
     system = checked_system(system)
     x = checked_positions(positions, system.getNumParticles())
     checks.refuse_impossible_masses(system)
+    checks.refuse_sites_without_place(system)
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
         rigid_bodies = linked(system, bodies)
         wholeness = Wholeness(system, topology)
-        for species in rigid_bodies.species:
-            wholeness.refuse_cut(x, species.atoms, rigid_bodies.describe_atoms)
+        wholeness.refuse_cut(x, [species.atoms for species in rigid_bodies.species], rigid_bodies.describe_atoms)
     else:
         rigid_bodies = RigidBodies.from_system(system, topology, bodies, x)
     frames = tuple(_frames(system, rigid_bodies))
@@ -177,7 +178,8 @@ def with_frames(
             "no body needs a frame: at least one of `bodies` must have two or more atoms and not be rigid by its "
             f"constraints already, got {rigid_bodies!r}"
         )
-    framed = copy.deepcopy(system)
+    refuse_other_forces(system)
+    framed = cloned(system)
     _hold(framed, frames)
     atoms = np.concatenate([frame.atoms for frame in frames])
     added = sum(len(frame.particles) for frame in frames)
@@ -191,14 +193,14 @@ def with_frames(
 def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
-    for species, columns in zip(bodies.species, bodies.columns, strict=True):
+    held = tables.constraints(system).hold(species.atoms for species in bodies.species)
+    for species, columns, is_held in zip(bodies.species, bodies.columns, held, strict=True):
         if not species.sites.any():
             continue
-        free = ~tables.constraints(system).hold(species.atoms)
         solved = _is_solved(species)
         shape = FrameShape.of(species)
         for row, body in enumerate(range(columns.start, columns.stop)):
-            if solved and not free[row]:
+            if solved and is_held[row]:
                 continue
             particles = np.arange(number, number + len(shape.masses))
             number += len(particles)

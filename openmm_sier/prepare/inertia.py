@@ -57,8 +57,7 @@ def set_inertia(
     Raises:
         TypeError: `system` is not a System, or a value is not a number.
         ValueError: moments are not in ascending order; the largest exceeds the sum of the others; no masses of the
-            atoms have these moments; or the System already has a Context with a SIER integrator. The System is
-            unchanged then.
+            atoms have these moments; or the System already has a Context. The System is unchanged then.
         RigidityError: the periodic boundary cuts a body.
     """
     system = checked_system(system)
@@ -69,14 +68,21 @@ def set_inertia(
     if total <= 0:
         raise ValueError(f"mass must be positive, got {total:g} dalton")
     present = tables.masses(system)
-    wholeness = Wholeness(system)
-    new_masses: dict[int, float] = {}
-    for body in bodies:
-        atoms = np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64)
-        if not len(atoms) or not (present[atoms] > 0).all():
-            got = f"atoms {as_ranges(body)}" if len(body) else "no atoms"
+    clusters = [np.array([i for i in body if not system.isVirtualSite(int(i))], dtype=np.int64) for body in bodies]
+    for body, atoms in zip(bodies, clusters, strict=True):
+        if not len(atoms):
+            got = f"only the virtual sites {as_ranges(body)}" if len(body) else "no atoms"
             raise ValueError(f"a body must consist of atoms with mass, got {got}")
-        wholeness.refuse_cut(x, atoms[None], _described)
+        if not (present[atoms] > 0).all():
+            massless = int(atoms[(present[atoms] > 0).argmin()])
+            raise ValueError(
+                f"a body must consist of atoms with mass, but atom {massless} of {_described(body)} has none. Give it "
+                f"any mass first, as by system.setParticleMass({massless}, 1), which set_inertia replaces; or make it "
+                "a virtual site of the others"
+            )
+    Wholeness(system).refuse_cut(x, [atoms[None] for atoms in clusters], _described)
+    new_masses: dict[int, float] = {}
+    for atoms in clusters:
         shape = Species.from_coordinates(atoms[None], present[atoms], x[atoms])
         masses = _masses(shape, total, target, _described(atoms))
         new_masses |= dict(zip(atoms.tolist(), masses.tolist(), strict=True))

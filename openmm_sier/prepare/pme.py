@@ -19,7 +19,7 @@ class Split(NamedTuple):
 
     Attributes:
         direct_share: ratio of the mesh's tolerance to that of the direct sum.
-        finer: mesh points along an edge over OpenMM's choice.
+        finer: mesh points along an edge over OpenMM's choice for a rectangular box with such an edge.
     """
 
     direct_share: float
@@ -60,17 +60,26 @@ def balance_pme(system: openmm.System, constantEnergy: bool = True) -> None:
     In a heat bath and in hybrid Monte Carlo a jump twenty times smaller is enough, which takes no more mesh points than
     OpenMM's rule. Forces in water are then eight to nine times as accurate (tolerances from 1e-4 to 5e-4).
 
+    In a triclinic box the mesh follows the lengths of the box vectors, where OpenMM takes the diagonal of their matrix.
+    So a dodecahedron gets 1.4 times as many points, along its third vector. With OpenMM's mesh a larger Ewald parameter
+    would make forces less accurate there.
+
+    In a box that is nearly empty hardly any pairs are at the cut-off, and OpenMM's rule has smaller errors: around a
+    single molecule of water 0.03 kJ/mol/nm at the default tolerance, with this function 0.15, and 0.2 at constant
+    energy. From a tenth of the density of water on this function is better.
+
     The function calls `setPMEParameters` of each NonbondedForce, ConstantPotentialForce, AmoebaMultipoleForce and
     HippoNonbondedForce with PME, also inside an ATMForce or a CustomCVForce, and replaces earlier parameters. The
     dispersion of LJPME and of a HippoNonbondedForce is not changed.
 
     Args:
         system: the System, which changes.
-        constantEnergy: whether it is simulated at constant energy. False takes OpenMM's mesh, except for multipoles.
+        constantEnergy: whether it is simulated at constant energy. False takes OpenMM's mesh, except for multipoles and
+            in triclinic boxes.
 
     Raises:
         ValueError: no Force of the System uses PME or LJPME; a cut-off is not positive or a tolerance outside
-            `TOLERANCES`; or the System already has a Context with a SIER integrator. The System is unchanged then.
+            `TOLERANCES`; or the System already has a Context. The System is unchanged then.
     """
     refuse_bound(system)
     forces = meshed_forces(system)
@@ -78,8 +87,8 @@ def balance_pme(system: openmm.System, constantEnergy: bool = True) -> None:
         raise ValueError(
             "balance_pme requires a Force with PME or LJPME, such as a NonbondedForce, but the System has none"
         )
-    box = system.getDefaultPeriodicBoxVectors()
-    edges = [vector.value_in_unit(unit.nanometer)[axis] for axis, vector in enumerate(box)]
+    # A mesh resolves the Fourier terms along a box vector by its spacing along that vector.
+    edges = [unit.norm(vector.value_in_unit(unit.nanometer)) for vector in system.getDefaultPeriodicBoxVectors()]
     split = AT_CONSTANT_ENERGY if constantEnergy else IN_BATH
     parameters = [_parameters(force, edges, split) for force in forces]
     for force, (alpha, mesh) in zip(forces, parameters, strict=True):

@@ -17,6 +17,7 @@ from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
 from openmm_sier.system.bound_systems import refuse_bound
+from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.find_bodies import BodyPlan
 from openmm_sier.system.links import Links
 
@@ -55,10 +56,10 @@ def prepare_system(
     All molecules with bonded forces are rigid, so there are no fast forces.
     ...
 
-    The forces on bodies and the potential energy do not change, apart from the accuracy of PME:
+    The forces on bodies and the potential energy do not change, apart from the errors of PME, which become smaller:
 
     - The two sums of PME are balanced, also in an ATMForce or a CustomCVForce; see `balance_pme`. They are balanced for
-      constant energy, or with a `hydrogenMass` for a heat bath, with the mesh that OpenMM would choose.
+      constant energy, or with a `hydrogenMass` for a heat bath, with OpenMM's mesh in a rectangular box.
     - Bonds, angles and torsions of molecules that are not rigid get a separate force group, where every SIER integrator
       finds them. Rigid bodies on which they act turn in the inner steps too. Terms on virtual sites or frozen atoms
       stay slow. A Force with such terms is divided into two, unless its energy is an expression or it is inside another
@@ -87,8 +88,8 @@ def prepare_system(
     Raises:
         TypeError: `system` is not a System, or `bodies` have the wrong type.
         ValueError: the group is out of range or has other forces; `hydrogenMass` is out of range or given with
-            `RigidBodies`, which have masses already; `balance_pme` refuses; or the System already has a Context with a
-            SIER integrator. The System is unchanged then.
+            `RigidBodies`, which have masses already; `balance_pme` refuses; a site of a molecule is frozen, being no
+            virtual site; or the System already has a Context. The System is unchanged then.
         RigidityError: `RigidBodies.from_system` refuses the bodies. The System is unchanged then too.
     """
     system = checked_system(system)
@@ -96,6 +97,7 @@ def prepare_system(
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     with tables.read_once():
+        refuse_sites_without_place(system)
         bodies = checked_bodies(bodies)
         membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
         forces = FastForces(system, membership)

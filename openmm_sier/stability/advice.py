@@ -28,9 +28,11 @@ HEAVIER = f"if you need averages but no dynamics, make all hydrogens heavy: {_HE
 CONSTRAIN_HYDROGEN = (
     "constrain the bond: give createSystem rigidWater=True and constraints=HBonds (--constraints hbonds)"
 )
-CONSTRAIN = (
-    "constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or put its atoms into one "
-    "rigid body of `bodies`, see select_bodies (--rigid)"
+CONSTRAIN_BODY = "put its atoms into one rigid body of `bodies`, see select_bodies (--rigid)"
+CONSTRAIN = f"constrain the bond: give createSystem constraints=AllBonds (--constraints allbonds); or {CONSTRAIN_BODY}"
+CONSTRAIN_ANGLE = (
+    "constrain the angle: give createSystem rigidWater=True for water, and constraints=HAngles for other molecules "
+    "(--constraints hangles)"
 )
 LESS_MASS = f"if createSystem made hydrogens heavy, call {_HEAVY}: it takes less mass from their heavy atoms"
 STRAIGHTEN = "if a body is nearly a line, put its atoms exactly on a line, which does not spin about its axis"
@@ -114,7 +116,9 @@ class Remedies:
         return any(atom in self._hydrogens and self._masses[atom] <= heaviest for atom in atoms)
 
     def hold(self, atoms: tuple[int, ...]) -> list[str]:
-        """Return ways to hold a bond."""
+        """Return ways to hold a bond, or an angle."""
+        if len(atoms) > 2:
+            return [CONSTRAIN_ANGLE if self.has_hydrogen(atoms) else CONSTRAIN_BODY]
         remedies = [CONSTRAIN_HYDROGEN if self.has_hydrogen(atoms) else CONSTRAIN]
         if any(self._points[i] and self._masses[i] > tables.HEAVIEST_IN_CHAINS for i in self._hydrogens):
             remedies.append(LESS_MASS)

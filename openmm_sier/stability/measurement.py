@@ -18,7 +18,7 @@ from openmm_sier.dynamics.vectors import body_frame, combine
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.forces import kind_of
-from openmm_sier.system.second_context import follow_parameters, reference_context
+from openmm_sier.system.second_context import cloned, follow_parameters, reference_context
 
 #: Largest displacement of an atom, nm. In double precision it gives second derivatives to 1e-6 of those of a bond.
 DISPLACEMENT = 1e-5
@@ -196,7 +196,7 @@ def _without_forces(system: openmm.System) -> openmm.System:
     masses = tables.masses(system)
     if any(system.isVirtualSite(i) for i in np.flatnonzero(masses == 0).tolist()):
         # OpenMM copies virtual sites only with their System.
-        without_forces = openmm.XmlSerializer.clone(system)
+        without_forces = cloned(system)
         while without_forces.getNumForces():
             without_forces.removeForce(0)
         return without_forces

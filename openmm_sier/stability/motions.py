@@ -8,7 +8,7 @@ larger bodies, are slower.
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import openmm
@@ -21,7 +21,7 @@ from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
 from openmm_sier.stability.measurement import HiddenError, fastest_motion
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import COARSE, harmonic_frequencies, mobilities
+from openmm_sier.system.bonded_terms import COARSE, constrained_bends, harmonic_frequencies, mobilities
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import SystemForce, all_forces
 from openmm_sier.system.links import Links
@@ -54,11 +54,12 @@ class Motion(NamedTuple):
 
     Attributes:
         period: ps.
-        atoms: particle indices of the ends of a bond, the atoms of another vibration, or the one atom that swings.
+        atoms: particle indices of the ends of a bond, the atoms of an angle or another vibration, or the one atom that
+            swings.
         group: the force group that moves them.
         share: stiffness of the surroundings over that of the vibration.
         force: name of the Force, where the motion was measured.
-        is_bond: whether it stretches a bond.
+        kind: what vibrates: a bond, an angle between constrained bonds, or other atoms.
         can_be_fast: whether inner steps could follow it, once the System is prepared.
     """
 
@@ -67,7 +68,7 @@ class Motion(NamedTuple):
     group: int
     share: float = 0.0
     force: str = ""
-    is_bond: bool = True
+    kind: Literal["bond", "angle", "other"] = "bond"
     can_be_fast: bool = False
 
 
@@ -94,14 +95,14 @@ class Motions:
 
     Motions within bodies and along constraints do not count. The periods of HarmonicBondForces are read from the
     System, as it is when the Context is created. Each of these bonds is treated separately, which gives its period to
-    1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Angles are
-    ignored: those of hydrogens are slower than bonds by a factor of two. Of forces between molecules only those with
-    charges count, and the Lennard-Jones terms of NonbondedForces. Forces of expressions or collective variables are
-    measured by `measure`, at positions.
+    1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Of the angles
+    of HarmonicAngleForces only those between constrained bonds count: others are slower than their bonds by a factor of
+    two. Of forces between molecules only those with charges count, and the Lennard-Jones terms of NonbondedForces.
+    Forces of expressions or collective variables are measured by `measure`, at positions.
 
     Attributes:
         bodies: all that move in the System.
-        harmonic: the fastest bond of each HarmonicBondForce.
+        harmonic: the fastest bond of each HarmonicBondForce, and such an angle of each HarmonicAngleForce.
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
         spin: of the slimmest rigid body; None if no body turns.
@@ -129,7 +130,9 @@ class Motions:
         # Molecules swing among others, or among frozen atoms.
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
-        self.harmonic = list(self._fastest_bonds(forces, links.constraints))
+        owners = _owners(system, self._linked, rigid)
+        found = harmonic_vibrations(forces, self._mobility, owners, links.constraints)
+        self.harmonic = [self._motion(*vibration) for vibration in found]
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
         self.spin = _slimmest(system, bodies, rigid, is_alone)
@@ -157,8 +160,9 @@ class Motions:
                 continue
             if vibration is not None:
                 is_bond = kind_of(entry.force).acts_on == "terms" and len(vibration.atoms) == 2
-                motion = self._motion(entry, vibration.atoms, vibration.square)
-                measured.append(motion._replace(force=entry.name, is_bond=is_bond))
+                kind: Literal["bond", "other"] = "bond" if is_bond else "other"
+                motion = self._motion(entry, vibration.atoms, vibration.square, kind=kind)
+                measured.append(motion._replace(force=entry.name))
         self.unknown += _described(hidden)
         self.measured = measured
         self._to_measure = []
@@ -168,10 +172,10 @@ class Motions:
         """Return whether one of the atoms moves like a hydrogen, which may have been made heavy."""
         return bool(self._mobility[list(motion.atoms)].max() * tables.HEAVIEST_HYDROGEN >= 1)
 
-    def fastest_hydrogen(self, groups: int) -> Motion | None:
-        """Return the fastest bond to hydrogen in force groups, a bit mask."""
-        bonds = [motion for motion in self.vibrations if motion.is_bond and self.moves_like_hydrogen(motion)]
-        return fastest(bonds, groups)
+    def fastest_hydrogen(self, kind: str, groups: int) -> Motion | None:
+        """Return the fastest bond to hydrogen, or angle of hydrogens, in force groups, a bit mask."""
+        motions = [motion for motion in self.vibrations if motion.kind == kind and self.moves_like_hydrogen(motion)]
+        return fastest(motions, groups)
 
     def body_of(self, libration: Motion) -> int:
         """Return the index of the body that swings."""
@@ -179,35 +183,38 @@ class Motions:
 
     def ways_to_hold(self, vibration: Motion) -> list[str]:
         """Return remedies that make a vibration slower."""
-        return self.remedies.hold(vibration.atoms) if vibration.is_bond else [advice.soften(vibration.force)]
+        if vibration.kind == "other":
+            return [advice.soften(vibration.force)]
+        return self.remedies.hold(vibration.atoms)
 
     def describe(self, vibration: Motion) -> str:
         """Return a vibration in words."""
         labels, atoms = self.bodies.labels, vibration.atoms
         residues = "" if labels is None else f" ({' and '.join(dict.fromkeys(labels[i] for i in atoms))})"
-        if vibration.is_bond:
+        if vibration.kind == "angle":
+            return f"the angle of atoms {', '.join(map(str, atoms))}{residues}"
+        if vibration.kind == "bond":
             by = f" by {vibration.force}" if vibration.force else ""
             return f"the bond between atoms {atoms[0]} and {atoms[1]}{residues}{by}"
         plural = "s" if len(atoms) > 1 else ""
         return f"the motion of atom{plural} {', '.join(map(str, atoms))}{residues} by {vibration.force}"
 
-    def _motion(self, entry: SystemForce, atoms: tuple[int, ...], square: float) -> Motion:
-        """Return the motion of some atoms by a Force, by the square of its angular frequency in 1/ps^2."""
+    def _motion(
+        self,
+        entry: SystemForce,
+        atoms: tuple[int, ...],
+        square: float,
+        gradients: np.ndarray | None = None,
+        kind: Literal["bond", "angle", "other"] = "bond",
+    ) -> Motion:
+        """Return a motion; see `Vibration`."""
         period = 2 * math.pi / math.sqrt(square)
-        # Stiffness of the surroundings of the ends of the bond, over that of the bond.
         mobility = self._mobility[list(atoms)]
-        share = float(self._held[list(atoms)] @ mobility**2 / (square * mobility.sum()))
+        gradients = np.ones(len(atoms)) if gradients is None else gradients
+        # Stiffness of the surroundings of the atoms, over that of the vibration.
+        share = float(self._held[list(atoms)] @ (gradients * mobility**2) / (square * (gradients @ mobility)))
         can_be_fast = period < COARSE and not entry.containers and self.remedies.can_be_fast(entry.force, atoms)
-        return Motion(period, atoms, entry.group, share, can_be_fast=can_be_fast)
-
-    def _fastest_bonds(self, forces: Sequence[SystemForce], constraints: tables.Constraints) -> Iterator[Motion]:
-        """Yield the fastest unconstrained bond between two bodies in each HarmonicBondForce."""
-        for entry in forces:
-            if isinstance(entry.force, openmm.HarmonicBondForce):
-                atoms, squares = harmonic_frequencies(entry.force, self._mobility, self._linked.owners, constraints)
-                if squares.max(initial=0) > 0:
-                    fastest = int(squares.argmax())
-                    yield self._motion(entry, tuple(atoms[fastest].tolist()), float(squares[fastest]))
+        return Motion(period, atoms, entry.group, share, kind=kind, can_be_fast=can_be_fast)
 
     def _swings(self, with_charges: Sequence[SystemForce], stiffnesses: Sequence[np.ndarray]) -> Iterator[Motion]:
         """Yield the fastest libration by each Force with charges, from the stiffness of each atom's surroundings."""
@@ -216,6 +223,86 @@ class Motions:
             if squares.max(initial=0) > 0:
                 atom = int(squares.argmax())
                 yield Motion(2 * math.pi / math.sqrt(squares[atom]), (atom,), entry.group)
+
+
+class Vibration(NamedTuple):
+    """A vibration that the parameters of a Force give.
+
+    Attributes:
+        entry: the Force.
+        atoms: particle indices, k of them.
+        square: of the angular frequency, 1/ps^2.
+        gradients: squared derivatives of what vibrates by the position of each atom, (k,); None: all alike, as of a
+            bond.
+        kind: see `Motion`.
+    """
+
+    entry: SystemForce
+    atoms: tuple[int, ...]
+    square: float
+    gradients: np.ndarray | None
+    kind: Literal["bond", "angle"]
+
+
+def harmonic_vibrations(
+    forces: Sequence[SystemForce], mobility: np.ndarray, owners: np.ndarray, constraints: tables.Constraints
+) -> Iterator[Vibration]:
+    """Yield the fastest bond of each HarmonicBondForce, and the fastest angle of each HarmonicAngleForce.
+
+    Bonds are unconstrained, and angles are between constrained bonds. Both join different bodies.
+
+    Args:
+        forces: of the System.
+        mobility: inverse effective mass of each particle, (N,), 1/dalton.
+        owners: number of the body of each particle, (N,).
+        constraints: of the System.
+    """
+    for entry in forces:
+        force = entry.force
+        if isinstance(force, openmm.HarmonicBondForce):
+            atoms, squares = harmonic_frequencies(force, mobility, owners, constraints)
+            if squares.max(initial=0) > 0:
+                k = int(squares.argmax())
+                yield Vibration(entry, tuple(atoms[k].tolist()), float(squares[k]), None, "bond")
+        elif isinstance(force, openmm.HarmonicAngleForce) and len(constraints.pairs):
+            bends = constrained_bends(force, mobility, owners, constraints)
+            if bends.squares.max(initial=0) > 0:
+                k = int(bends.squares.argmax())
+                atoms, square = tuple(bends.atoms[k].tolist()), float(bends.squares[k])
+                yield Vibration(entry, atoms, square, bends.gradients[k], "angle")
+
+
+def shortest_period(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], groups: int) -> float | None:
+    """Return the period of the fastest of `harmonic_vibrations` in force groups, ps; None without any.
+
+    Args:
+        system: openmm.System.
+        bodies: all that move in it.
+        rigid: the kinds of rigid body.
+        groups: bit mask of force groups.
+    """
+    forces = [entry for entry in all_forces(system) if not entry.is_variable and groups >> entry.group & 1]
+    owners = _owners(system, bodies, rigid)
+    found = harmonic_vibrations(forces, mobilities(bodies), owners, tables.constraints(system))
+    square = max((vibration.square for vibration in found), default=0.0)
+    return 2 * math.pi / math.sqrt(square) if square else None
+
+
+def _owners(system: openmm.System, bodies: BodySet, rigid: Sequence[Species]) -> np.ndarray:
+    """Return the body of each particle, (N,), where atoms of a rigid body and its virtual sites have one; -1 without.
+
+    Args:
+        system: openmm.System.
+        bodies: all that move in it.
+        rigid: the kinds of rigid body, which may be single atoms in `bodies`.
+    """
+    owners, number = bodies.owners.copy(), bodies.n
+    for species in rigid:
+        count, size = species.atoms.shape
+        if size > 1:
+            owners[species.atoms] = np.arange(number, number + count)[:, None]
+            number += count
+    return tables.with_sites(system, owners)
 
 
 def fastest(motions: Sequence[Motion], groups: int) -> Motion | None:

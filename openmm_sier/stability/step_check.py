@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import openmm
 
@@ -12,7 +12,7 @@ from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability.advice import StepError, StepWarning
 from openmm_sier.stability.motions import Motions, fastest
-from openmm_sier.stability.step_rules import ROOM_TEMPERATURE, RULES, Conditions, Verdict, accurate_step
+from openmm_sier.stability.step_rules import ROOM_TEMPERATURE, RULES, Conditions, Verdict, longest_inner_step
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.user_warnings import warn
 
@@ -28,37 +28,37 @@ class StepCheck:
         self,
         system: openmm.System,
         bodies: BodySet,
-        inner_step: Callable[[IntegrationMethod, float], float] | None = None,
         rigid: Sequence[Species] | None = None,
+        inner_fraction: float | None = None,
     ):
         """
         Args:
             system: openmm.System.
             bodies: all that move in it.
-            inner_step: gives the longest step of a method within drifts, ps. Its second argument is the longest step at
-                which bonds are accurate, for steps that leave the number of substeps open. None: the number of the
-                method, or one.
             rigid: the kinds of rigid body; None: those of `bodies`.
+            inner_fraction: the inner step of a program that is written already, as a fraction of the step; None: steps
+                have as many inner steps as they need.
         """
         self._motions = Motions(system, bodies, bodies.species if rigid is None else rigid)
         self._is_isolated = not any(kind_of(force).sets for force in system.getForces())
-        self._inner_step = inner_step or _with_substeps
+        self._inner_fraction = inner_fraction
         self._checked: tuple = ()
         #: The last method and groups, and the inner step for them.
         self._known: tuple[IntegrationMethod | None, int, float] = (None, 0, 0.0)
         self._warnings: set[str] = set()
 
     def inner_step(self, method: IntegrationMethod, groups: int) -> float:
-        """Return the longest step of a method within drifts, ps; `groups` are the integration force groups, a bit mask.
+        """Return the inner step of a method, ps; `groups` are the integration force groups, a bit mask.
 
         Of bonds only the harmonic ones count: measured motions depend on positions, and a restart must find the same.
         """
         known_method, known_groups, step = self._known
         if known_method is not method or known_groups != groups:
             bond = fastest(self._motions.harmonic, groups & method.fast_groups)
-            step = self._inner_step(
-                method, math.inf if bond is None else accurate_step(method.scheme.within_drifts, bond.period)
-            )
+            if self._inner_fraction is not None:
+                step = method.step * self._inner_fraction
+            else:
+                step = method.inner_step(longest_inner_step(method.scheme, None if bond is None else bond.period))
             self._known = method, groups, step
         return step
 
@@ -128,8 +128,3 @@ class StepCheck:
         if words not in self._warnings:
             self._warnings.add(words)
             warn(StepWarning(verdict.message))
-
-
-def _with_substeps(method: IntegrationMethod, _: float) -> float:
-    """Return the longest step of a method within drifts, ps, with the number of substeps that it names, or one."""
-    return method.step * method.scheme.inner_fraction(method.substeps or 1)

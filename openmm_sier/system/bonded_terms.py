@@ -1,5 +1,6 @@
 """Terms of bonded Forces: atoms, lengths, force constants and frequencies."""
 
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -59,10 +60,12 @@ def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndar
     return _atoms(force, elements), lengths, strengths
 
 
-def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray]:
-    """Return particles of each angle, (a, 3), and force constants, (a,), kJ/mol/rad^2."""
+def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return particles of each angle, (a, 3), angles, (a,), radians, and force constants, (a,), kJ/mol/rad^2."""
     elements = _elements(force)
-    return _atoms(force, elements), np.array([float(term.attrib["k"]) for term in elements], dtype=float)
+    parameters = [(float(term.attrib["a"]), float(term.attrib["k"])) for term in elements]
+    angles, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
+    return _atoms(force, elements), angles, strengths
 
 
 def mobilities(bodies: BodySet) -> np.ndarray:
@@ -94,14 +97,61 @@ def harmonic_frequencies(
     """
     if isinstance(force, openmm.HarmonicBondForce):
         atoms, _, strengths = harmonic_bonds(force)
-        squares = ~constraints.hold(atoms) * strengths * mobility[atoms].sum(axis=1)
+        squares = ~constraints.hold([atoms])[0] * strengths * mobility[atoms].sum(axis=1)
     elif isinstance(force, openmm.HarmonicAngleForce):
-        atoms, strengths = harmonic_angles(force)
+        atoms, _, strengths = harmonic_angles(force)
         # The middle atom moves against both others, by twice their way.
         squares = strengths * (mobility[atoms] @ [1, 4, 1]) / ARM**2
     else:
         return np.empty((0, 1), dtype=np.int64), np.empty(0)
     return atoms, np.where(do_work(atoms, owner), squares, 0.0)
+
+
+class Bends(NamedTuple):
+    """Vibrations of angles between constrained bonds.
+
+    Attributes:
+        atoms: particles of each, (b, 3).
+        squares: of their angular frequencies, (b,), 1/ps^2.
+        gradients: squared derivatives of the angle by the position of each atom, (b, 3), 1/nm^2.
+    """
+
+    atoms: np.ndarray
+    squares: np.ndarray
+    gradients: np.ndarray
+
+
+def constrained_bends(
+    force: openmm.HarmonicAngleForce, mobility: np.ndarray, owner: np.ndarray, constraints: Constraints
+) -> Bends:
+    """Return the angles of a Force between two constrained bonds, without those that a body or a constraint holds.
+
+    Of other angles a bond vibrates faster. The frequency is that of three atoms, by the elements of Wilson's G matrix
+    for the equilibrium angle and both bonds (Wilson, Decius and Cross, Molecular Vibrations (1955), appendix VI), of
+    which the bonds are eliminated, since they keep their lengths.
+
+    Args:
+        force: openmm.HarmonicAngleForce.
+        mobility: inverse effective masses of the particles, (N,), 1/dalton.
+        owner: that of `working_terms`.
+        constraints: of the System.
+    """
+    atoms, angles, strengths = harmonic_angles(force)
+    first, second = constraints.lengths_of(atoms[:, :2]), constraints.lengths_of(atoms[:, 1:])
+    is_free = np.isnan(constraints.lengths_of(atoms[:, ::2])) & do_work(atoms, owner)
+    chosen = is_free & ~np.isnan(first + second)
+    atoms, strengths, first, second = atoms[chosen], strengths[chosen], 1 / first[chosen], 1 / second[chosen]
+    cosine, sine = np.cos(angles[chosen]), np.sin(angles[chosen])
+    gradients = np.stack([first**2, first**2 + second**2 - 2 * cosine * first * second, second**2], axis=1)
+    ends, middle = mobility[atoms[:, ::2]].T, mobility[atoms[:, 1]]
+    bonds = ends + middle
+    to_bonds = middle * sine * second, middle * sine * first
+    coupling = middle * cosine
+    eliminated = (
+        to_bonds[0] ** 2 * bonds[1] + to_bonds[1] ** 2 * bonds[0] - 2 * to_bonds[0] * to_bonds[1] * coupling
+    ) / (bonds[0] * bonds[1] - coupling**2)
+    inverse_mass = (gradients * mobility[atoms]).sum(axis=1) - eliminated
+    return Bends(atoms, strengths * inverse_mass, gradients)
 
 
 def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:

@@ -13,7 +13,7 @@ def add(context: openmm.Context) -> None:
 
 
 def refuse_bound(system: openmm.System) -> None:
-    """Refuse a System that already has a Context with a SIER integrator.
+    """Refuse a System that already has a Context, with whatever integrator.
 
     Raises:
         ValueError: there is such a Context.
@@ -23,5 +23,6 @@ def refuse_bound(system: openmm.System) -> None:
     if any(int(context.getSystem().this) == address for context in _contexts):
         raise ValueError(
             "OpenMM reads a System only when a Context is made, and this System already has one: prepare Systems "
-            "before the Context or Simulation is made. Create the System again, or delete the Context first"
+            "before the Context or Simulation is made. Delete that Context or Simulation first; or prepare a copy, "
+            "copy.deepcopy(system), for a new one"
         )

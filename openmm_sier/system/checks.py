@@ -1,17 +1,22 @@
 """Checks of a System for Forces, masses, constraints and barostats that integrators cannot handle."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, RigidityError, molecule_of_atoms
+from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
 from openmm_sier.system.user_warnings import warn
+
+#: Number of atoms that constraints join in the smallest molecule with sites of its own.
+SMALLEST_WITH_SITES = 3
 
 
 def acting_forces(system: openmm.System) -> list[openmm.Force]:
@@ -63,6 +68,54 @@ def refuse_impossible_masses(system: openmm.System) -> None:
             f"The mass of particle {atom} is {masses[atom]:g} dalton: it must be positive, or 0 for a frozen atom. Was "
             "more mass moved to hydrogens than their neighbour had? prepare_system(system, hydrogenMass=…) avoids that"
         )
+
+
+def refuse_sites_without_place(system: openmm.System) -> None:
+    """Refuse massless particles that belong to a molecule with constraints but are no virtual sites of it.
+
+    OpenMM would leave them where they are, while the molecule moves on. They are excluded from interacting with every
+    atom of that molecule. A frozen atom, or an anchor to which a molecule is bonded, interacts with some of its atoms.
+
+    Raises:
+        ValueError: there is such a particle with a charge or Lennard-Jones forces.
+    """
+    frozen = set(tables.frozen_atoms(system).tolist())
+    pairs = tables.constraints(system).pairs
+    if not frozen or not len(pairs):
+        return
+    molecule = joined(system.getNumParticles(), pairs)
+    members, sizes = np.unique(molecule, return_counts=True)
+    size = dict(zip(members.tolist(), sizes.tolist(), strict=True))
+    for force in system.getForces():
+        if not isinstance(force, openmm.NonbondedForce):
+            continue
+        parameters = tables.atom_parameters(force)
+        acting = {i for i in frozen if parameters[i, 0] or parameters[i, 2]}
+        for i, molecules in _excluded(force, acting, molecule).items():
+            whole = [number for number, count in molecules.items() if count == size[number] >= SMALLEST_WITH_SITES]
+            if whole:
+                first = int(np.flatnonzero(molecule == whole[0])[0])
+                raise ValueError(
+                    f"particle {i} has a charge of {parameters[i, 0]:g} e but no mass, and is no virtual site: OpenMM "
+                    f"would leave it in its place while the molecule of atom {first}, to which it belongs, moves on. "
+                    "OpenMM's reader of AMBER files knows the sites of water by the names EP and LP, in residues WAT, "
+                    f"HOH, TP4 and TP5: rename them, or call system.setVirtualSite({i}, …)"
+                )
+
+
+def _excluded(force: openmm.NonbondedForce, chosen: set[int], molecule: np.ndarray) -> dict[int, Counter[int]]:
+    """Return the number of atoms of each molecule that are excluded from interacting with the chosen particles."""
+    excluded: dict[int, Counter[int]] = {i: Counter() for i in chosen}
+    if not chosen:
+        return excluded
+    for k in range(force.getNumExceptions()):
+        i, j, product, _, epsilon = force.getExceptionParameters(k)
+        if product._value or epsilon._value:
+            continue
+        for one, other in ((i, j), (j, i)):
+            if one in chosen:
+                excluded[one][int(molecule[other])] += 1
+    return excluded
 
 
 def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
@@ -119,6 +172,25 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
                 f"{type(barostats(system)[0]).__name__} moves each of them separately. Join them by "
                 "prepare_system(system, bodies) before the Context is made; or remove the barostat, and give the "
                 "integrator pressure=…"
+            )
+
+
+def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
+    """Refuse an AndersenThermostat beside bodies that constraints do not hold.
+
+    Raises:
+        openmm.OpenMMException: the System has one, and there is such a body.
+    """
+    if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
+        return
+    constraints = tables.constraints(system)
+    for species in bodies.species:
+        is_held = constraints.hold(species.atoms)
+        if not is_held.all():
+            raise openmm.OpenMMException(
+                "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
+                f"constraints do not join all atoms of {bodies.describe_atoms(species.atoms[np.argmin(is_held)])}. "
+                "Remove the AndersenThermostat and use SIERLangevinIntegrator"
             )
 
 

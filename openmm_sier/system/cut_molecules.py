@@ -213,23 +213,24 @@ class Wholeness:
         x = joined_by(bonds, positions, self.box)
         return _gathered(clusters, joined(len(x), self.bonds.pairs), x, self.box)
 
-    def refuse_cut(self, positions: np.ndarray, clusters: np.ndarray, describe: Callable[[Any], str]) -> None:
+    def refuse_cut(self, positions: np.ndarray, kinds: Sequence[np.ndarray], describe: Callable[[Any], str]) -> None:
         """Refuse positions at which a body is not whole, since they would become its shape.
 
         Args:
             positions: (N, 3), nm.
-            clusters: particle indices of each body, (m, k).
+            kinds: particle indices of the bodies of each kind, (m, k).
             describe: names particle indices in messages.
 
         Raises:
             RigidityError: the boundary cuts a body, or a bond within it is broken.
         """
-        whole = self.whole(positions, clusters)
-        displacements = np.ptp((whole - positions)[clusters], axis=1).max(axis=1)
-        if not displacements.any():
-            refuse_broken(self._within(clusters), positions, None, self._topology)
+        whole = self.whole(positions, [cluster for clusters in kinds for cluster in clusters])
+        shifts = whole - positions
+        cut = next((clusters for clusters in kinds if np.ptp(shifts[clusters], axis=1).any()), None)
+        if cut is None:
+            refuse_broken(self._within(kinds), positions, None, self._topology)
             return
-        worst = clusters[displacements.argmax()]
+        worst = cut[np.ptp(shifts[cut], axis=1).max(axis=1).argmax()]
         extent, whole_extent = (float(np.linalg.norm(np.ptp(x[worst], axis=0))) for x in (positions, whole))
         raise RigidityError(
             f"the periodic boundary cuts {describe(worst)}: it extends over {extent:.3g} nm at these positions, but "
@@ -237,10 +238,12 @@ class Wholeness:
             "bodies)"
         )
 
-    def _within(self, clusters: np.ndarray) -> Bonds:
+    def _within(self, kinds: Sequence[np.ndarray]) -> Bonds:
         """Return the bonds within bodies whose length the System has."""
-        owner = np.full(self._particles, -1)
-        owner[clusters] = np.arange(len(clusters))[:, None]
+        owner, number = np.full(self._particles, -1), 0
+        for clusters in kinds:
+            owner[clusters] = np.arange(number, number + len(clusters))[:, None]
+            number += len(clusters)
         ends = owner[self.bonds.pairs]
         return self.bonds.selected((ends[:, 0] == ends[:, 1]) & (ends[:, 0] >= 0) & ~np.isnan(self.bonds.lengths))
 
@@ -260,6 +263,9 @@ def _gathered(
         RigidityError: a cluster has moved, and is longer than half the box.
     """
     x, fragment, inverse = positions.copy(), fragment.copy(), np.linalg.inv(box)
+    order = np.argsort(fragment, kind="stable")
+    present, starts = np.unique(fragment[order], return_index=True)
+    members = dict(zip(present.tolist(), np.split(order, starts[1:]), strict=True))
     for cluster in clusters:
         atoms = np.asarray(cluster)
         numbers, first = np.unique(fragment[atoms], return_index=True)
@@ -269,14 +275,17 @@ def _gathered(
         shifts = wrapped(arms, box, np.round) - arms
         for number, shift in zip(numbers.tolist(), shifts, strict=True):
             if shift.any():
-                x[fragment == number] += shift
+                x[members[number]] += shift
         if shifts.any() and np.ptp(x[atoms] @ inverse, axis=0).max() >= 0.5:
             raise RigidityError(
                 f"the body of atoms {as_ranges(atoms)} is longer than half the box, and no bonds join its atoms, so "
-                "that nobody knows whether the periodic boundary cuts it: join them by bonds (HarmonicBondForce)"
+                "that nobody knows whether the periodic boundary cuts it: join them by a HarmonicBondForce with a "
+                "strength above 0, which does no work in a rigid body"
             )
         # Bodies that share a fragment move together from here on.
-        fragment[np.isin(fragment, numbers)] = numbers[0]
+        together = np.concatenate([members.pop(number) for number in numbers.tolist()])
+        members[int(numbers[0])] = together
+        fragment[together] = numbers[0]
     return x
 
 

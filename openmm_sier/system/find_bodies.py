@@ -8,16 +8,25 @@ from itertools import chain, combinations
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
-from openmm_sier.system.arguments import Positions, checked_clusters, checked_positions, checked_system
+from openmm_sier.system.arguments import (
+    Positions,
+    Quantity,
+    checked_clusters,
+    checked_positions,
+    checked_system,
+    quantity_to_float,
+)
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Kind, Lengths
 from openmm_sier.system.links import Links, joins_a_body, linked
+from openmm_sier.system.user_warnings import warn
 
 #: Values of the argument `rigid`.
 Rigid = Sequence[Sequence[int]] | None
@@ -44,6 +53,7 @@ class RigidBodies(dynamics.BodySet):
         topology: openmm.app.Topology | None = None,
         rigid: Rigid = None,
         positions: Positions | None = None,
+        tolerance: Quantity | None = None,
     ) -> RigidBodies:
         """Find the bodies of a System.
 
@@ -55,8 +65,9 @@ class RigidBodies(dynamics.BodySet):
         >>> named = RigidBodies.from_system(system, topology, [[0, 1, 2, 3, 4, 5]], positions)
         >>> integrator = SIERIntegrator(4*femtoseconds, bodies=named)
 
-        Molecules of one kind whose lengths or positions differ slightly, as they do in a PDB file, share the average
-        geometry.
+        Bodies of the same masses that differ only by the rounding of a PDB file share their mean geometry; all others
+        keep their own, and mirror images are different. `print(bodies)` shows the number of kinds, and by how much an
+        atom was moved.
 
         Args:
             system: the System.
@@ -64,18 +75,22 @@ class RigidBodies(dynamics.BodySet):
             rigid: lists of particle indices, as returned by `select_bodies`, of rigid bodies in addition to those
                 defined by constraints.
             positions: (N, 3), nm or a Quantity, with the shapes of the bodies in `rigid`.
+            tolerance: distance by which each atom may be moved so that bodies share a geometry, a quantity or a number
+                in nm; 0 gives each body its own. None takes 0.0002 nm, the rounding of PDB files, and warns of bodies
+                that probably are of one kind. Positions from a GRO file need 0.002 nm, molecules with thermal motion
+                0.01 nm.
 
         Raises:
             RigidityError: constraint lengths contradict each other, a constraint joins a body to another particle, a
                 body contains a massless particle that is not a virtual site, required positions are missing, or the
                 periodic boundary cuts a body that takes its shape from the positions.
-            ValueError: `rigid` names nonexistent particles, or a particle twice; it has an empty list; or positions
-                have the wrong shape.
+            ValueError: `rigid` names nonexistent particles, or a particle twice; it has an empty list; positions
+                have the wrong shape; or `tolerance` is negative.
             TypeError: `system` is not an openmm.System, or `rigid` contains anything but lists of particle indices.
         """
         n = checked_system(system).getNumParticles()
         coordinates = None if positions is None else checked_positions(positions, n)
-        return BodyPlan(system, topology, rigid).bodies(coordinates)
+        return BodyPlan(system, topology, rigid, tolerance).bodies(coordinates)
 
 
 class BodyPlan:
@@ -87,7 +102,15 @@ class BodyPlan:
         kinds: the kinds of body.
     """
 
-    def __init__(self, system: openmm.System, topology: openmm.app.Topology | None = None, rigid: Rigid = None):
+    def __init__(
+        self,
+        system: openmm.System,
+        topology: openmm.app.Topology | None = None,
+        rigid: Rigid = None,
+        tolerance: Quantity | None = None,
+    ):
+        self._warns = tolerance is None
+        self._tolerance = geometries.TOLERANCE if tolerance is None else _checked_tolerance(tolerance)
         n = system.getNumParticles()
         self._labels = None if topology is None else _residue_labels(topology, n)
         self._n = n
@@ -96,7 +119,8 @@ class BodyPlan:
         self._links = Links(system)
         lengths = self._links.constraints.by_pair()
         named = self._checked(rigid, system)
-        self.kinds = geometries.kinds(self._clusters(named, lengths), self._masses.tolist(), self._describe)
+        clusters = self._clusters(named, lengths)
+        self.kinds = geometries.kinds(clusters, self._masses.tolist(), self._describe, self._tolerance)
         self._wholeness = Wholeness(system, topology) if self.needs_positions else None
 
     @property
@@ -127,16 +151,20 @@ class BodyPlan:
                 )
             positions = np.empty((0, 3))
         species: list[Species] = []
+        moved = [kind.moved for kind in self.kinds]
+        self._refuse_unusable([kind.clusters for kind in self.kinds if kind.needs_positions], positions)
         for kind in self.kinds:
-            if kind.needs_positions:
-                self._refuse_unusable(kind, positions)
             if kind.model is None:
-                species += geometries.from_positions(kind, positions, self._describe)
+                shaped = geometries.from_positions(kind, positions, self._tolerance, self._describe)
+                species += [model for model, _ in shaped]
+                moved += [distance for _, distance in shaped]
+                if len(shaped) > 1 and self._warns:
+                    self._warn_if_one_is_meant(kind, len(shaped), positions)
             elif kind.needs_positions:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        return self._links.link(RigidBodies(species, self._n, self._labels))
+        return self._links.link(RigidBodies(species, self._n, self._labels, moved=max(moved, default=0.0)))
 
     # --- which particles ---
 
@@ -155,7 +183,8 @@ class BodyPlan:
             if without:
                 raise RigidityError(
                     f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
-                    "mass, or leave it out of the body; or freeze all atoms of the body"
+                    "mass, and the body the total mass and moments that it should have by set_inertia; make it a "
+                    "virtual site of the others; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
@@ -186,13 +215,23 @@ class BodyPlan:
         for atom in np.flatnonzero(free).tolist():
             yield (atom,), {}
 
-    def _refuse_unusable(self, kind: Kind, positions: np.ndarray) -> None:
-        """Refuse positions that give no shape."""
-        for cluster in kind.clusters:
+    def _warn_if_one_is_meant(self, kind: Kind, number: int, positions: np.ndarray) -> None:
+        """Warn about shapes that differ so little that they may be one with thermal motion, or from a GRO file."""
+        largest = geometries.differences(kind, positions).max()
+        if largest <= geometries.THERMAL:
+            warn(
+                f"{len(kind.clusters)} bodies like {self._describe(kind.clusters[0])} have {number} shapes, which "
+                f"differ by at most {largest:.2g} nm. If they are one shape, rounded in a GRO file or with thermal "
+                "motion, give RigidBodies.from_system(…, tolerance=0.002) or 0.01; if not, tolerance=0"
+            )
+
+    def _refuse_unusable(self, kinds: list[np.ndarray], positions: np.ndarray) -> None:
+        """Refuse positions that give bodies, (m, k) particles of each kind, no shape."""
+        for cluster in (cluster for clusters in kinds for cluster in clusters):
             if not np.isfinite(positions[cluster]).all():
                 raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
         if self._wholeness is not None:
-            self._wholeness.refuse_cut(positions, kind.clusters, self._describe)
+            self._wholeness.refuse_cut(positions, kinds, self._describe)
 
 
 def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamics.BodySet:
@@ -203,6 +242,19 @@ def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamic
         RigidityError: see `RigidBodies.from_system` and `linked`.
     """
     return BodyPlan(system).bodies() if bodies is None else linked(system, bodies)
+
+
+def _checked_tolerance(tolerance: Quantity) -> float:
+    """Return a tolerance in nm, not below rounding.
+
+    Raises:
+        ValueError: it is negative.
+        TypeError: it is not a length.
+    """
+    distance = quantity_to_float("tolerance", tolerance, unit.nanometer, "nm")
+    if distance < 0:
+        raise ValueError(f"tolerance must not be negative, got {distance:g} nm")
+    return max(distance, geometries.ROUNDING)
 
 
 def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str]:

@@ -1,10 +1,10 @@
 """Geometries of rigid bodies, from constraint lengths or atom positions.
 
-All bodies of one kind share a geometry: each kind adds some 25 us to a step, and rounded lengths or positions from a
-PDB file would make every molecule a kind of its own.
+Bodies share a geometry if theirs are equal up to rounding: otherwise every molecule of a PDB file would be a kind of
+its own. Mirror images are different kinds.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,18 +15,24 @@ from openmm_sier.dynamics.species import Species
 #: Largest error of a constraint in the geometry defined by all constraints of a cluster, nm.
 EMBEDDING_TOLERANCE = 1e-4
 
-#: Distance in nm within which the atoms of a body lie on a line or plane; PDB files round to 1e-4 nm.
+#: Largest distance in nm within which the atoms of a body are moved onto a line or plane: lengths that are rounded to
+#: 1e-6 nm bend a line of 0.2 nm by 3e-4 nm.
 RESOLUTION = 5e-4
 
-#: Difference in nm up to which lengths of two molecules count as one length rounded by a PDB file. Rounding changes
-#: each coordinate by up to 5e-5 nm, and so a length by up to sqrt(3) 1e-4 nm. Bonds of different types in a force field
-#: differ by 1e-3 nm.
-LENGTH_TOLERANCE = 3.5e-4
+#: Largest distance in nm by which an atom is moved so that bodies share a geometry, unless users choose. A PDB file
+#: rounds coordinates by up to 5e-5 nm and moves atoms by up to 0.87e-4 nm; a fit to the rounded positions adds at most
+#: as much. A GRO file rounds ten times as much: it needs 2e-3 nm, by which users may mean two sizes.
+TOLERANCE = 2e-4
 
-#: Distance in nm of atoms from a geometry up to which named bodies with the same masses share it. Minimized or thermal
-#: molecules of one conformation do: a deviation of a bond angle by 4 degrees moves a hydrogen by 0.007 nm. A deviation
-#: of a torsion by 10 degrees moves one by 0.017 nm and makes another geometry.
-SHARING_TOLERANCE = 0.01
+#: Distance in nm within which users probably mean one geometry: a deviation of a bond angle by 4 degrees moves a
+#: hydrogen by 0.007 nm, one of a torsion by 10 degrees by 0.017 nm.
+THERMAL = 0.01
+
+#: Rounding of geometries in double precision, nm: the least tolerance.
+ROUNDING = 1e-9
+
+#: Number of atoms whose distances from the centre of mass are compared first.
+MOST_RADII = 6
 
 Cluster = tuple[int, ...]
 
@@ -42,6 +48,7 @@ class Kind(NamedTuple):
         clusters: particle indices of each body, (m, k).
         pairs: constrained pairs of atoms, by their indices in the cluster.
         lengths: lengths of the pairs, nm; means over the clusters.
+        moved: largest difference of a length from its mean, nm.
         model: the bodies with the geometry defined by constraints; None if constraints do not define one.
     """
 
@@ -49,6 +56,7 @@ class Kind(NamedTuple):
     clusters: np.ndarray
     pairs: tuple[tuple[int, int], ...]
     lengths: np.ndarray
+    moved: float = 0.0
     model: Species | None = None
 
     @property
@@ -57,13 +65,16 @@ class Kind(NamedTuple):
         return self.model is None or bool(self.model.sites.any(axis=1).all())
 
 
-def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable) -> list[Kind]:
+def kinds(
+    clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable, tolerance: float
+) -> list[Kind]:
     """Sort clusters of particles into kinds, in the order of their first clusters.
 
     Args:
         clusters: particle indices, and the constraints between them.
         masses: masses of all particles, dalton.
         describe: names particle indices in messages.
+        tolerance: distance in nm by which each atom may move, so that twice as much is added to a length.
 
     Raises:
         RigidityError: constraint lengths contradict each other.
@@ -78,16 +89,43 @@ def kinds(clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], 
         rows.append([length for _, _, length in numbered])
     sorted_kinds = []
     for (kind_masses, pairs), (same, lists) in members.items():
-        clusters_left, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
-        while len(clusters_left):
-            near = np.abs(table - table[0]).max(axis=1, initial=0.0) <= LENGTH_TOLERANCE
+        alike, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
+        for near in _near(table, 2 * tolerance):
+            lengths, first = table[near], table[near[0]]
             # The mean of equal lengths may differ from them by rounding.
-            mean = table[0] if (table[near] == table[0]).all() else table[near].mean(axis=0)
-            kind = Kind(np.array(kind_masses), clusters_left[near], pairs, mean)
+            mean = first if (lengths == first).all() else lengths.mean(axis=0)
+            moved = float(np.abs(lengths - mean).max(initial=0.0))
+            kind = Kind(np.array(kind_masses), alike[near], pairs, mean, moved)
             complete = len(pairs) == len(kind_masses) * (len(kind_masses) - 1) // 2
             sorted_kinds.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
-            clusters_left, table = clusters_left[~near], table[~near]
     return sorted_kinds
+
+
+def _near(table: np.ndarray, distance: float, choose: Callable | None = None) -> Iterator[np.ndarray]:
+    """Divide bodies into groups, each around the first body that is left; yield ascending indices.
+
+    Args:
+        table: numbers that describe each body, (m, d).
+        distance: largest difference of each number from that of the first body of the group.
+        choose: returns the group, for the index of the first body and those of bodies near it; None takes all of these.
+    """
+    left, everything = np.ones(len(table), dtype=bool), np.arange(len(table))
+    if (np.abs(table - table[0]) <= distance).all():
+        neighbours = None
+    else:
+        from scipy.spatial import KDTree
+
+        neighbours = KDTree(table)
+    for first in everything.tolist():
+        if not left[first]:
+            continue
+        near = everything
+        if neighbours is not None:
+            near = np.sort(neighbours.query_ball_point(table[first], distance, p=np.inf))
+        near = near[left[near]]
+        group = near if choose is None else choose(first, near)
+        left[group] = False
+        yield group
 
 
 # --- from constraints -------------------------------------------------------------------------------------------------
@@ -136,45 +174,80 @@ def by_handedness(model: Species, positions: np.ndarray) -> list[Species]:
 # --- from positions ---------------------------------------------------------------------------------------------------
 
 
-def from_positions(kind: Kind, positions: np.ndarray, describe: Callable) -> list[Species]:
-    """Return bodies with geometries from positions (N, 3) in nm, as few geometries as `SHARING_TOLERANCE` allows.
+def from_positions(
+    kind: Kind, positions: np.ndarray, tolerance: float, describe: Callable
+) -> list[tuple[Species, float]]:
+    """Return bodies with geometries from positions, and the largest distance in nm of an atom from its site.
 
     A geometry is the mean over the superimposed bodies that share it, and satisfies their constraints.
+
+    Args:
+        kind: the bodies.
+        positions: (N, 3), nm.
+        tolerance: largest distance in nm of an atom from the mean, before constraints move it.
+        describe: names particle indices in messages.
 
     Raises:
         RigidityError: constraints inside a body contradict each other.
     """
-    species, clusters = [], kind.clusters
-    while len(clusters):
-        arms = _arms(kind.masses, positions[clusters])
-        model, near = _superimposed(kind, arms, describe)
-        species.append(model.of_atoms(clusters[near]))
-        clusters = clusters[~near]
+    arms = _arms(kind.masses, positions[kind.clusters])
+    radii = np.linalg.norm(arms, axis=2)
+    # A few radii tell most geometries apart, and a tree of many dimensions is slow.
+    chosen = np.unique(np.linspace(0, radii.shape[1] - 1, MOST_RADII).astype(int))
+    table = np.column_stack([radii[:, chosen], radii.mean(axis=1)])
+    species = []
+    for group in _near(table, 2 * tolerance, lambda first, near: _alike(kind, arms, first, near, tolerance)):
+        shape, excess = _constrained(_mean(kind, arms, group), kind)
+        if excess > EMBEDDING_TOLERANCE:
+            raise RigidityError(
+                f"the constraints inside {describe(kind.clusters[group[0]])} contradict each other: the geometry "
+                f"nearest to the positions misses their lengths by {excess:.4f} nm. Correct the lengths, or remove "
+                "some of the constraints"
+            )
+        flat = min(tolerance, RESOLUTION)
+        model = Species.from_coordinates(kind.clusters[group], kind.masses, shape, flat)
+        species.append((model, float(model.fit(arms[group])[1].max())))
     return species
 
 
-def _superimposed(kind: Kind, arms: np.ndarray, describe: Callable) -> tuple[Species, np.ndarray]:
-    """Return the mean geometry around the first body, and which bodies share it, (m,)."""
-    shape = arms[0]
-    # The first body may be as far from the mean as any other, so bodies near the mean need not be near the first.
-    # Superposing bodies on a mean again changes it only in second order of their deviations.
-    for _ in range(3):
-        shape, excess = _constrained(shape, kind)
-        if excess > EMBEDDING_TOLERANCE:
-            raise RigidityError(
-                f"the constraints inside {describe(kind.clusters[0])} contradict each other: the geometry nearest to "
-                f"the positions misses their lengths by {excess:.4f} nm. Correct the lengths, or remove some of the "
-                "constraints"
-            )
-        model = Species.from_coordinates(kind.clusters, kind.masses, shape, resolution=RESOLUTION)
-        attitudes, misfit = model.fit(arms)
-        near = misfit <= SHARING_TOLERANCE
-        # The first body always shares the geometry, even if constraints move the model away from it.
-        near[0] = True
-        if near.sum() == 1:
-            break
-        shape = np.einsum("axm,mkx->ka", attitudes[:, :, near], arms[near]) / near.sum()
-    return model, near
+def differences(kind: Kind, positions: np.ndarray) -> np.ndarray:
+    """Return the largest distance of an atom of each body from its place in the first body, (m,), nm."""
+    arms = _arms(kind.masses, positions[kind.clusters])
+    return _placed(kind, arms[0], arms)[1]
+
+
+def _alike(kind: Kind, arms: np.ndarray, first: int, near: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return the indices of the bodies near the first one that share a geometry with it, ascending.
+
+    Args:
+        kind: the bodies.
+        arms: atom positions from the centres of mass, (m, k, 3), nm.
+        first: index of the first body.
+        near: indices of the bodies that may be alike, ascending, with the first one.
+        tolerance: largest distance of an atom from its place in the mean, nm.
+    """
+    if len(near) == 1:
+        return near
+    # The first body may be as far from the mean as any other.
+    _, misfit = _placed(kind, arms[first], arms[near])
+    group = near[misfit <= 2 * tolerance]
+    for _ in range(2):
+        _, misfit = _placed(kind, _mean(kind, arms, group), arms[near])
+        if not misfit[near == first] <= tolerance:
+            return np.array([first])
+        group = near[misfit <= tolerance]
+    return group
+
+
+def _mean(kind: Kind, arms: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the mean (k, 3) of the superimposed bodies of a group in nm, in any frame."""
+    attitudes, _ = _placed(kind, arms[group[0]], arms[group])
+    return np.einsum("axm,mkx->ka", attitudes, arms[group]) / len(group)
+
+
+def _placed(kind: Kind, shape: np.ndarray, arms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return attitudes of bodies with a shape (k, 3), and the largest distance of their atoms from their places."""
+    return Species.from_coordinates(kind.clusters, kind.masses, shape).fit(arms)
 
 
 def _constrained(shape: np.ndarray, kind: Kind) -> tuple[np.ndarray, float]:

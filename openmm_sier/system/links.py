@@ -35,6 +35,7 @@ class Links:
     """
 
     def __init__(self, system: openmm.System):
+        self._system = system
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
         forces = [entry.force for entry in all_forces(system)]
@@ -59,10 +60,11 @@ class Links:
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
     def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
-        """Return whether a bond joins each cluster of particles to a particle outside."""
+        """Return whether a bond joins each cluster of particles to a particle outside; its own sites are inside."""
         owner = np.full(self.n_particles, -1)
         for number, cluster in enumerate(clusters):
             owner[list(cluster)] = number
+        owner = tables.with_sites(self._system, owner)
         ends = owner[np.concatenate([self.bonds, self.terms])]
         leaving = np.zeros(len(clusters) + 1, dtype=bool)
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
@@ -85,7 +87,7 @@ class Links:
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
         links = ends[between], lengths[between]
-        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules)
+        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules, bodies.moved)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:

@@ -21,6 +21,23 @@ def second_context(context: openmm.Context, system: openmm.System) -> openmm.Con
     return second
 
 
+def cloned(system: openmm.System) -> openmm.System:
+    """Return a copy of a System.
+
+    Raises:
+        openmm.OpenMMException: OpenMM cannot copy one of its Forces.
+    """
+    try:
+        return openmm.XmlSerializer.clone(system)
+    except openmm.OpenMMException as error:
+        remedy = (
+            ". A PythonForce is copied by pickle: give it a function that `def` defines at the top level of a module, "
+            "in place of a lambda or a nested function"
+        )
+        is_pickle = "pickle" in str(error)
+        raise openmm.OpenMMException(f"the System cannot be copied: {error}{remedy if is_pickle else ''}") from None
+
+
 def reference_context(system: openmm.System) -> openmm.Context:
     """Return a Context of a System on the Reference platform, for double precision."""
     reference = openmm.Platform.getPlatformByName("Reference")
@@ -45,7 +62,7 @@ def _without_baths(system: openmm.System) -> openmm.System:
     """Return a System without Forces that set a temperature or a pressure: itself, or a copy."""
     if not any(kind_of(force).sets for force in system.getForces()):
         return system
-    copied = openmm.XmlSerializer.clone(system)
+    copied = cloned(system)
     for number in reversed(range(copied.getNumForces())):
         if kind_of(copied.getForce(number)).sets:
             copied.removeForce(number)

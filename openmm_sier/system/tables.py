@@ -31,12 +31,23 @@ class Constraints(NamedTuple):
         """Return a mapping from pairs of particles, the smaller first, to lengths in nm."""
         return dict(zip(map(tuple, self.pairs.tolist()), self.lengths.tolist(), strict=True))
 
-    def hold(self, clusters: np.ndarray) -> np.ndarray:
-        """Return whether every distance within each cluster of particles, (m, k), is constrained, (m,)."""
+    def lengths_of(self, pairs: np.ndarray) -> np.ndarray:
+        """Return the constrained distance of each pair of particles, (m, 2), in nm, (m,); NaN without a constraint."""
+        if not len(self.pairs):
+            return np.full(len(pairs), np.nan)
+        base = int(max(self.pairs.max(), pairs.max(initial=0))) + 1
+        numbers, wanted = self.pairs @ [base, 1], np.sort(pairs, axis=1) @ [base, 1]
+        order = np.argsort(numbers)
+        places = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
+        return np.where(numbers[places] == wanted, self.lengths[places], np.nan)
+
+    def hold(self, kinds: Iterable[np.ndarray]) -> list[np.ndarray]:
+        """Return whether every distance within each cluster of particles is constrained, (m,), for kinds of (m, k)."""
         constrained = self.by_pair()
-        return np.array(
-            [all(pair in constrained for pair in combinations(sorted(row), 2)) for row in clusters.tolist()], bool
-        )
+        return [
+            np.array([all(pair in constrained for pair in combinations(sorted(row), 2)) for row in kind.tolist()], bool)
+            for kind in kinds
+        ]
 
 
 #: Maximum mass of a hydrogen, also after mass repartitioning, dalton.
@@ -129,3 +140,35 @@ def constraints(system: openmm.System) -> Constraints:
 def frozen_atoms(system: openmm.System) -> np.ndarray:
     """Return massless particles that are not virtual sites, (f,): they exert forces but do not move."""
     return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)
+
+
+@_once
+def rigid_sites(system: openmm.System) -> dict[int, list[int]]:
+    """Return the particles that place each virtual site; without sites that depend on the box too."""
+    massless = np.flatnonzero(masses(system) == 0).tolist()
+    sites = {i: system.getVirtualSite(i) for i in massless if system.isVirtualSite(i)}
+    return {
+        i: [site.getParticle(k) for k in range(site.getNumParticles())]
+        for i, site in sites.items()
+        if not isinstance(site, openmm.SymmetrySite)
+    }
+
+
+def with_sites(system: openmm.System, owner: np.ndarray) -> np.ndarray:
+    """Return the body of each particle, (N,), where a virtual site placed by particles of one body belongs to it.
+
+    Args:
+        system: openmm.System.
+        owner: body index of each particle, (N,); -1 without a body.
+    """
+    extended, sites = owner.copy(), rigid_sites(system)
+    # Sites may be placed by other sites, which follow or precede them.
+    changed = bool(sites)
+    while changed:
+        changed = False
+        for site, particles in sites.items():
+            owners = {int(extended[i]) for i in particles}
+            if extended[site] < 0 and len(owners) == 1 and -1 not in owners:
+                extended[site] = owners.pop()
+                changed = True
+    return extended

@@ -1,6 +1,7 @@
 """Read files from untrusted sources: only regular files, and no XML that could execute code."""
 
 import errno
+import math
 import os
 import stat
 from typing import IO, BinaryIO
@@ -11,18 +12,27 @@ import openmm
 
 from openmm_sier.system.forces import FORCES
 
-#: Values of the attribute `type` in XML for which OpenMM creates objects that neither execute code nor open files,
-#: unlike PythonForce, and Forces of plugins such as TorchForce.
-DATA = {
-    *(force.__name__ for force, kind in FORCES.items() if kind.is_data),
-    *(f"{kind}{dimensions}DFunction" for kind in ("Continuous", "Discrete") for dimensions in (1, 2, 3)),
+#: Classes of objects that OpenMM creates by the attribute `type`, by the tags of their elements. They neither execute
+#: code nor open files, unlike PythonForce, and Forces of plugins such as TorchForce.
+CLASSES = {
+    "Force": {force.__name__ for force, kind in FORCES.items() if kind.is_data},
+    "Function": {f"{kind}{dimensions}DFunction" for kind in ("Continuous", "Discrete") for dimensions in (1, 2, 3)},
 }
+
+#: Element whose children are functions, and nothing else.
+FUNCTIONS = "Functions"
+
+#: Values of `type` that are not classes, except numbers: displacements of an ATMForce.
+DISPLACEMENTS = {"fixed", "offset"}
+
+#: Attributes of a State that are not numbers.
+TEXTS = {"type", "openmmVersion"}
 
 #: Quotes that end values of attributes.
 QUOTES = {'"': "&quot;"}
 
-#: Values of `type` that are not classes: displacements of an ATMForce.
-DISPLACEMENTS = {"fixed", "offset"}
+#: Maximum depth of nested elements, which OpenMM reads by recursion; a Force within a Force is three deeper.
+DEEPEST = 100
 
 #: Maximum number of bytes of a State, in total and per particle; a State of a run has some 500 per particle.
 STATE_BYTES, PARTICLE_BYTES = 2**17, 2**12
@@ -80,7 +90,8 @@ def read_state(stream: IO[bytes], particles: int | None = None) -> openmm.State:
         particles: number of particles, which bounds the length; None if unknown.
 
     Raises:
-        ContentError: the stream is not a State, or longer than a State of these particles can be.
+        ContentError: the stream is not a State, has numbers that are not finite, or is longer than a State of these
+            particles can be.
         openmm.OpenMMException: OpenMM cannot read it.
     """
     content = stream.read() if particles is None else read_within(stream, STATE_BYTES + PARTICLE_BYTES * particles)
@@ -91,37 +102,72 @@ def _checked_xml(kind: str, content: bytes) -> str:
     """Return XML for OpenMM, with the elements and attributes that a strict parser reads.
 
     OpenMM's parser reads elements inside comments, and OpenMM creates objects by the attribute `type`, whatever the
-    tag. So OpenMM receives only checked elements and attributes.
+    tag, and uses a function as a Force. So OpenMM receives only checked elements and attributes.
 
     Args:
         kind: of the object, "System" or "State".
         content: the XML.
 
     Raises:
-        ContentError: the content is not such an object, or could execute code.
+        ContentError: the content is not such an object, could execute code, or has numbers that are not finite.
     """
     pieces: list[str] = []
+    opened: list[str] = []
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         created = attributes.get("type")
-        if not pieces and (tag, created) != (kind, kind):
+        if not opened and (tag, created) != (kind, kind):
             raise ContentError(f"expected a {kind}, got {tag[:40]!r} of the type {str(created)[:40]!r}")
-        if pieces and created is not None and created not in DATA and created not in DISPLACEMENTS:
-            raise ContentError(
-                f"it has a {created[:40]!r}, which is not read from files, since such an object may execute code. "
-                "Create the System in a script, and simulate it there"
-            )
+        if opened and created is not None:
+            _check_type(created, tag, opened[-1])
+        if len(opened) == DEEPEST:
+            raise ContentError(f"it has more than {DEEPEST} elements within each other")
+        if kind == "State" and not all(_is_finite(value) for name, value in attributes.items() if name not in TEXTS):
+            raise ContentError("it has numbers that are not finite")
+        opened.append(tag)
         pieces.extend((f"<{tag}", *(f' {name}="{escape(value, QUOTES)}"' for name, value in attributes.items()), ">"))
+
+    def end(tag: str) -> None:
+        opened.pop()
+        pieces.append(f"</{tag}>")
 
     def refuse_doctype(*_: object) -> None:
         raise ContentError("it has a document type (DOCTYPE), which OpenMM never writes")
 
     parser = expat.ParserCreate("utf-8")
     parser.StartElementHandler = begin
-    parser.EndElementHandler = lambda tag: pieces.append(f"</{tag}>")
+    parser.EndElementHandler = end
     parser.StartDoctypeDeclHandler = refuse_doctype
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
         raise ContentError(f"it is not XML: {error}") from None
     return "".join(pieces)
+
+
+def _check_type(created: str, tag: str, parent: str) -> None:
+    """Refuse an element of which OpenMM would create an object that executes code, or one in place of another.
+
+    Args:
+        created: its attribute `type`.
+        tag, parent: its tag, and that of the element in which it is.
+    """
+    if tag in CLASSES and (tag == "Function") == (parent == FUNCTIONS) and created in CLASSES[tag]:
+        return
+    if tag not in CLASSES and (created in DISPLACEMENTS or _is_finite(created)):
+        return
+    if any(created in classes for classes in CLASSES.values()):
+        place = f"as a {tag[:40]!r} in {parent[:40]!r}"
+        raise ContentError(f"it has a {created} {place}, where OpenMM expects another object")
+    raise ContentError(
+        f"it has a {created[:40]!r}, which is not read from files, since such an object may execute code. Create the "
+        "System in a script, and simulate it there"
+    )
+
+
+def _is_finite(text: str) -> bool:
+    """Return whether a text is a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

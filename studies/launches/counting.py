@@ -115,7 +115,7 @@ def measure(box: str, name: str, precision: str, seed: int) -> dict[str, Any]:
     step(FIRST)
     if name == "hmc":
         # It reads velocities now and then, where a trial reads none.
-        context.getIntegrator().impl.watch.look = lambda *_: None
+        context.getIntegrator().impl.session.watch.look = lambda *_: None
 
     def calls(steps: int, number: int) -> tuple[dict[str, float], float]:
         times: list[float] = []

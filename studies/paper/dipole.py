@@ -162,7 +162,7 @@ def _spreads(method: OwnMethod, force_step_fs: float, settings: DipoleSettings) 
     state = tip4p.canonical_rotation(bodies, settings.temperature, np.random.default_rng(settings.seed))
     field = Field(settings.dipole * settings.field * DEBYE_MV_PER_M, tip4p.dipole_direction(bodies))
     h = force_step_fs * method.forces * FS
-    flows = operators.body_operators(bodies, operators.CachedForces(field.forces), method.rotation)
+    flows = operators.body_operators(bodies, field.forces, method.rotation)
     step = operators.stepper(method.scheme, flows, h)
 
     def observe(state: BodyState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

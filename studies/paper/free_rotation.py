@@ -24,7 +24,7 @@ import pandas as pd
 from openmm_sier.analysis.statistics import Estimate, jackknife
 from openmm_sier.dynamics import operators, rotation
 from openmm_sier.dynamics.bodies import BodySet, BodyState
-from openmm_sier.dynamics.stages import DRIFT, KICK
+from openmm_sier.dynamics.plan import Drift, Kick
 from openmm_sier.dynamics.vectors import body_frame
 from studies import text
 from studies.methods import PAPER, OwnMethod
@@ -114,7 +114,8 @@ def _curve(method: OwnMethod, step_fs: float, settings: FreeRotationSettings) ->
     bodies, start = _start(settings.exact_bodies if exact else settings.bodies, settings)
     h = step_fs * FS
     marks = _marks(round(settings.span / h), settings.marks_per_decade)
-    flows = {KICK: lambda state, _: state, DRIFT: operators.drift(bodies, method.rotation)}
+    drift = operators.drift(bodies, method.rotation)
+    flows = {Kick: operators.always(lambda state, _: state), Drift: operators.always(drift)}
     step = operators.stepper(method.scheme, flows, h)
     judge = _squares_beyond_double if exact else _squares
     state, squares = start, []

@@ -87,14 +87,32 @@ def test_viscosity_needs_a_run():
         transport.shear_viscosity(np.zeros((499, 6)), 0.04, 8.0, 300.0)
 
 
-def test_places_are_followed_through_faces():
+def walks(count):
+    """Paths of particles with edges of boxes that change, in which they stay wrapped; also in a constant box."""
     rng = np.random.default_rng(7)
     edges = np.array([[2.0, 2.5, 3.0]]) * (1 + 0.001 * rng.normal(size=(50, 1)))
-    true = rng.uniform(0, 2, (1, 6, 3)) + rng.normal(scale=0.2, size=(50, 6, 3)).cumsum(axis=0)
-    true -= true.mean(axis=1, keepdims=True) - true[:1].mean(axis=1, keepdims=True)
+    true = rng.uniform(0, 2, (1, count, 3)) + rng.normal(scale=0.2, size=(50, count, 3)).cumsum(axis=0)
+    return true, edges
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_places_are_followed_through_faces(count):
+    """Also that of one particle, whose motion is its own."""
+    true, edges = walks(count)
     constant = np.repeat(edges[:1], 50, axis=0)
     result = transport.unwrapped(np.mod(true, constant[:, None]), constant)
     np.testing.assert_allclose(result - result[0], true - true[0], atol=1e-12)
     # Where the box changes, each step is still the one that was made: a wrap at the new edge is undone.
     moved = transport.unwrapped(np.mod(true, edges[:, None]), edges)
     assert np.abs(moved - moved[0] - true + true[0]).max() < 0.5
+
+
+def test_the_motion_of_the_centre_of_mass_is_left_out():
+    true, edges = walks(6)
+    constant, masses = np.repeat(edges[:1], 50, axis=0), [16.0, 1.0, 1.0, 0.0, 30.0, 2.0]
+    result = transport.unwrapped(np.mod(true, constant[:, None]), constant, masses)
+    centres = np.average(true, axis=1, weights=masses)
+    np.testing.assert_allclose(result - result[0], true - true[0] - (centres - centres[0])[:, None], atol=1e-12)
+    for wrong in ([1.0], np.zeros(6)):
+        with pytest.raises(ValueError, match="masses must be those of all 6 particles, got"):
+            transport.unwrapped(true, constant, wrong)

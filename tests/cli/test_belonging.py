@@ -1,11 +1,13 @@
 """Restarts continue only files that their checkpoint belongs to, and nothing is changed where one does not."""
 
+import hashlib
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 
-from openmm_sier.cli.files.records import _fingerprint
+from openmm_sier.cli.files.outputs import Outputs
 from tests.support.commands import SMALL, complaint, contents, rewrite_notes, run, write_lattice
 
 FILES = ["--pressure-tensor", "p.csv", "--pressure-tensor-every", "0.04"]
@@ -51,38 +53,39 @@ def test_edited_log_is_refused(one, capsys, old, new):
     assert contents(Path()) == before
 
 
-#: By the notes of a checkpoint, the option that names the file, and files that are not of that kind.
-VICTIMS = [
-    ("trajectory", "out", "photo.dcd"),
-    ("log", "report", "thesis.tex"),
-    ("tensors", "pressure_tensor", "thesis.tex"),
-]
-
-
-@pytest.mark.parametrize(("name", "option", "victim"), VICTIMS)
-@pytest.mark.parametrize("size", [0, 10, 60, 2**24])
-def test_a_checkpoint_cuts_no_file_of_another_kind(one, capsys, name, option, victim, size):
-    """Not even one that fits the content of a file."""
-    path = Path(victim)
-    if not path.exists():
-        path.write_bytes(b"mine, not that of a run\n" * 1000)
-
-    def change(notes):
-        notes["plan"][option] = victim
-        notes[name] = {"size": size, "count": 0, "fingerprint": _fingerprint(path, size)}
-
-    rewrite_notes("box.chk", change)
-    before = contents(Path())
-    assert f"{victim} was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20", "--overwrite")
-    assert contents(Path()) == before
-
-
-@pytest.mark.parametrize(("name", "victim"), [("trajectory", "box.dcd"), ("log", "box.csv")])
-@pytest.mark.parametrize("size", [0, 40])
-def test_a_file_of_a_run_is_not_emptied(one, capsys, name, victim, size):
-    """The first bytes of all logs and trajectories are alike."""
-    noted = {"size": size, "count": 0, "fingerprint": _fingerprint(Path(victim), size)}
+@pytest.mark.parametrize(("name", "victim"), [("trajectory", "box.dcd"), ("log", "box.csv"), ("tensors", "p.csv")])
+def test_a_noted_size_beyond_the_file_is_refused(one, capsys, name, victim):
+    """The fingerprint of nothing fits any file there, and writing would fill the gap with zeros."""
+    noted = {"size": 2**40, "count": 0, "fingerprint": hashlib.blake2b(b"", digest_size=16).hexdigest()}
     rewrite_notes("box.chk", lambda notes: notes.update({name: noted}))
     before = contents(Path())
     assert f"{victim} was edited or replaced" in complaint(capsys, *AGAIN, "--steps", "20", "--overwrite")
     assert contents(Path()) == before
+
+
+#: What other programs do to a file that a run writes.
+CHANGES = {
+    "replaced": lambda path: (Path("other").write_bytes(path.read_bytes()), os.replace("other", path)),
+    "emptied": lambda path: path.write_bytes(b""),
+    "removed": lambda path: path.unlink(),
+    "appended to": lambda path: path.write_bytes(path.read_bytes() + b"mine"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("name", ["box.dcd", "box.csv"])
+def test_a_file_that_another_program_changes_is_not_certified(one, capsys, monkeypatch, name, change):
+    """The run ends at the next record or checkpoint, and the checkpoint stays that of the unchanged files."""
+    write, checkpoint = Outputs.write, Path("box.chk").read_bytes()
+
+    def disturbed(self, due, context, values):
+        if context.getStepCount() == 15:
+            CHANGES[change](Path(name))
+        write(self, due, context, values)
+
+    monkeypatch.setattr(Outputs, "write", disturbed)
+    message = complaint(capsys, *AGAIN, "--steps", "60")
+    said = "No such file" if change == "removed" else "another program has "
+    assert f"{name}: {said}" in message
+    assert "The last checkpoint is box.chk, of step 10" in message
+    assert Path("box.chk").read_bytes() == checkpoint

@@ -99,6 +99,20 @@ def test_one_molecule_without_a_box_tumbles_freely(capsys):
     assert rows["Total Energy (kJ/mole)"][0] > 0
 
 
+@pytest.mark.parametrize(
+    ("options", "needed"),
+    [
+        (["--ensemble", "npt"], "--ensemble npt"),
+        (["--ensemble", "hmc", "--pressure", "1"], "--pressure"),
+        (["--pressure-tensor", "p.csv"], "--pressure-tensor"),
+    ],
+)
+def test_what_needs_a_box_says_how_to_give_one(capsys, options, needed):
+    message = complaint(capsys, "run", SYSTEMS / "tip4p-1.pdb", "--platform", "Reference", *options)
+    assert f"{needed} requires a periodic box, and the input has none: give one by --edges" in message
+    assert not list(Path().iterdir())
+
+
 # --- crashes and continuations ---
 
 #: Runs the command and kills it, without warning, in the middle of a write: half of the bytes of a frame or row get

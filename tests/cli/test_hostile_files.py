@@ -285,19 +285,22 @@ def test_a_state_that_no_run_writes(here, capsys, use):
     with zipfile.ZipFile("box.chk") as archive:
         state = archive.read("state.xml").decode()
     lost = re.sub(r"<Position [^>]*/>", '<Position x="nan" y="0" z="0"/>', state, count=1)
+    never = re.sub(r" time=[^ ]*", ' time="nan"', state, count=1)
+    cold = re.sub(r" sier_heat=[^ ]*", ' sier_heat="inf"', state, count=1)
     without = re.sub("<Velocities>.*</Velocities>", "", state, flags=re.DOTALL)
-    wide, nowhere = (re.sub("<A [^>]*/>", f'<A x="{edge}" y="0" z="0"/>', state) for edge in ("1e300", "nan"))
+    wide = re.sub("<A [^>]*/>", '<A x="1e300" y="0" z="0"/>', state)
     for xml, reason in (
-        (lost, "has numbers that are not finite"),
-        (without, "lacks positions or velocities"),
-        (wide, "has a box with an edge of 1e+300 nm"),
-        (nowhere, "has a box with an edge of nan nm"),
+        (lost, "it has numbers that are not finite"),
+        (never, "it has numbers that are not finite"),
+        (cold, "it has numbers that are not finite"),
+        (without, "its State lacks positions or velocities"),
+        (wide, "its State has a box with an edge of 1e+300 nm"),
     ):
         assert xml != state
         rewrite_state("box.chk", xml)
-        assert f"box.chk is damaged, or is not a checkpoint of openmm-sier run: its State {reason}" in refused(
-            capsys, *use
-        )
+        message = refused(capsys, *use)
+        assert "not a checkpoint of openmm-sier run" in message
+        assert reason in message
 
 
 def test_a_start_in_a_box_that_is_too_small(here, capsys):

@@ -118,6 +118,10 @@ def test_a_new_file_has_the_permissions_of_others():
     Path("there").write_text("")
     records.replace(Path("made"), memoryview(b""))
     assert Path("made").stat().st_mode == Path("there").stat().st_mode
+    # Those that a user gave it stay.
+    Path("made").chmod(0o600)
+    records.replace(Path("made"), memoryview(b"new"))
+    assert stat.S_IMODE(Path("made").stat().st_mode) == 0o600
 
 
 def test_what_a_checkpoint_notes_is_on_the_disk_before_it_replaces_the_old_one(monkeypatch):
@@ -223,12 +227,15 @@ def test_letters_that_standard_output_does_not_have_are_escaped():
 
 @pytest.mark.thorough
 def test_reader_of_standard_output_that_has_gone(box):
+    """A run of days needs no reader: `openmm-sier run ... | head -1` completes."""
     reader, writer = os.pipe()
     os.close(reader)
-    command = [sys.executable, "-m", "openmm_sier.cli", "info", "box.pdb"]
+    command = [sys.executable, "-m", "openmm_sier.cli", "run", "box.pdb", *SMALL, "--steps", "2"]
     process = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=300, check=False)
     os.close(writer)
-    assert (process.returncode, process.stderr) == (1, b"")
+    assert (process.returncode, process.stderr) == (0, b"")
+    assert records.last_step(Path("box.csv")) == 0
+    assert Path("box.chk").exists()
 
 
 # --- disks that become full ---

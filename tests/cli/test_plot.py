@@ -181,6 +181,30 @@ def test_a_picture_in_the_way_is_refused(capsys):
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("ending", [".png", ".svg"])
+def test_a_run_that_continues_replaces_the_picture_of_its_log_alone(box, capsys, ending):
+    """Not that of another log, nor a photo."""
+    line = ["run", box, *SMALL, "--report-every", "0.004", "--plot", (name := f"a{ending}")]
+    run(*line, "--steps", "10")
+    own = Path(name).read_bytes()
+    run("run", box, *SMALL[-4:], "--restart", "box.chk", "--steps", "20", "--plot", name)
+    longer = Path(name).read_bytes()
+    assert own != longer
+    write_log("other.csv")
+    run("plot", "other.csv", "--out", name, "--overwrite")
+    others = Path(name).read_bytes()
+    for content in (others, b"mine"):
+        Path(name).write_bytes(content)
+        again = ["--restart", "box.chk", "--steps", "30", "--plot", name]
+        for command in (["run", box, *again], [*line, "--steps", "20", "--resume"]):
+            assert f"{name} exists: give another name, or replace it with --overwrite" in complaint(capsys, *command)
+            assert Path(name).read_bytes() == content
+    Path(name).write_bytes(own)
+    # A complete run draws its picture again.
+    run(*line, "--steps", "20", "--resume")
+    assert Path(name).read_bytes() == longer
+
+
 def test_missing_matplotlib_names_the_extra(box, capsys, monkeypatch):
     """Before a run begins, not at its end."""
     write_log("a.csv")

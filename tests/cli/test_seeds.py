@@ -152,6 +152,12 @@ def test_names_with_a_dash_are_no_options_of_a_member():
     assert line[line.index("--out") + 1] == "./-m-seed1.dcd"
 
 
+def test_each_member_has_tensors_of_its_own():
+    member = Member(7, Path("a-seed7.dcd"))
+    line = command_of(Path("w.pdb"), member, {"pressure_tensor": Path("there/p.csv")})
+    assert parse(line).carry_out.args[0].chosen()["pressure_tensor"] == Path("there/p-seed7.csv")
+
+
 def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
     """OpenMM takes another one, whose cores members share; here Reference stands for a GPU without its driver."""
     monkeypatch.setattr(choice, "EXACT_PLATFORMS", ("CPU",))
@@ -170,8 +176,7 @@ def test_each_complaint_is_reported_once():
     ("options", "message"),
     [
         (["--seeds", "1-2", "--seed", "3"], "--seed and --seeds both set seeds"),
-        (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, but each run writes a file of its own"),
-        (["--seeds", "1-2", "--pressure-tensor", "b.csv"], "--pressure-tensor names one file"),
+        (["--seeds", "1-2", "--report", "b.csv"], "--report names one file, but the logs of --seeds are named after"),
         (["--seeds", "1-2", "--restart", "a.chk"], "leave out --restart"),
         (["--seeds", "1-2", "--workers", "2", "--scheduler", "tcp://a:1"], "--workers is for this machine"),
         (["--workers", "2"], "--workers needs --seeds"),
@@ -205,6 +210,15 @@ def test_a_killed_member_is_begun_again(box, single_runs):
     assert_a_call_completes_what_is_there(box, single_runs, seeds=(1, 2))
 
 
+def test_a_picture_that_is_not_theirs_is_refused(box, capsys):
+    pytest.importorskip("matplotlib")
+    Path("a.png").write_bytes(b"mine")
+    before = contents(Path())
+    message = complaint(capsys, "run", box, "--out", "a.dcd", "--seeds", "1-2", "--steps", "1", "--plot", "a.png")
+    assert "a.png exists: give another name, or replace it with --overwrite" in message
+    assert contents(Path()) == before
+
+
 @pytest.mark.thorough
 def test_runs_that_are_complete_are_drawn(box, single_runs):
     for path in single_runs(4, (1, 2)).iterdir():
@@ -217,6 +231,9 @@ def test_runs_that_are_complete_are_drawn(box, single_runs):
     after = contents(Path())
     assert after.pop("a.png").startswith(b"\x89PNG")
     assert after == before
+    # The same command draws its own picture again.
+    code, _, err = ended(started(box, "--seeds", "1-2", "--workers", "1", *until(4), "--plot", "a.png"))
+    assert (code, err) == (0, "")
 
 
 @pytest.mark.thorough

@@ -2,12 +2,15 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from openmm_sier.analysis.statistics import Estimate, over_runs
+from openmm_sier.cli import run as run_command
+from openmm_sier.cli.logged_runs import read_run
 from openmm_sier.cli.results import Quantity
 from tests.support.commands import complaint, contents, run
 from tests.support.logs import write_log, write_notes
@@ -163,3 +166,47 @@ def test_numbers_in_the_way_are_refused(logs, capsys, name):
     assert contents(Path()) == before
     run("summary", *logs, "--json", name, "--overwrite")
     assert "means" in Path(name).read_text()
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "value", "said"),
+    [
+        ("Step", 100, 50, "in row 101, Step is not above that of the row before"),
+        ("Step", 100, 99, "in row 101, Step is not above"),
+        ("Step", 0, -50, "in row 1, Step is not above that of the row before, or negative"),
+        ("Time (ps)", 7, math.nan, "in row 8, Time (ps) is not above"),
+        ("Time (ps)", 500, math.inf, "in row 501, Time (ps) is not finite"),
+        (POTENTIAL, 3, math.nan, "in row 4, Potential Energy (kJ/mole) is not finite"),
+        (POTENTIAL, 3, 1e308, "in row 4, Potential Energy (kJ/mole) is not finite"),
+        ("Conserved Energy (kJ/mole)", 3, math.inf, "in row 4, Conserved Energy (kJ/mole) is not finite"),
+    ],
+)
+def test_rows_that_no_run_writes_are_refused(capsys, column, row, value, said):
+    def change(log):
+        log[column] = log[column].astype(float)
+        log[column][row] = value
+
+    write_log("a.csv", change=change)
+    for command in ("summary", "plot"):
+        assert f"a.csv was edited or damaged: {said}" in complaint(capsys, command, "a.csv")
+
+
+def test_the_table_of_a_run_is_of_the_part_of_its_summary(capsys):
+    """The beginning, which had not settled, is left out of both."""
+
+    def warm(log):
+        log[DENSITY] = log[DENSITY] - 0.3 * np.exp(-log["Time (ps)"])
+
+    write_log("a.csv", "npt", change=warm)
+    write_notes("a.csv", "npt")
+    densities = []
+    for report in (
+        lambda: run_command._report(read_run(Path("a.csv")).plan, [], None),
+        lambda: run("summary", "a.csv"),
+    ):
+        report()
+        output = capsys.readouterr().out
+        assert "Means are of the rest" in output
+        densities += re.findall(r"density +│ +(.*g/ml)", output)
+    assert len(densities) == 2
+    assert densities[0] == densities[1]

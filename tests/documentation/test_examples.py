@@ -19,6 +19,7 @@ from tests.support.waters import periodic_system, platform, relaxed
 RESULTS = {
     "BodyState",
     "ForceCheck",
+    "ForceDoubt",
     "ForceFault",
     "FramedSystem",
     "Preparation",

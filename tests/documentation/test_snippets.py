@@ -186,13 +186,13 @@ def test_lines_of_the_page_of_viscosity_read_what_runs_write(tmp_path, monkeypat
         n = 1000
         columns = [5 * np.arange(n), 0.02 * np.arange(1, n + 1), *500 * stresses(rng, n, 0.9).T, np.full(n, 15.36)]
         np.savetxt(
-            f"seed{seed}-pressure.csv", np.transpose(columns), delimiter=",", header=",".join(COLUMNS), comments=""
+            f"pressure-seed{seed}.csv", np.transpose(columns), delimiter=",", header=",".join(COLUMNS), comments=""
         )
-        Path(f"seed{seed}.csv").write_text("Step,Temperature (K)\n0,296\n5,298\n")
+        Path(f"spce-seed{seed}.csv").write_text("Step,Temperature (K)\n0,296\n5,298\n")
         walk = rng.normal(scale=0.01, size=(200, 512, 3)).cumsum(axis=0)
         frames = mdtraj.Trajectory(np.mod(np.repeat(walk, 3, axis=1), 2.4856), topology)
         frames.unitcell_lengths, frames.unitcell_angles = np.full((200, 3), 2.4856), np.full((200, 3), 90.0)
-        frames.save_dcd(f"seed{seed}.dcd")
+        frames.save_dcd(f"spce-seed{seed}.dcd")
     text = (ROOT / "docs" / "guide" / "howto" / "viscosity.md").read_text()
     blocks = re.findall(r"(?:^(?:    .*)?\n)+", text, re.MULTILINE)
     names = {}

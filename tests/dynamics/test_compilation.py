@@ -109,6 +109,40 @@ def test_the_folder_is_the_users_cache_unless_numba_has_another(folder, monkeypa
     assert numba.core.config.CACHE_DIR == ""
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other platforms keep caches elsewhere")
+def test_relative_folders_of_the_environment_are_ignored(folder, monkeypatch):
+    """Whoever owns the current directory would choose the code."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(numba.core.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", "caches")
+    monkeypatch.setenv("HOME", str(folder / "home"))
+    assert compilation._directory().is_relative_to(folder / "home" / ".cache" / "openmm_sier")
+    for home in ("home", ""):
+        monkeypatch.setenv("HOME", home)
+        found = compilation._directory()
+        assert found.is_absolute()
+        assert not found.is_relative_to(folder)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other rights")
+def test_a_folder_that_others_can_write_is_not_used(folder, monkeypatch):
+    assert doubling()(2) == 4
+    kept = kept_in(folder)
+    assert kept
+    (place,) = folder.iterdir()
+    assert place.stat().st_mode & 0o077 == 0
+    place.chmod(0o777)
+    with pytest.warns(UserWarning, match="other users can write .*: set NUMBA_CACHE_DIR"):
+        function = doubling()
+    assert function(2) == 4
+    assert function._cache.__class__.__name__ == "NullCache"
+    place.chmod(0o755)
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.warns(UserWarning, match="other users can write"):
+        doubling()
+    assert kept_in(folder) == kept
+
+
 @pytest.mark.thorough
 def test_another_process_finds_the_code_on_disk(tmp_path):
     """Names on disk depend on the code only, not on the process or its hashes; results are the same."""

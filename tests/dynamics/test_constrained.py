@@ -14,16 +14,11 @@ from openmm_sier.dynamics.constrained import (
     DisplacedForces,
     constrained_bath,
     constrained_operators,
-    equal_steps,
-    inner_steps,
-    nested_drift,
-    steps_around_bath,
-    steps_with_bath,
+    inner_drifts,
 )
-from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
-from openmm_sier.dynamics.operators import CachedForces, drift, stepper
+from openmm_sier.dynamics.operators import advance, body_operators, calls, stepper
+from openmm_sier.dynamics.plan import Bath, Drift, Inner, Resolution, plan_step
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G, SIER4P
-from openmm_sier.dynamics.stages import DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.flexible import KAHAN_LI, Points, cage, chains, ring, rotor
@@ -41,8 +36,8 @@ def solved(name, time=TIME):
     return system, start, system.exact_flow(start, time)
 
 
-def run(operators, scheme, state, h, steps):
-    step = stepper(scheme, operators, h)
+def run(operators, scheme, state, h, steps, **options):
+    step = stepper(scheme, operators, h, resolution=Resolution(KAHAN_LI), **options)
     for _ in range(steps):
         state = step(state)
     return state
@@ -55,12 +50,12 @@ def distance(one, other):
 
 def of_positions(compute):
     """Forces on points, from a function of their positions alone."""
-    return CachedForces(lambda q, A: (compute(q), np.zeros_like(q)))
+    return lambda q, A: (compute(q), np.zeros_like(q))
 
 
 def points_of(system, **options):
     forces = of_positions(system.forces)
-    return constrained_operators(system.bodies, forces, system.constraints(), composition=KAHAN_LI, **options)
+    return constrained_operators(system.bodies, forces, system.constraints(), **options)
 
 
 def slope(errors):
@@ -145,7 +140,7 @@ def body_forces(atoms, bodies):
         x = bodies.place(q, A, np.empty((bodies.n_particles, 3)))
         return bodies.forces_and_torques(np.ascontiguousarray(atoms.forces(x.T).T), A)
 
-    return CachedForces(compute)
+    return compute
 
 
 @pytest.mark.parametrize("scheme", [SIER2, SIER4, SIER4G, SIER4P], ids=lambda scheme: scheme.name)
@@ -194,20 +189,13 @@ def test_projected_noise_is_thermal():
 # --- nested fast forces -----------------------------------------------------------------------------------------------
 
 
-def nested(system, inner, longest, constraints=None):
-    """Outer operators with the slow forces of a system, whose drift has its fast forces."""
-    constraints = system.constraints() if constraints is None else constraints
-    fast = of_positions(system.fast_forces)
-    slow = of_positions(system.slow_forces)
-    operators = constrained_operators(system.bodies, slow, constraints, groups=system.molecules)
-    within = constrained_operators(system.bodies, fast, constraints, composition=TRIPLE_JUMP)
-    members = np.arange(system.bodies.n)
-    operators[DRIFT] = nested_drift(drift(system.bodies), members, equal_steps(inner, within, longest))
-    return operators, fast, slow
-
-
-def longest_drift(scheme, h):
-    return h * max(abs(stage.fraction) for stage in scheme.stages if stage.operator == DRIFT)
+def nested(system, fast=None, slow=None):
+    """Table with the slow forces of a system in kicks, and its fast ones in drifts."""
+    constraints = system.constraints()
+    fast, slow = fast or of_positions(system.fast_forces), slow or of_positions(system.slow_forces)
+    table = constrained_operators(system.bodies, slow, constraints, groups=system.molecules)
+    within = constrained_operators(system.bodies, fast, constraints)
+    return table | {Inner: inner_drifts(table[Drift], np.arange(system.bodies.n), within)}
 
 
 @pytest.mark.parametrize("is_constrained", [True, False], ids=["constrained", "flexible"])
@@ -220,17 +208,15 @@ def test_nested_schemes_are_of_fourth_order(outer, is_constrained):
     exact = system.exact_flow(start, time)
     errors = []
     for n in (8, 16):
-        h = time / n
-        operators, _, _ = nested(system, SIER4, longest_drift(outer, h) / 2)
-        errors.append(distance(run(operators, outer, start, h, n), exact))
+        end = run(nested(system), outer, start, time / n, n, longest_inner_step=outer.longest_drift / 2)
+        errors.append(distance(end, exact))
     assert slope(errors) == pytest.approx(4.0, abs=0.3)
 
 
 def test_nested_steps_reverse_and_conserve():
     system, start = without_field("chains")
-    operators, _, _ = nested(system, SIER4, 0.0008)
-    there = run(operators, SIER4G, start, 0.004, 30)
-    back = run(operators, SIER4G, there, -0.004, 30)
+    there = run(nested(system), SIER4G, start, 0.004, 30, longest_inner_step=0.2)
+    back = run(nested(system), SIER4G, there, -0.004, 30, longest_inner_step=0.2)
     assert distance(back, start) < 1e-8
     for results, expected in zip(totals(there), totals(start), strict=True):
         assert np.abs(results - expected).max() < 3e-13 * np.abs(start.p).max()
@@ -238,20 +224,19 @@ def test_nested_steps_reverse_and_conserve():
 
 def test_fast_forces_at_the_end_of_a_drift_serve_the_next():
     system, start, _ = solved("chains")
-    operators, fast, slow = nested(system, SIER2, 0.001)
-    for forces in (fast, slow):
-        forces.compute = Mock(wraps=forces.compute)
-    step = stepper(SIER4G, operators, 0.004)
-    state = step(start)
-    # Two drifts of 2 fs in two inner steps each, and the force at the start.
-    assert fast.compute.call_count == 5
+    fast, slow = Mock(wraps=of_positions(system.fast_forces)), Mock(wraps=of_positions(system.slow_forces))
+    step = stepper(SIER4G, nested(system, fast, slow), 0.004, longest_inner_step=0.25)
+    # The cache of the start may have the forces of another test.
+    state = step(replace(start))
+    # Two drifts of 2 fs in two inner steps of three forces each, and the force at the start.
+    assert fast.call_count == 12 + 1
     for done in range(2, 6):
         state = step(state)
-        assert fast.compute.call_count == 4 * done + 1
-        assert slow.compute.call_count == 3 * done + 1
+        assert fast.call_count == 12 * done + 1
+        assert slow.call_count == 3 * done + 1
     # Other positions, equal or not, are computed anew.
     step(replace(state, q=state.q.copy()))
-    assert fast.compute.call_count == 4 * 6 + 2
+    assert fast.call_count == 12 * 6 + 2
 
 
 @pytest.mark.parametrize("longest", [0.001, 0.003, 0.005])
@@ -259,18 +244,21 @@ def test_harmonic_averages_around_a_bath_are_exact(longest):
     """A C=O bond of 19 fs within drifts of 8 fs: <q^2> and <p^2> at the end of steps, from the linear map of a step."""
     k, h, friction = (2 * np.pi / 0.019) ** 2, 0.008, 5.0
     bodies = Points(np.zeros((1, 3)), [1.0]).bodies
-    within = constrained_operators(bodies, of_positions(lambda q: -k * q), bodies.constraints)
-    moves = steps_around_bath(within, longest)
+    within = body_operators(bodies, of_positions(lambda q: -k * q))
+    table = body_operators(bodies, of_positions(np.zeros_like))
+    table |= {Inner: inner_drifts(table[Drift], [0], within)}
+    operations = plan_step(SIER2.with_bath(), longest / h, updates=False, projects=False).operations
+    bath = next(i for i, operation in enumerate(operations) if isinstance(operation, Bath))
 
-    def linear(move):
-        rows = []
+    def linear(part):
+        made, rows = calls(part, table, h), []
         for q, p in ((1.0, 0.0), (0.0, 1.0)):
             start = BodyState(np.full((3, 1), q), np.full((3, 1), p), np.eye(3)[:, :, None], np.zeros((3, 1)))
-            moved = move(start, h / 2)
+            moved = advance(made, start)
             rows.append([moved.q[0, 0], moved.p[0, 0]])
         return np.array(rows).T
 
-    there, away = linear(moves[DRIFT_TO_BATH]), linear(moves[DRIFT_FROM_BATH])
+    there, away = linear(operations[:bath]), linear(operations[bath + 1 :])
     damping = np.exp(-friction * h)
     noise = away @ np.diag([0, 1 - damping**2]) @ away.T
     covariance = solve_discrete_lyapunov(away @ np.diag([1, damping]) @ there, noise)
@@ -278,25 +266,3 @@ def test_harmonic_averages_around_a_bath_are_exact(longest):
     # would be off by (omega e)^2/4: 3 % with the shortest inner steps, of 0.9 fs.
     assert k * covariance[0, 0] == pytest.approx(1, abs=1e-10)
     assert covariance[1, 1] == pytest.approx(1, abs=1e-10)
-
-
-def test_steps_with_a_bath_in_one_are_odd():
-    assert [steps_with_bath(h, 0.001) for h in (0.001, 0.0011, 0.003, 0.0031, -0.005)] == [1, 3, 3, 5, 5]
-
-
-def test_inner_steps():
-    assert [inner_steps(h, 0.001) for h in (0.0, 0.001, 0.0010001, 0.003, -0.004)] == [1, 1, 2, 3, 4]
-    # Rounding of a product does not make one step more.
-    assert inner_steps(0.1 * 0.003 * 10, 0.001) == 3
-
-
-def test_what_cannot_be_executed_is_refused():
-    system = chains()
-    within = constrained_operators(system.bodies, of_positions(system.fast_forces), system.constraints())
-    with pytest.raises(ValueError, match="longest inner step must be positive, got 0"):
-        equal_steps(SIER4, within, 0)
-    with pytest.raises(ValueError, match="nothing executes the operator 'bath'"):
-        equal_steps(SIER4.with_bath(), within, 0.001)
-    wrong, start = of_positions(lambda q: q[:, 1:]), system.start(np.random.default_rng(1))
-    with pytest.raises(ValueError, match=r"shape \(3, 18\) of the positions, got \(3, 17\)"):
-        wrong(start)

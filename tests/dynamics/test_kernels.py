@@ -29,7 +29,7 @@ atoms = np.zeros_like(forces)
 arrays = [state.q, state.p, state.A, state.L, bodies.move(state, atoms)]
 
 points = many(rotor(3), cage())
-forces = operators.CachedForces(lambda q, A: (points.forces(q), 0 * q))
+forces = lambda q, A: (points.forces(q), 0 * q)
 move = constrained_operators(points.bodies, forces, points.constraints())
 state = operators.stepper(SIER4G, move, 0.001)(points.start(np.random.default_rng(1)))
 arrays += [state.q, state.p]

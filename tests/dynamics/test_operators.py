@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIER2, SIER2P3, SIER2V2, SIER4, SIER4G, BodyState
-from openmm_sier.dynamics.operators import CachedForces, drift, kick, stepper
-from tests.support.convergence import operators_of, run, slope
+from openmm_sier.dynamics.operators import body_operators, drift, kick, stepper
+from tests.support.convergence import run, slope
 from tests.support.molecules import CARBON_DIOXIDE, ION, METHANE, WATER, SoftCluster
 from tests.support.oracles import orthogonality_error
 from tests.support.phase_space import distance, reversed_momenta, symplectic_defect
@@ -93,40 +93,43 @@ def test_momentum_and_angular_momentum_are_constant(rng, mixture, scheme):
 # --- what a step costs and leaves alone -------------------------------------------------------------------------------
 
 
-def test_an_operator_that_nothing_executes_is_refused(waters):
-    _, operators = operators_of(waters)
-    with pytest.raises(ValueError, match="nothing executes the operator 'bath' of the scheme SIER2"):
-        stepper(SIER2.with_bath(), operators, 0.002)
+def test_an_operation_that_nothing_executes_is_refused(waters):
+    with pytest.raises(ValueError, match="nothing executes the operation 'bath 1'"):
+        stepper(SIER2.with_bath(), body_operators(waters.bodies, waters.forces), 0.002)
 
 
 @pytest.mark.parametrize(("scheme", "evaluations"), [(SIER2, 1), (SIER2V2, 2), (SIER4, 4), (SIER4G, 3)])
 def test_force_evaluations(rng, waters, scheme, evaluations):
-    forces, operators = operators_of(waters)
-    forces.compute = Mock(wraps=forces.compute)
-    step = stepper(scheme, operators, 0.002)
+    forces = Mock(wraps=waters.forces)
+    step = stepper(scheme, body_operators(waters.bodies, forces), 0.002)
     state = step(waters.start(rng))
     # The first step has no force from the one before.
-    assert forces.compute.call_count == evaluations + 1
+    assert forces.call_count == evaluations + 1
     for done in range(2, 8):
         state = step(state)
-        assert forces.compute.call_count == done * evaluations + 1
-    forces.invalidate()
-    step(state)
-    assert forces.compute.call_count == 7 * evaluations + 1 + evaluations + 1
+        assert forces.call_count == done * evaluations + 1
+    # A state with a new cache.
+    step(replace(state))
+    assert forces.call_count == 7 * evaluations + 1 + evaluations + 1
 
 
-def test_cached_forces_recognize_arrays_not_values(rng, waters):
-    forces = CachedForces(Mock(wraps=waters.forces))
+def test_forces_are_cached_for_a_place(rng, waters):
+    """States that differ in momenta share them, those at other arrays of positions or attitudes do not."""
+    forces = Mock(wraps=waters.forces)
+    apply = kick(waters.bodies, forces)
     state = waters.start(rng)
-    F, tau = forces(state)
-    assert forces(replace(state, p=-state.p)) == (F, tau)
-    assert forces.compute.call_count == 1
-    for count, changed in ((2, replace(state, q=state.q.copy())), (4, replace(state, A=state.A.copy()))):
-        again = forces(changed)
-        assert np.array_equal(again[0], F)
-        assert np.array_equal(again[1], tau)
-        assert forces.compute.call_count == count
-        forces(state)
+    kicked = apply(state, 0.001)
+    assert forces.call_count == 1
+    for same in (state, kicked):
+        again = apply(same, 0.001)
+        assert again.q is state.q
+        assert again.A is state.A
+    assert forces.call_count == 1
+    for count, changed in ((2, replace(state, q=state.q.copy())), (3, replace(state, A=state.A.copy()))):
+        again = apply(changed, 0.001)
+        assert np.array_equal(again.p, kicked.p)
+        assert np.array_equal(again.L, kicked.L)
+        assert forces.call_count == count
 
 
 def test_a_failed_evaluation_gives_no_force(rng, waters):
@@ -139,13 +142,13 @@ def test_a_failed_evaluation_gives_no_force(rng, waters):
             raise ArithmeticError("no force")
         return waters.forces(q, A)
 
-    forces = CachedForces(compute)
-    forces(state)
+    apply = kick(waters.bodies, compute)
+    apply(state, 0.001)
     broken.append(True)
     elsewhere = replace(state, q=state.q + 1)
     for _ in range(2):
         with pytest.raises(ArithmeticError):
-            forces(elsewhere)
+            apply(elsewhere, 0.001)
 
 
 def test_steps_leave_the_state_they_start_from(rng, mixture):
@@ -164,9 +167,6 @@ def test_wrong_shapes_are_refused(rng, mixture):
     fewer = BodyState(state.q[:, :1], state.p[:, :1], state.A[:, :, :1], state.L[:, :1])
     with pytest.raises(ValueError, match=rf"q of shape \(3, {n}\), got \(3, 1\)"):
         drift(mixture.bodies)(fewer, 0.001)
-    short = CachedForces(lambda q, A: (q[:, :1], q))
-    with pytest.raises(ValueError, match=rf"\(3, {n}\) of the positions, got \(3, 1\) and \(3, {n}\)"):
-        kick(mixture.bodies, short)(state, 0.001)
 
 
 @pytest.mark.parametrize(("vector", "message"), [("L", "angular momentum of body 1 "), ("A", "attitude of body 1 ")])

@@ -28,8 +28,8 @@ def motion(scheme, z, steps):
     mass, strength = 3.0, 7.0
     omega = math.sqrt(strength / mass)
     bodies = BodySet([Species.from_coordinates([[0], [1], [2]], [mass], [[0, 0, 0]])], 3)
-    forces = operators.CachedForces(lambda q, A: (-strength * q, np.zeros_like(q)))
-    step = operators.stepper(scheme, operators.body_operators(bodies, forces), z / omega)
+    table = operators.body_operators(bodies, lambda q, A: (-strength * q, np.zeros_like(q)))
+    step = operators.stepper(scheme, table, z / omega)
     q, p = np.zeros((3, 3)), np.zeros((3, 3))
     q[0], p[0] = (1.0, 0.0, 1.0), (0.0, mass * omega, mass * omega)
     state = step(BodyState(q, p, np.repeat(np.eye(3)[:, :, None], 3, axis=2), np.zeros((3, 3))))

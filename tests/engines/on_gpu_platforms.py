@@ -156,7 +156,7 @@ def test_solutes_in_mixed_precision(gpu):
     system, positions = ethane()
     for force in system.getForces():
         force.setForceGroup(isinstance(force, openmm.HarmonicBondForce))
-    program = native_program.write(SIER4G, 1, {1})
+    program = native_program.write(SIER4G, None, {1})
     integrator = openmm.CustomIntegrator(0.002 / len(program.parts))
     installation.install(program, integrator)
     integrator.setConstraintTolerance(1e-9)

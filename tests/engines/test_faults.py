@@ -375,7 +375,7 @@ def test_another_thread_is_refused(cluster, monkeypatch):
         thread.join(60)
 
     with monkeypatch.context() as patched:
-        patched.setattr(integrator.impl.watch, "begin", begin)
+        patched.setattr(integrator.impl.session.watch, "begin", begin)
         integrator.step(1)
     assert said == ["Another thread is stepping this Context: give each thread a Context of its own"]
     integrator.step(1)

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from openmm_sier import SIER2, SIER4, BodyState, RigidBodies, RigidityError, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics import operators
-from openmm_sier.dynamics.schemes import BATH
+from openmm_sier.dynamics.plan import Bath
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from tests.support.faults import Fault, lines_run
@@ -97,10 +97,10 @@ class Replay:
         self.scheme = scheme.with_bath() if thermostat else scheme
         self.bodies = world.bodies
         self._context = openmm.Context(world.system, openmm.VerletIntegrator(1.0), platform())
-        self._forces = operators.CachedForces(self._compute)
         self.tally = Tally(SEED)
-        self._operators = operators.body_operators(self.bodies, self._forces)
-        self._operators[BATH] = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION).operator(self.bodies, self.tally)
+        self._operators = operators.body_operators(self.bodies, self._compute)
+        bath = OrnsteinUhlenbeck(TEMPERATURE, FRICTION, FRICTION).operator(self.bodies, self.tally)
+        self._operators[Bath] = operators.always(bath)
         self.steps, self.time = 0, 0.0
         self.state = BodyState(*4 * [np.zeros(0)])
         self.read_positions(world.positions, 0 * world.positions)
@@ -125,7 +125,7 @@ class Replay:
 
     def set_strength(self, value):
         self._context.setParameter("strength", value)
-        self._forces.invalidate()
+        self.state = replace(self.state)
 
     def step(self, count):
         for _ in range(count):

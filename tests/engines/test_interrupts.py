@@ -2,22 +2,29 @@
 
 import _signal
 import signal
+import threading
+from functools import partial
 
+import numpy as np
+import openmm
 import pytest
 
 from openmm_sier.engines import interrupts
 from tests.loops import interrupts as loop
 from tests.support.matrices import representatives
 
+#: Signals with a handler in Python.
+HANDLED = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+
 
 @pytest.fixture
 def handled():
-    """Handlers in Python for all signals that can be deferred, and those of before at the end."""
-    before = {number: signal.signal(number, signal.default_int_handler) for number in interrupts.SIGNALS}
+    """Handlers in Python for some signals, which raise KeyboardInterrupt, and those of before at the end."""
+    before = {number: signal.signal(number, signal.default_int_handler) for number in HANDLED}
     yield before
     for number, handler in before.items():
         signal.signal(number, handler)
-    interrupts._handlers.clear()
+    interrupts._deferred.clear()
     interrupts.pending.clear()
 
 
@@ -33,29 +40,163 @@ def deferring():
     return False
 
 
-CHANGES = 2 * len(interrupts.SIGNALS)
-
-
-@pytest.mark.parametrize("number", range(1, CHANGES + 1))
-def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatch, number):
-    """All are replaced at the beginning of a block and put back at its end; SIGINT comes right after one change."""
+@pytest.mark.parametrize("number", range(1, 2 * len(HANDLED) + 1))
+@pytest.mark.parametrize("which", HANDLED)
+def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatch, which, number):
+    """All are replaced at the beginning of a block and put back at its end; a signal comes right after one change."""
     assert deferring()
     calls, change = 0, _signal.signal
 
-    def interrupted(which, handler):
+    def interrupted(changed, handler):
         nonlocal calls
-        results, calls = change(which, handler), calls + 1
+        results, calls = change(changed, handler), calls + 1
         if calls == number:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(which)
         return results
 
     with monkeypatch.context() as patched:
         patched.setattr(_signal, "signal", interrupted)
         with pytest.raises(KeyboardInterrupt), interrupts.deferred():
             pass
-    assert calls == CHANGES
-    assert {signal.getsignal(each) for each in interrupts.SIGNALS} == {signal.default_int_handler}
+    assert calls >= 2 * len(HANDLED) or number < len(HANDLED)
+    assert {signal.getsignal(each) for each in HANDLED} == {signal.default_int_handler}
     assert deferring()
+
+
+#: Ctrl-C, and signals of batch systems, of terminals, of users and of clocks.
+KINDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1, signal.SIGALRM)
+
+#: What engines ask of OpenMM in the middle of steps.
+MOMENTS = ((openmm.Context, "getState"), (openmm.Context, "setPositions"), (openmm.CustomIntegrator, "step"))
+
+
+@pytest.fixture
+def at_moments(monkeypatch):
+    """A function that has another one called at the next of the moments in the middle of steps."""
+    waiting = []
+
+    def watched(method):
+        def wrapper(*args, **kwargs):
+            if waiting:
+                waiting.pop()()
+            return method(*args, **kwargs)
+
+        return wrapper
+
+    for cls, name in MOMENTS:
+        monkeypatch.setattr(cls, name, watched(getattr(cls, name)))
+    return waiting.append
+
+
+@pytest.fixture
+def handle():
+    """A function that gives all kinds of signals a handler; those of before are put back at the end."""
+    before = {kind: signal.getsignal(kind) for kind in KINDS}
+    yield lambda handler: [signal.signal(kind, handler) for kind in KINDS]
+    for kind, handler in before.items():
+        signal.signal(kind, handler)
+
+
+@pytest.fixture(scope="module")
+def start():
+    return loop.start_of(SETTINGS)
+
+
+SETTINGS = loop.InterruptSettings()
+
+
+@pytest.mark.parametrize("engine", loop.ENGINES)
+@pytest.mark.parametrize("run", loop.RUNS)
+def test_handlers_find_a_completed_step(run, engine, start, at_moments, handle):
+    """Signals of all kinds come in the middle of steps, and each handler saves a checkpoint.
+
+    It holds a step of the run without signals, bit for bit, and so does the end.
+    """
+    context, sent, found = loop.begun(run, engine, start, SETTINGS), [], []
+
+    def look(number, _frame):
+        context.createCheckpoint()
+        found.append((number, context.getStepCount(), loop.place(context)))
+        interrupt()
+
+    def send(kind):
+        sent.append(kind)
+        signal.raise_signal(kind)
+
+    def interrupt():
+        at_moments(partial(send, KINDS[len(sent) % len(KINDS)]))
+
+    handle(look)
+    interrupt()
+    for number in (1, 2, 5, 10):
+        context.getIntegrator().step(number)
+    assert [number for number, *_ in found] == sent
+    assert len(set(sent)) == len(KINDS)
+    handle(signal.SIG_IGN)
+    end = loop.place(context)
+    undisturbed = loop.begun(run, engine, start, SETTINGS)
+    for _, steps, place in found:
+        undisturbed.getIntegrator().step(steps - undisturbed.getStepCount())
+        assert np.array_equal(loop.place(undisturbed), place)
+    undisturbed.getIntegrator().step(19 - undisturbed.getStepCount())
+    assert np.array_equal(loop.place(undisturbed), end)
+
+
+@pytest.mark.parametrize("engine", loop.ENGINES)
+def test_handlers_that_raise_take_no_signal_from_others(engine, start, at_moments, handle):
+    """The Context is at a completed step, and the run goes on as if there had been none."""
+    context, found = loop.begun("langevin", engine, start, SETTINGS), []
+
+    def fail(number, _frame):
+        found.append((number, context.getStepCount()))
+        raise KeyboardInterrupt
+
+    handle(fail)
+    at_moments(lambda: [signal.raise_signal(kind) for kind in KINDS])
+    with pytest.raises(KeyboardInterrupt):
+        context.getIntegrator().step(20)
+    steps = context.getStepCount()
+    assert steps < 21
+    assert [number for number, _ in found] == list(KINDS)
+    assert {step for _, step in found} == {steps}
+    context.getIntegrator().step(21 - steps)
+    undisturbed = loop.begun("langevin", engine, start, SETTINGS)
+    undisturbed.getIntegrator().step(20)
+    assert np.array_equal(loop.place(context), loop.place(undisturbed))
+
+
+@pytest.mark.parametrize("engine", loop.ENGINES)
+def test_handlers_are_called_by_the_main_thread(engine, start, at_moments, handle):
+    """Another thread completes steps of its own Context while a signal waits for those of the main thread."""
+    context, other = (loop.begun("langevin", engine, start, SETTINGS) for _ in range(2))
+    found = []
+    handle(lambda *_: found.append((threading.current_thread(), context.getStepCount(), other.getStepCount())))
+
+    def step_other():
+        signal.raise_signal(signal.SIGINT)
+        thread = threading.Thread(target=other.getIntegrator().step, args=(3,))
+        thread.start()
+        thread.join()
+
+    at_moments(step_other)
+    context.getIntegrator().step(20)
+    assert [(thread, 1 < steps < 21, others) for thread, steps, others in found] == [(threading.main_thread(), True, 4)]
+
+
+def test_nothing_is_saved_between_two_steps(start, at_moments):
+    """A handler in the main thread would save a mixture of two steps of another thread's run."""
+    context, errors = loop.begun("langevin", "exact", start, SETTINGS), []
+
+    def save():
+        try:
+            context.createCheckpoint()
+        except openmm.OpenMMException as error:
+            errors.append(str(error))
+
+    at_moments(save)
+    context.getIntegrator().step(2)
+    assert "is between two steps" in errors[0]
+    context.createCheckpoint()
 
 
 @pytest.mark.parametrize("run", representatives(["langevin", "pressure", "barostat", "hmc"], "langevin"))

@@ -102,9 +102,9 @@ def test_counting_heat_changes_no_trajectory_of_a_molecule():
 
 
 def test_program_prints_its_inner_step_once():
-    lines = str(native_program.write(SIER4G, 2, {FAST})).splitlines()
+    lines = str(native_program.write(SIER4G, None, {FAST}, 0.25)).splitlines()
     assert len(lines) < 20
-    assert sum("inner steps of SIER4G  for e/h = 0.25, 0.25" in line for line in lines) == 2
+    assert sum("drift, inner steps  for e/h = 0.25, 0.25" in line for line in lines) == 2
     assert lines.count("an inner step e:") == 1
     assert any("v = v + 0.16666666666666666*e*f1/m" in line for line in lines)
 

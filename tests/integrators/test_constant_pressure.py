@@ -224,11 +224,11 @@ def test_a_move_before_a_step_that_fails_is_not_counted(engine):
     integrator.step(9)
     before, propagate = everything(context), integrator.impl.engine.propagate
 
-    def failing(steps):
+    def failing(*_):
         raise KeyboardInterrupt
 
     integrator.impl.engine.propagate = failing
-    integrator.impl.changed()
+    integrator.impl.session.changed()
     with pytest.raises(KeyboardInterrupt):
         integrator.step(1)
     assert_same(everything(context), before)

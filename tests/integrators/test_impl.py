@@ -53,7 +53,7 @@ def test_a_call_of_step_reads_no_atoms_and_writes_them_once(cluster, engine, wri
         if name.startswith("Context_set") or (name.startswith("CustomIntegrator_") and "Variable" in name):
             monkeypatch.setattr(openmm.openmm._openmm, name, noted(name))
     # The watch for runaways reads velocities now and then.
-    monkeypatch.setattr(integrator.impl.watch, "look", lambda *_: None)
+    monkeypatch.setattr(integrator.impl.session.watch, "look", lambda *_: None)
     integrator.step(10)
     assert not any(kinds & (openmm.State.Positions | openmm.State.Velocities) for kinds in requests)
     assert called.count("Context_setVelocities") == written
@@ -70,7 +70,7 @@ def test_a_call_of_step_goes_through_few_functions(cluster, engine, most):
     integrator = SIERIntegrator(0.002, engine=engine)
     context = context_at(system, integrator, point, steps=10)
     # The watch for runaways looks now and then.
-    integrator.impl.watch.pause = 1000
+    integrator.impl.session.watch.pause = 1000
     functions = set()
 
     def note(frame, event, _argument):

@@ -120,11 +120,11 @@ def test_a_step_that_fails_takes_its_scaling_back(cluster):
     engine = result.impl.engine
     propagate = engine.propagate
 
-    def failing(steps):
+    def failing(*_):
         raise KeyboardInterrupt
 
     engine.propagate = failing
-    result.impl.changed()
+    result.impl.session.changed()
     with pytest.raises(KeyboardInterrupt):
         result.step(1)
     assert_same(everything(context), before)

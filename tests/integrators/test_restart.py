@@ -387,3 +387,16 @@ def test_forces_within_forces_have_neighbour_lists_of_their_own(box, name, engin
     other.loadCheckpoint(checkpoint)
     again.step(20)
     assert np.array_equal(phase_point(context), phase_point(other))
+
+
+@pytest.mark.parametrize("name", ["sier_heat", "sier_draws"])
+def test_a_state_with_numbers_that_no_run_writes_is_refused(name):
+    _, positions, system = cluster_system(2)
+    context = context_at(system, langevin(SIER2), (positions, 0 * positions))
+    state = openmm.XmlSerializer.serialize(context.getState(positions=True, velocities=True, integratorParameters=True))
+    assert f'{name}="0"' in state
+    broken = openmm.XmlSerializer.deserialize(state.replace(f'{name}="0"', f'{name}="nan"'))
+    with pytest.raises(openmm.OpenMMException, match=f"has {name} = nan, expected a finite number"):
+        context.setState(broken)
+    context.getIntegrator().step(1)
+    assert np.isfinite(context.getIntegrator().getHeat()._value)

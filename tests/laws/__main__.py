@@ -15,25 +15,31 @@ import sys
 import time
 import warnings
 
-from tests.laws import test_completed_steps, test_future, test_order, test_preparing, test_requests
+from tests.laws import (
+    test_averages,
+    test_completed_steps,
+    test_future,
+    test_order,
+    test_preparing,
+    test_readers,
+    test_refusals,
+    test_requests,
+)
 from tests.laws.law import Broken, Law
 from tests.support import opencl
 
 #: All laws by their names.
-LAWS: dict[str, Law] = {
-    law.name: law
-    for law in (
-        test_order.LAW,
-        test_preparing.LAW,
-        test_requests.REQUESTS,
-        test_requests.SETTINGS,
-        test_future.FUTURES,
-        test_future.RESTARTS,
-        test_completed_steps.INTERRUPTIONS,
-        test_completed_steps.INTERRUPTS,
-        test_completed_steps.THREADS,
-    )
-}
+MODULES = (
+    test_order,
+    test_preparing,
+    test_requests,
+    test_future,
+    test_completed_steps,
+    test_averages,
+    test_readers,
+    test_refusals,
+)
+LAWS = {law.name: law for module in MODULES for law in vars(module).values() if isinstance(law, Law)}
 
 
 def arguments() -> argparse.Namespace:

@@ -392,12 +392,15 @@ def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
 
 
 def mixtures(
-    surroundings: tuple[str, ...] = SURROUNDINGS, prepared: tuple[str, ...] = PREPARATIONS, named: bool = True
+    surroundings: tuple[str, ...] = SURROUNDINGS,
+    prepared: tuple[str, ...] = PREPARATIONS,
+    named: bool = True,
+    least: int = 1,
 ) -> st.SearchStrategy[Mixture]:
-    """Draw a Mixture in which something moves."""
+    """Draw a Mixture of `least` molecules or more, in which something moves."""
     return st.builds(
         Mixture,
-        st.lists(molecules(named), min_size=1, max_size=5).map(_few).filter(_moves),
+        st.lists(molecules(named), min_size=least, max_size=5).map(_few).filter(_moves),
         st.integers(0, 2**16),
         st.sampled_from(surroundings),
         st.sampled_from(FORMS),

@@ -5,11 +5,14 @@ So they do for every System, scheme and number of inner steps, prepared or not, 
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import openmm
+import pytest
 from hypothesis import strategies as st
 
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
@@ -17,6 +20,7 @@ from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.law import Law
 from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
 from tests.laws.oracle import Oracle
+from tests.support import opencl
 
 #: ps: length of the trajectories, and steps.
 TIME, STEPS = 0.008, (0.001, 0.0005, 0.00025)
@@ -24,9 +28,10 @@ TIME, STEPS = 0.008, (0.001, 0.0005, 0.00025)
 #: nm. Smaller errors say nothing. OpenMM rounds lengths of SETTLE and of frames to single precision, 6e-8 of 0.2 nm. In
 #: boxes forces end at the cut-off: a jump of 1 kJ/mol/nm displaces a hydrogen that crosses it within a step of 0.25 fs
 #: by 1e-6 nm at most, and PME at OpenMM's default tolerance jumps by a tenth of that. Forces of single precision are
-#: good to 1e-6 of some 10^4 kJ/mol/nm, which move a hydrogen by 3e-7 nm. Where drifts leave out a constraint, or forces
-#: use sites of the step before, errors at 0.25 fs are above 1e-5 nm.
-IN_VACUUM, IN_BOX, SINGLE = 1e-8, 2e-7, 3e-6
+#: good to 1e-7 of some 10^4 kJ/mol/nm, which move a hydrogen by 3e-8 nm. Where drifts leave out constraints, or forces
+#: use sites of the step before, errors at 0.25 fs are from 1e-7 nm for a single charge to 1e-4 nm.
+NOISE = {"vacuum": 1e-8, "box": 2e-7}
+NOISE_OF_SINGLE_PRECISION = {"vacuum": 1e-7, "box": 1e-6}
 
 #: By how much the order that two steps show may be below that of the scheme. The next term of the error is of an order
 #: higher by two: at 0.5 fs it is at most a fifth of the first for bonds to hydrogens, (w h)^2/12 with w = 0.6/fs.
@@ -71,9 +76,8 @@ class Order:
         return min(order, 2)
 
     def _noise(self) -> float:
-        if self.platform != "Reference":
-            return SINGLE
-        return IN_VACUUM if self.mixture.surroundings == "vacuum" else IN_BOX
+        noise = NOISE if self.platform == "Reference" else NOISE_OF_SINGLE_PRECISION
+        return noise["vacuum" if self.mixture.surroundings == "vacuum" else "box"]
 
     def _distance(self, built: Built, found: np.ndarray, expected: np.ndarray) -> float:
         """Return the largest error of a coordinate, nm."""
@@ -131,13 +135,13 @@ def cases(draw: st.DrawFn, platform: str) -> Order:
     """Draw a mixture whose total momentum is constant or not removed, and a scheme."""
     # Reference's own PME is off in triclinic boxes, so that other platforms have other forces.
     surroundings = SURROUNDINGS if platform == "Reference" else SURROUNDINGS[:-1]
-    mixture = draw(mixtures(surroundings))
+    mixture = draw(mixtures(surroundings, least=2))
     if is_frozen(mixture):
         mixture = replace(mixture, remover=False)
     return Order(mixture, draw(st.sampled_from(list(CATALOGUE))), draw(st.sampled_from([None, 1, 2, 3])), platform)
 
 
-LAW = Law("order", cases, few=25)
+LAW = Law("order", cases, few=24)
 
 
 @LAW.numbers()
@@ -147,4 +151,29 @@ def test_errors_fall_with_the_order_of_the_scheme(examples):
 
 @LAW.numbers()
 def test_errors_fall_with_the_order_of_the_scheme_on_the_cpu_platform(examples):
-    LAW.hold(max(4, examples // 5), "CPU")
+    LAW.hold(examples // 4, "CPU")
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(3000)
+def test_errors_fall_with_the_order_of_the_scheme_on_gpu_platforms():
+    """OpenMM compiles some hundred kernels for each Context, so that examples are few."""
+    platforms = opencl.gpu_platforms()
+    if not platforms:
+        pytest.skip("OpenMM has no CUDA, HIP or OpenCL platform here: pip install 'openmm-sier[opencl-test]'")
+    for name in platforms:
+        command = [
+            sys.executable,
+            "-m",
+            "tests.laws",
+            "--law",
+            "order",
+            "--platform",
+            name,
+            "--seed",
+            "1",
+            "--examples",
+            "5",
+        ]
+        process = subprocess.run(command, capture_output=True, text=True, env=opencl.environment(), check=False)
+        assert process.returncode == 0, process.stdout + process.stderr[-2000:]

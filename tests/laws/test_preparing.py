@@ -24,9 +24,10 @@ ROUNDING = {"Reference": 1e-9, "CPU": 1e-5, "OpenCL": 1e-5}
 #: and balanced sums are more accurate by a quarter at least.
 CHARGES = 100
 
-#: Largest error of forces by PME at OpenMM's default tolerance, relative to the largest force. For single molecules,
-#: whose charges are close to each other, it is smaller; terms that are lost or doubled are larger.
-PME = 2e-3
+#: Largest error of forces by PME at OpenMM's default tolerance, relative to the largest force, which counts as at least
+#: that of two unit charges half a cut-off apart, kJ/mol/nm. Reference's PME is off by 0.5 to 3 kJ/mol/nm in triclinic
+#: boxes, with any mesh. Terms that are lost or doubled are larger.
+PME, LEAST = 5e-3, 1000
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,12 @@ class Preparing:
         self._again_is_once(built)
 
     def _forces_are_as_before(self, built: Built) -> None:
+        meshed = "PME" in self.mixture.surroundings
         (energy, forces), (now, forces_now) = (
             evaluated(system, built.positions, self.platform) for system in (built.plain, built.system)
         )
-        meshed = "PME" in self.mixture.surroundings
-        close, scale = PME if meshed else ROUNDING[self.platform], np.abs(forces).max() + 100
-        assert now == pytest.approx(energy, rel=close, abs=close * 100), f"energy {now} in place of {energy}"
+        close, scale = PME if meshed else ROUNDING[self.platform], np.abs(forces).max() + LEAST
+        assert now == pytest.approx(energy, rel=close, abs=close * LEAST), f"energy {now} in place of {energy}"
         worst = np.abs(forces_now - forces).max()
         assert worst < close * scale, f"forces are off by {worst} of {scale} kJ/mol/nm"
 
@@ -211,7 +212,7 @@ def cases(platform: str) -> st.SearchStrategy[Preparing]:
     return st.builds(Preparing, mixtures(prepared=("yes", "heavy")), st.just(platform))
 
 
-LAW = Law("preparing", cases, few=40)
+LAW = Law("preparing", cases, few=25)
 
 
 @LAW.numbers()

@@ -109,3 +109,17 @@ def test_a_body_of_one_atom_has_its_mass_alone():
     assert system.getParticleMass(0)._value == 5.0
     with pytest.raises(ValueError, match="no masses give atoms 0 the moments 1, 1, 1"):
         set_inertia(system, np.zeros((1, 3)), [[0]], 5.0, 3 * [1.0])
+
+
+def test_a_body_with_massless_patches_is_refused_with_a_remedy_that_works():
+    """As bodies are in other programs, where the centre carries mass and moments."""
+    positions = 0.1 * np.array([[0, 0, 0], [1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    system = assembled([50.0, 0, 0, 0, 0])
+    with pytest.raises(ValueError, match=r"atom 1 of atoms 0-4 has none.*setParticleMass\(1, 1\), which"):
+        set_inertia(system, positions, [range(5)], 50.0, [0.5, 0.5, 0.5])
+    for patch in range(1, 5):
+        system.setParticleMass(patch, 1)
+    set_inertia(system, positions, [range(5)], 50.0, [0.5, 0.5, 0.5])
+    bodies = RigidBodies.from_system(system, None, [range(5)], positions)
+    assert bodies.masses == pytest.approx([50.0])
+    assert bodies.moments.ravel() == pytest.approx([0.5, 0.5, 0.5])

@@ -1,6 +1,7 @@
 """Prepared Systems: their changes, later changes by users, and integrators for them."""
 
 import copy
+import functools
 import warnings
 
 import numpy as np
@@ -326,11 +327,14 @@ def keep_inertia(system):
     set_inertia(system, positions, [[0, 1, 2]], water.mass, water.moments)
 
 
+@pytest.mark.parametrize(
+    "integrator", [functools.partial(SIERIntegrator, scheme="SIER2"), openmm.VerletIntegrator], ids=["SIER", "OpenMM"]
+)
 @pytest.mark.parametrize("change", [prepare_system, balance_pme, keep_inertia], ids=lambda change: change.__name__)
-def test_a_system_with_a_context_is_not_prepared(change):
+def test_a_system_with_a_context_is_not_prepared(change, integrator):
     _, positions, system = periodic_system("tip3p", 64)
     before = openmm.XmlSerializer.serialize(system)
-    context = context_of(system, positions, SIERIntegrator(0.001, "SIER2"))
+    context = context_of(system, positions, integrator(0.001))
     # `getSystem` makes another Python object for the same System.
     for each in (system, context.getSystem()):
         with pytest.raises(ValueError, match="this System already has one: prepare Systems before"):

@@ -120,7 +120,7 @@ def test_the_watch_looks_after_a_few_steps_and_knows_what_is_no_number(velocity,
     context.setPositions(positions)
     context.setVelocitiesToTemperature(300, 1)
 
-    watch = integrator.impl.watch
+    watch = integrator.impl.session.watch
     watch.begin(context)
     openmm.Context.setVelocities(context, np.full((100, 3), velocity))
     with pytest.raises(runaway.RunawayError, match=f"Steps of 2 fs {complaint}"):
@@ -133,5 +133,5 @@ def test_copies_have_a_watch_of_their_own(box):
     original = context_at(system, integrator, point)
     clone = copy.deepcopy(integrator)
     context = context_at(system, clone, point, steps=1)
-    assert clone.impl.watch is not integrator.impl.watch
+    assert clone.impl.session.watch is not integrator.impl.watch
     assert context.getStepCount() - original.getStepCount() == 1

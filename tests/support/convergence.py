@@ -2,18 +2,12 @@
 
 import numpy as np
 
-from openmm_sier.dynamics.operators import CachedForces, body_operators, stepper
+from openmm_sier.dynamics.operators import body_operators, stepper
 from tests.support.phase_space import distance
 
 
-def operators_of(cluster):
-    forces = CachedForces(cluster.forces)
-    return forces, body_operators(cluster.bodies, forces)
-
-
 def run(cluster, scheme, state, h, steps):
-    _, operators = operators_of(cluster)
-    step = stepper(scheme, operators, h)
+    step = stepper(scheme, body_operators(cluster.bodies, cluster.forces), h)
     for _ in range(steps):
         state = step(state)
     return state

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from openmm_sier.dynamics import operators
 from tests.support import molecules
 
 
@@ -28,4 +27,4 @@ def constant_torques(bodies, forces):
         tau[:, bodies.columns[1].start] = 0.0
         return F - 100.0 * q, tau
 
-    return operators.CachedForces(forces_at)
+    return forces_at

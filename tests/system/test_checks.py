@@ -1,11 +1,13 @@
 """Forces that act between steps are distinguished from those that do not."""
 
+import numpy as np
 import openmm
 import pytest
 
 from openmm_sier import SIERIntegrator
 from openmm_sier.system.checks import acting_forces
 from openmm_sier.system.forces import FORCES
+from openmm_sier.system.second_context import cloned
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import platform
 
@@ -67,3 +69,9 @@ def test_an_unknown_force_acts(monkeypatch):
     updates = integrator.impl.engine.updates
     assert updates.acts
     assert not updates.are_of_barostats
+
+
+def test_a_system_that_cannot_be_copied_has_a_remedy():
+    system = assembled([12.0], openmm.PythonForce(lambda state: (0.0, np.zeros((1, 3)))))
+    with pytest.raises(openmm.OpenMMException, match=r"cannot be copied: .*pickled.*`def` defines at the top level"):
+        cloned(system)

@@ -9,6 +9,7 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import RigidBodies, RigidityError, select_bodies
+from openmm_sier.system import geometries
 from tests.support import methanols
 from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.silence import silence
@@ -196,19 +197,99 @@ def test_systems_that_are_refused(molecule, topology, message):
     ids=["constrained", "named", "with fewer digits"],
 )
 def test_molecules_of_a_pdb_file_are_of_one_species(constrained, digit):
-    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding."""
+    """Rounded coordinates give 124 sets of constraint lengths; their mean is that of no rounding.
+
+    A GRO file has fewer digits.
+    """
     positions, topology = methanols.positions_of(125, digit=digit), methanols.topology_of(125)
     pairs = list(combinations(range(6), 2)) if constrained else []
     system = methanols.system_of(125, pairs, positions)
     rigid = None if constrained else select_bodies(topology, "MOH")
+    tolerance = None if digit == methanols.DIGIT else 0.002
     with silence():
-        bodies = RigidBodies.from_system(system, topology, rigid, positions)
+        bodies = RigidBodies.from_system(system, topology, rigid, positions, tolerance)
     (species,) = bodies.species
     exact = np.linalg.norm(methanols.GEOMETRY[:, None] - methanols.GEOMETRY[None], axis=2)
     # Rounding has a standard deviation of digit/sqrt(12) a coordinate, so a mean of 125 lengths one of 0.04 digits.
     assert np.abs(lengths_in(species) - exact).max() < 0.2 * digit
     _, _, misfit = bodies.fit_with_misfit(positions)
     assert misfit.max() < np.sqrt(3) * digit
+    # Rounding moves an atom by up to sqrt(3)/2 digits, in many atoms by nearly as much.
+    assert 0.5 * digit < bodies.moved < 2 * digit
+    assert f"{bodies.moved:.1g} nm" in repr(bodies)
+
+
+def test_shapes_rounded_in_a_gro_file_are_not_averaged_without_a_word():
+    positions, topology = methanols.positions_of(125, digit=0.001), methanols.topology_of(125)
+    system = methanols.system_of(125)
+    rigid = select_bodies(topology, "MOH")
+    with pytest.warns(UserWarning, match=r"125 bodies like residue MOH 1 .* shapes.* by at most 0.00.*tolerance=0.002"):
+        bodies = RigidBodies.from_system(system, topology, rigid, positions)
+    # The mean of two bodies is no more than the tolerance from both.
+    assert bodies.fit_with_misfit(positions)[2].max() < 2.01e-4
+    with silence():
+        RigidBodies.from_system(system, topology, rigid, positions, tolerance=0)
+
+
+def named(*shapes):
+    """A System of bodies with atoms of 12 dalton, their particles and positions."""
+    k = len(shapes[0])
+    positions = np.concatenate([np.add(shape, [0, 2 * i, 0]) for i, shape in enumerate(shapes)])
+    return system_of(*[(k * (12.0,), {})] * len(shapes)), np.arange(len(positions)).reshape(-1, k), positions
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "kinds"), [(0, 4), (None, 3), (0.0006, 2), (0.002, 1), (6e-4 * unit.nanometer, 2)], ids=str
+)
+def test_sizes_are_averaged_up_to_a_tolerance(tolerance, kinds):
+    """Each atom moves by half the difference of a length from the mean."""
+    lengths = np.array([0.2, 0.2001, 0.201, 0.203])
+    system, rigid, positions = named(*([[0, 0, 0], [length, 0, 0]] for length in lengths))
+    if tolerance is None:
+        with pytest.warns(UserWarning, match="have 3 shapes, which differ by at most 0.0015 nm"):
+            bodies = RigidBodies.from_system(system, None, rigid, positions)
+    else:
+        with silence():
+            bodies = RigidBodies.from_system(system, None, rigid, positions, tolerance)
+    assert len(bodies.species) == kinds
+    for species in bodies.species:
+        assert lengths_in(species)[0, 1] == pytest.approx(lengths[species.atoms[:, 0] // 2].mean(), abs=1e-12)
+    assert (bodies.moved < 1e-12) == (tolerance == 0)
+
+
+@pytest.mark.parametrize("height", [0.11, 0.003, 0.0005])
+def test_mirror_images_are_different(height):
+    shape = np.array([[0, 0, 0], [0.15, 0, 0], [0, 0.13, 0], [0.02, 0.05, height]])
+    mirror = shape * [1, 1, -1]
+    system, rigid, positions = named(shape, mirror, shape, mirror)
+    bodies = RigidBodies.from_system(system, None, rigid, positions, tolerance=1e-4)
+    assert [sorted(species.atoms[:, 0]) for species in bodies.species] == [[0, 8], [4, 12]]
+    assert bodies.fit_with_misfit(positions)[2].max() < 1e-12
+
+
+def test_a_negative_tolerance_is_refused():
+    with pytest.raises(ValueError, match="tolerance must not be negative, got -1 nm"):
+        RigidBodies.from_system(system_of(WATER), tolerance=-1)
+
+
+def test_as_many_kinds_as_bodies_take_a_time_proportional_to_their_number(monkeypatch):
+    """Each body is superimposed on a few others, not on all."""
+    superimposed = []
+
+    def counted(kind, shape, arms):
+        superimposed.append(len(arms))
+        return placed(kind, shape, arms)
+
+    placed = geometries._placed
+    monkeypatch.setattr(geometries, "_placed", counted)
+    for spread in (0.01, 1e-4):
+        lengths = 0.2 + spread * np.arange(200)
+        system, rigid, positions = named(*([[0, 0, 0], [length, 0, 0]] for length in lengths))
+        superimposed.clear()
+        RigidBodies.from_system(system, None, rigid, positions, tolerance=2e-4)
+        # With the smaller spread some 17 are near the first of a group of 8: three times in search of it, once more
+        # for its mean.
+        assert sum(superimposed) < 200 * (1 if spread == 0.01 else 12) + 1
 
 
 def test_equal_molecules_share_a_geometry_in_silence():

@@ -37,12 +37,12 @@ class Outputs:
 
     # --- before any is opened ---
 
-    def check(self, sources: Iterable[FilePath], may_replace: bool) -> None:
+    def check(self, sources: Iterable[FilePath], continues: bool) -> None:
         """Refuse outputs that cannot be written, and any that would overwrite an input or another output.
 
         Args:
             sources: files that the command reads.
-            may_replace: whether a picture of an earlier run is replaced.
+            continues: whether the run continues, which replaces the picture of its log.
 
         Raises:
             RunError: naming the file.
@@ -55,7 +55,8 @@ class Outputs:
         for number, path in enumerate(paths):
             check_place(path, inputs, paths[:number])
         if self._settings.plot:
-            pictures.check(self._settings.plot, inputs, may_replace, paths)
+            log = self._settings.report if continues else None
+            pictures.check(self._settings.plot, inputs, self._settings.overwrite, paths, log)
 
     def refuse_existing(self, resumes: bool = False) -> None:
         """Refuse to replace files.
@@ -93,7 +94,7 @@ class Outputs:
             OSError: one cannot be read.
         """
         for name, path in self._grown.items():
-            records.check(path, notes.file(name), KINDS[name].format)
+            records.check(path, notes.file(name))
 
     def files_beyond(self, notes: Notes) -> list[Path]:
         """Return the files with records after a checkpoint, which a restart cuts."""

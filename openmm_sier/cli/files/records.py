@@ -5,14 +5,16 @@ a whole. After a crash they are cut to these lengths, and the run continues from
 repeated frame. The checkpoint also notes a fingerprint of their content, so that no file of another run is cut.
 """
 
+import errno
 import hashlib
 import os
 import secrets
+import stat
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import IO, Annotated
 
 from pydantic import Field
 
@@ -50,7 +52,7 @@ def replace(path: Path, content: memoryview) -> None:
     """Replace the content of a file.
 
     At any moment, and after a power failure, the file is the old or the new one. After an error it is the old one, and
-    nothing remains of the new one. A link stays, and leads to the new file.
+    nothing remains of the new one. A link stays, and leads to the new file. Permissions stay.
     """
     real = Path(os.path.realpath(path))
     # Not by `tempfile`, whose files only their owner may read.
@@ -63,6 +65,8 @@ def replace(path: Path, content: memoryview) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
+            with suppress(FileNotFoundError):
+                os.chmod(temporary, stat.S_IMODE(os.stat(real).st_mode))
             os.replace(temporary, real)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -112,7 +116,7 @@ class GrowingFile:
         self.size = noted.size if noted else 0
         self.count = noted.count if noted else 0
         with naming(path):
-            self._file = open(path, "r+b" if self.size else "wb", buffering=0)  # noqa: SIM115
+            self._file = open(path, "r+b" if self.size else "w+b", buffering=0)  # noqa: SIM115
             self._file.truncate(self.size)
             self._file.seek(self.size)
 
@@ -120,10 +124,11 @@ class GrowingFile:
         """Write a record. The restart cuts off an incomplete one.
 
         Raises:
-            OSError: for example, the disk is full.
+            OSError: for example, the disk is full, or another program has changed the file.
         """
         written = 0
         with naming(self.path):
+            self._check_length()
             while written < len(record):
                 written += self._file.write(record[written:])
         self.size += len(record)
@@ -137,26 +142,43 @@ class GrowingFile:
             self._file.seek(self.size)
 
     def noted(self) -> Noted:
-        """Return the notes on this file for a checkpoint, after all of it was written to the disk."""
+        """Return the notes on this file for a checkpoint, after all of it was written to the disk.
+
+        Raises:
+            OSError: it cannot be written, or another program has changed or replaced it.
+        """
         with naming(self.path):
             os.fsync(self._file.fileno())
-        return Noted(self.size, self.count, _fingerprint(self.path, self.size))
+            self._check_length()
+            if not os.path.samestat(os.fstat(self._file.fileno()), os.stat(self.path)):
+                raise _changed_by_others("replaced")
+            fingerprint = _fingerprint(self._file, self.size)
+            self._file.seek(self.size)
+        return Noted(self.size, self.count, fingerprint)
+
+    def _check_length(self) -> None:
+        """Refuse a file that another program has cut: writing would fill the gap with zeros."""
+        if os.fstat(self._file.fileno()).st_size != self.size:
+            raise _changed_by_others("changed")
 
     def close(self) -> None:
         """Close the file at the end of its run."""
         self._file.close()
 
 
-def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
+def _changed_by_others(how: str) -> OSError:
+    return OSError(errno.ESTALE, f"another program has {how} this file while the run writes it")
+
+
+def check(path: Path, noted: Noted) -> None:
     """Check that an output is the one that a checkpoint belongs to, so that a cut at its noted size ends a record.
 
     Args:
         path: of the output.
         noted: of it by the checkpoint.
-        format: of the output.
 
     Raises:
-        RecordError: the output is missing, is of another format, or does not begin with the noted bytes.
+        RecordError: the output is missing, or does not begin with the noted bytes.
         OSError: it cannot be read.
     """
     if not os.path.exists(path):
@@ -164,9 +186,9 @@ def check(path: Path, noted: Noted, format: type[GrowingFile]) -> None:
             f"{path}, which the run of this checkpoint writes, is missing: put it back under this name, or begin a new "
             "run from the checkpoint with --start"
         )
-    # A checkpoint may be crafted and name any file, so that the fingerprint alone is not enough.
-    is_of_format = noted.size > CHANGING and _first_bytes(path, len(format.magic)) == format.magic
-    if _fingerprint(path, noted.size) != noted.fingerprint or not is_of_format:
+    with naming(path), open_regular(path) as file:
+        is_same = os.fstat(file.fileno()).st_size >= noted.size and _fingerprint(file, noted.size) == noted.fingerprint
+    if not is_same:
         raise RecordError(
             f"{path} was edited or replaced: its first {noted.size} bytes are not those that the checkpoint has noted. "
             "Put the old file back, or begin a new run from the checkpoint with --start"
@@ -200,12 +222,11 @@ def _first_bytes(path: Path, count: int) -> bytes:
         return file.read(count)
 
 
-def _fingerprint(path: Path, size: int) -> str:
-    """Return a digest of the last bytes of the first `size` bytes of a file."""
+def _fingerprint(file: IO[bytes], size: int) -> str:
+    """Return a digest of the last bytes of the first `size` bytes of an open file."""
     begin = max(CHANGING, size - WINDOW)
-    with naming(path), open_regular(path) as file:
-        file.seek(begin)
-        return hashlib.blake2b(file.read(max(0, size - begin)), digest_size=16).hexdigest()
+    file.seek(begin)
+    return hashlib.blake2b(file.read(max(0, size - begin)), digest_size=16).hexdigest()
 
 
 class Log(GrowingFile):

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from typing import Any
 
 from openmm_sier.cli import pictures, summary
-from openmm_sier.cli.arguments import flag
 from openmm_sier.cli.console import note, progress_bar
 from openmm_sier.cli.errors import Misused, RunError
 from openmm_sier.cli.many.members import Member, RunsError, named, run_many
@@ -19,9 +18,6 @@ from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.threads import cores
 from openmm_sier.engines.choice import is_on_host
 from openmm_sier.inputs.equilibration import platform_for
-
-#: Options that name an output of each member.
-OF_MEMBERS = ("report", "pressure_tensor")
 
 #: Words of a warning that the table of means repeats.
 UNSETTLED = "not equilibrated"
@@ -50,7 +46,7 @@ def execute(chosen: Mapping[str, Any], seeds: Sequence[int], workers: int | None
     settings = new_settings(options)
     members = [named(settings.out, seed) for seed in seeds]
     if picture:
-        pictures.check(picture, [settings.box, *members], overwrite=True)
+        pictures.check(picture, [settings.box, *members], settings.overwrite, log=Member(seeds[0], members[0]).log)
     box, out = options.pop("box"), options.pop("out", None)
     at_a_time = None if scheduler else min(workers or _usual_workers(options.get("platform")), len(seeds))
     where = f"on the workers of {scheduler}" if scheduler else f"{at_a_time} at a time"
@@ -113,9 +109,8 @@ def _check(options: Mapping[str, Any], workers: int | None, scheduler: str | Non
         raise Misused("--seed and --seeds both set seeds: give one of them")
     if workers and scheduler:
         raise Misused("--workers is for this machine, and --scheduler has its own workers: leave out --workers")
-    for name in OF_MEMBERS:
-        if options.get(name):
-            raise Misused(f"{flag(name)} names one file, but each run writes a file of its own: leave out {flag(name)}")
+    if options.get("report"):
+        raise Misused("--report names one file, but the logs of --seeds are named after --out: leave out --report")
 
 
 def _is_usual(name: str, value: object) -> bool:

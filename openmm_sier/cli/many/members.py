@@ -104,7 +104,8 @@ def run_many(
 ) -> list[Member]:
     """Make runs that differ in their seeds, and continue those that are not complete.
 
-    Members are `openmm-sier run box --resume --seed N` with files named after `out`, to which "-seedN" is added.
+    Members are `openmm-sier run box --resume --seed N` with files named after `out` and `pressure_tensor`, to which
+    "-seedN" is added.
     Without a scheduler they run in parallel on this machine. With one they run on its workers, which need this package
     and the same files under the same names.
 
@@ -143,6 +144,8 @@ def named(path: Path, seed: int) -> Path:
 def command_of(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
     """Return the command line of a member, word by word."""
     line = ["run", argument(box), "--seed", str(member.seed), "--out", argument(member.out), "--resume"]
+    if tensors := options.get("pressure_tensor"):
+        options = options | {"pressure_tensor": named(Path(tensors), member.seed)}
     return line + [word for name, value in options.items() if value is not None for word in arguments(name, value)]
 
 

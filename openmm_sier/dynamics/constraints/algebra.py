@@ -91,7 +91,10 @@ class Constraints:
         ends = np.ascontiguousarray(pairs.T)
         rows, columns = weights.row.astype(np.int64), weights.col.astype(np.int64)
         squares = self.lengths**2
-        return ConstraintTable(self.members, self._first, ends, squares, 1 / masses, rows, columns, weights.data)
+        largest = int(np.bincount(self.groups[self.pairs[:, 0]]).max(initial=0))
+        return ConstraintTable(
+            self.members, self._first, ends, squares, 1 / masses, rows, columns, weights.data, largest
+        )
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
         """Return the constraints in the numbering of a subset of the bodies, which must not split a component.
@@ -118,6 +121,11 @@ class Constraints:
             self.masses[bodies],
             lambda body: self._describe(int(bodies[body])),
         )
+
+    def without(self, bodies: ArrayLike) -> Constraints:
+        """Return the constraints, in the same numbering, except those of a set of bodies, which splits no component."""
+        kept = ~np.isin(self.pairs, bodies).any(axis=1)
+        return Constraints(self.pairs[kept], self.lengths[kept], self.masses, self._describe)
 
     # --- degrees of freedom ---
 
@@ -206,6 +214,7 @@ class Constraints:
         if failed >= 0:
             bodies = np.flatnonzero(self.groups == self.groups[self.pairs[failed, 0]])
             raise ConstraintError(
-                f"the constraints of {self._name(*bodies)} cannot be satisfied: atoms are far from their places (do "
-                "they overlap? minimize first), move too fast for the step, or the constraints contradict each other"
+                f"the constraints of {self._name(*bodies)} cannot be satisfied: their solution does not converge. "
+                "Atoms are far from their places (do they overlap? minimize first), move too fast for the step (a long "
+                "straight chain needs a shorter one), or the constraints contradict each other"
             )

@@ -16,6 +16,7 @@ class ConstraintTable(NamedTuple):
         inverse_masses: (atoms,), 1/dalton.
         rows, columns: pairs of constraints that share an atom, each also with itself, (k,).
         weights: for each pair the sum of +-1/m of the shared atoms, + where both begin or both end there, (k,).
+        largest: number of constraints in the largest component.
     """
 
     members: ndarray
@@ -26,3 +27,4 @@ class ConstraintTable(NamedTuple):
     rows: ndarray
     columns: ndarray
     weights: ndarray
+    largest: int

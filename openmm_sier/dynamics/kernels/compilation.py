@@ -3,11 +3,14 @@
 The cache is in `NUMBA_CACHE_DIR` if that is set, and otherwise where the platform keeps caches: in `XDG_CACHE_HOME` or
 `~/.cache` on Linux, in `~/Library/Caches` on macOS, in `%LOCALAPPDATA%` on Windows. Numba would choose the folder of
 the sources, where `pip uninstall` leaves its files behind, and with them an empty package of this name.
+
+Code in the cache is executed, so that a directory is used only if nobody else can write it.
 """
 
 import hashlib
 import logging
 import os
+import stat
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -113,19 +116,40 @@ def _announce() -> None:
 def _warn_of_no_cache(error: Exception) -> None:
     warnings.warn(
         f"each process compiles its kernels again, since they cannot be kept on disk ({error}): set NUMBA_CACHE_DIR to "
-        "a directory that can be written",
+        "a directory that you alone can write",
         stacklevel=4,
     )
 
 
 @contextmanager
 def _cache_directory() -> Iterator[None]:
-    """Let Numba store functions that are compiled meanwhile in the directory of this package."""
-    before, config.CACHE_DIR = config.CACHE_DIR, str(_directory())
+    """Let Numba store functions that are compiled meanwhile in the directory of this package.
+
+    Raises:
+        RuntimeError: the directory cannot be made, or others can write it.
+    """
+    before, config.CACHE_DIR = config.CACHE_DIR, str(_private(_directory()))
     try:
         yield
     finally:
         config.CACHE_DIR = before
+
+
+def _private(folder: Path) -> Path:
+    """Return a directory, made if there is none, that only this user can write.
+
+    Raises:
+        RuntimeError: it cannot be made, or others can write it.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+    except OSError as error:
+        raise RuntimeError(str(error)) from error
+    # Windows gives each user a cache that others cannot write.
+    if sys.platform != "win32" and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+        raise RuntimeError(f"other users can write {folder}")
+    return folder
 
 
 def _directory() -> Path:
@@ -139,10 +163,26 @@ def _directory() -> Path:
 def _user_cache() -> Path:
     """Return the platform's directory of a user's caches."""
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+        return _absolute("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
     if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return _home() / "Library" / "Caches"
+    return _absolute("XDG_CACHE_HOME") or _home() / ".cache"
+
+
+def _absolute(variable: str) -> Path | None:
+    """Return a directory from the environment; None if it is not set, or relative, which XDG says to ignore."""
+    path = Path(os.environ.get(variable, ""))
+    return path if path.is_absolute() else None
+
+
+def _home() -> Path:
+    """Return the user's home directory."""
+    import pwd
+
+    try:
+        return _absolute("HOME") or Path(pwd.getpwuid(os.getuid()).pw_dir)
+    except KeyError:
+        raise RuntimeError("this user has no home directory") from None
 
 
 @cache

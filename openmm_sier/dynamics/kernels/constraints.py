@@ -27,6 +27,10 @@ CLOSE = 1e-11
 #: Largest numbers of linear and nonlinear iterations, reached only without a solution.
 LINEAR, NONLINEAR = 400, 40
 
+#: The same of linear iterations, for each constraint of the largest component. A chain of n beads in one line takes n
+#: of them without rounding.
+LINEAR_EACH = 4
+
 
 @called
 def take(columns, vectors):
@@ -112,7 +116,7 @@ def solution(table, matrix, scale, changes, reduction):
     for c in range(len(x)):
         direction[c], along[c] = residual[c], image[c]
     enough = reduction**2 * size
-    for _ in range(LINEAR):
+    for _ in range(max(LINEAR, LINEAR_EACH * table.largest)):
         if not size > enough:
             break
         square = 0.0

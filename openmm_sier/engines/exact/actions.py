@@ -48,7 +48,7 @@ class BodyActions(Actions):
         """Return whether the constraints of the System hold all bodies, and OpenMM's solvers satisfy them."""
         return self._are_bodies_constrained and not self._is_unsolved()
 
-    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None) -> None:
+    def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
         if self._is_unsolved():
             self._draw_velocities(temperature, seed)
             return
@@ -100,10 +100,24 @@ class BodyActions(Actions):
         if self._holds_all_bodies():
             super().minimize(by_openmm, tolerance, iterations, reporter)
             return
-        with interrupts.deferred():
-            start, forces = engine.state(), self._forces.of_all_groups
-            try:
-                minimize_bodies(self._context, engine.bodies, forces, start, tolerance, iterations, reporter)
-            except BaseException:
-                engine.recover()
-                raise
+        start, forces = engine.state(), self._forces.of_all_groups
+        handlers = interrupts.defer()
+
+        def call_handlers() -> None:
+            """Call the handlers of signals where the Context is at the start: other positions belong to no step."""
+            nonlocal handlers
+            engine.recover()
+            waiting, handlers = handlers, None
+            interrupts.release(waiting)
+            handlers = interrupts.defer()
+
+        try:
+            signals = () if handlers is None else interrupts.pending
+            minimize_bodies(
+                self._context, engine.bodies, forces, start, tolerance, iterations, reporter, signals, call_handlers
+            )
+        except BaseException:
+            engine.recover()
+            raise
+        finally:
+            interrupts.release(handlers)

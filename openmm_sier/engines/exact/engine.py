@@ -6,6 +6,7 @@ checkpoints (`packing`).
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -18,14 +19,14 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, StageCall
-from openmm_sier.dynamics.stages import KICK
+from openmm_sier.dynamics.operators import OperatorCall, always, calls
+from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
-from openmm_sier.engines import interrupts, neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
 from openmm_sier.engines.exact.forces import BodyForces, blown_up
-from openmm_sier.engines.exact.motion import MotionOperators, inner_step
+from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
@@ -69,10 +70,10 @@ class ExactEngine(Engine):
         system = context.getSystem()
         self.moving = bodies_of(system, bodies)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
-        self.step_check = StepCheck(system, self.moving, inner_step)
+        checks.refuse_hits_on_atoms(system, self.moving)
+        self.step_check = StepCheck(system, self.moving)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
-        self._in_kicks = CachedForces(self.forces.compute)
         self.motion = self._new_motion()
         self._packing = Packing(self.moving)
         self._fitting = Fitting()
@@ -84,14 +85,17 @@ class ExactEngine(Engine):
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
-        #: The operators of a step; none after a change.
-        self._calls: list[StageCall] = []
+        #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
+        self._calls: list[OperatorCall] = []
+        self._calls_with_energy: list[OperatorCall] = []
+        #: Whether Forces of the System act before each step.
+        self._acts_between_steps = False
         #: The end of the last step, and the phase point just after the bath within it.
         self._last: tuple[BodyState, BodyState] | None = None
 
     def _new_motion(self) -> MotionOperators:
         fast = self._groups & self.method.fast_groups
-        return MotionOperators(self._context, self.moving, self._in_kicks, self.method.rotation, fast, self.tally)
+        return MotionOperators(self._context, self.moving, self.forces.compute, self.method.rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -106,6 +110,9 @@ class ExactEngine(Engine):
         return BodyActions(self._context, self, self.forces)
 
     # --- changes by users ---
+
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        """Accept any method."""
 
     def synchronize(self) -> None:
         """Find the phase point and the clock of a Context in which a user may have changed anything.
@@ -129,10 +136,11 @@ class ExactEngine(Engine):
             point = self._point_of(now, point, moved)
         if Changes.FORCES in self.changes:
             self.motion = self._new_motion()
-            self._forget_forces()
         if point is not None:
             self.point = point
             self._has_point = True
+        if Changes.FORCES in self.changes:
+            self._forget_forces()
         self.clock = Clock(now.time, now.steps)
         if moved:
             self.forces.take_positions(now)
@@ -172,8 +180,8 @@ class ExactEngine(Engine):
 
     def _forget_forces(self) -> None:
         """Compute forces again next time: positions, box or parameters were changed."""
-        self._in_kicks.invalidate()
-        self.forces.forget_energies()
+        if self._has_point:
+            self.point = replace(self.point)
         self.motion.follow(self._context)
 
     def select_groups(self) -> None:
@@ -181,36 +189,43 @@ class ExactEngine(Engine):
 
     # --- steps ---
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
-        method = self.method
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if not self._calls:
-            self._calls = self.motion.calls(method, self.inner_step(method))
+            self._make_calls()
         for remaining in range(steps, 0, -1):
-            if wants_energy and remaining == 1 and method.scheme.stages[-1].operator == KICK:
-                # The last force of the step is that at its end.
-                forces = self.forces
-                forces.take_energy(with_evaluation=forces.evaluations + method.scheme.force_evaluations)
-            if method.updates_context and self.updates.acts:
+            made = self._calls_with_energy if wants_energy and remaining == 1 else self._calls
+            if self._acts_between_steps:
                 with self.transaction():
-                    self._complete(self._updated())
+                    self._complete(made)
             else:
                 # Velocities and clock of the Context are written only when the steps are over.
-                self._complete(self.point)
-            if interrupts.pending:
-                interrupts.act_on_pending()
+                self._complete(made)
+            if signals:
+                return steps - remaining + 1
+        return steps
 
-    def _complete(self, point: BodyState) -> None:
-        """Make one step from a phase point. After an error the engine is at the step before."""
+    def _make_calls(self) -> None:
+        """Make the operators of a step by the plan of the method."""
+        method, motion, updates = self.method, self.motion, self.updates
+        self._acts_between_steps = method.updates_context and updates.acts
+        has_updates = method.updates_context and (updates.acts or bool(updates.removers))
+        plan = motion.plan(method, self.inner_step(method), has_updates)
+        table = {
+            **motion.table(method),
+            UpdateContext: always(self._updated),
+            Energy: always(self.forces.with_energy),
+        }
+        self._calls = calls(plan.operations, table, method.step)
+        self._calls_with_energy = calls(plan.with_energy().operations, table, method.step)
+
+    def _complete(self, made: list[OperatorCall]) -> None:
+        """Make one step by the calls of its operators. After an error the engine is at the step before."""
         method, (time, steps), tally = self.method, self.clock, self.tally
         mark, start = Mark(tally.heat, tally.draws), self.point
-        thermal = None
+        point, thermal = start, None
         self.forces.step = steps + 1
         try:
-            # A CMMotionRemover acts after each number of steps that its frequency divides.
-            if method.updates_context and 0 in map(steps.__mod__, self.updates.removers):
-                point, energy = self.moving.stopped(point)
-                tally.heat -= energy
-            for operator, times, is_bath in self._calls:
+            for operator, times, is_bath in made:
                 point = operator(point, *times)
                 if is_bath:
                     thermal = point
@@ -230,13 +245,19 @@ class ExactEngine(Engine):
             raise
         self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
 
-    def _updated(self) -> BodyState:
+    def _updated(self, point: BodyState) -> BodyState:
         """Let the Forces that act between steps do so, and return the phase point after that.
 
         Raises:
             RigidityError: the positions do not form the bodies any more.
         """
-        return self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
+        if self.updates.acts:
+            point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
+        # A CMMotionRemover acts after each number of steps that its frequency divides.
+        if 0 in map(self.clock.steps.__mod__, self.updates.removers):
+            point, energy = self.moving.stopped(point)
+            self.tally.heat -= energy
+        return point
 
     def _with_new_atoms(self) -> BodyState:
         self.publish()
@@ -247,12 +268,14 @@ class ExactEngine(Engine):
         bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
         moved = not np.array_equal(now.positions, before.positions)
         q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
-        updated = replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
+        updated = BodyState(q, bodies.constraints.project(q, point.p), A, point.L, None if moved else point.cache)
         if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
             updated = with_velocities(bodies, updated, now)
         if moved:
             self.forces.take_positions(now)
-        self._take_environment(now)
+        if now.environment != self._environment:
+            self._take_environment(now)
+            updated = replace(updated)
         return updated
 
     def _with_new_box(self) -> BodyState:
@@ -268,7 +291,7 @@ class ExactEngine(Engine):
         self.forces.take_positions(now)
         self._forget_forces()
         self._environment = now.environment
-        return replace(point, q=q, p=bodies.constraints.project(q, point.p), A=A)
+        return BodyState(q, bodies.constraints.project(q, point.p), A, point.L)
 
     def make_trial(self, trial: Trial) -> Outcome:
         return trajectories.make_trial(self, trial)
@@ -317,7 +340,7 @@ class ExactEngine(Engine):
         if saved.box != self._box():
             self._set_box(saved.box)
         point = saved.point
-        self.point = replace(point, p=-point.p, L=-point.L) if reverse else point
+        self.point = BodyState(point.q, -point.p, point.A, -point.L, point.cache) if reverse else point
         self.clock = saved.clock
         self.tally.restore(saved.mark)
 
@@ -351,7 +374,8 @@ class ExactEngine(Engine):
 
     def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
         point = self.point
-        self.point = self.moving.shifted(replace(point, p=factor * point.p, L=factor * point.L), shift)
+        scaled = BodyState(point.q, factor * point.p, point.A, factor * point.L, point.cache)
+        self.point = self.moving.shifted(scaled, shift)
 
     def draw_momenta(self, thermal: float, share: float) -> None:
         friction = -math.log(share) if share else math.inf
@@ -376,7 +400,7 @@ class ExactEngine(Engine):
 
     def temperatures(self, conserved: bool) -> Temperatures:
         state = self.state()
-        if self._last is not None and self._last[0] is state:
+        if self._last is not None and self._last[0].p is state.p:
             state = self._last[1]
         return temperatures(self.moving, state, conserved)
 

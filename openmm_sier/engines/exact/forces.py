@@ -7,7 +7,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics import kernels
-from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair
+from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair, PlaceCache
 from openmm_sier.engines.protocol import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
@@ -46,10 +46,6 @@ class BodyForces:
         self._groups_in_kicks = 0
         self.evaluations = 0
         self.step = 0
-        # The last two, for the start and the end of a trajectory.
-        self._energies: list[tuple[np.ndarray, np.ndarray, float]] = []
-        #: The number of the evaluation with which the energy is computed.
-        self._with_energy = 0
 
     def select(self, groups: int, fast_groups: int) -> None:
         """Take the force groups that move the bodies, and the fast ones among them, each as a bit mask."""
@@ -87,21 +83,21 @@ class BodyForces:
 
     # --- forces ---
 
-    def compute(self, q: np.ndarray, A: np.ndarray, groups: int | None = None) -> Pair:
+    def compute(self, q: np.ndarray, A: np.ndarray, groups: int | None = None, cache: PlaceCache | None = None) -> Pair:
         """Return forces and torques on bodies at (q, A), each (3, n).
 
         Args:
             q, A: centres and attitudes.
             groups: bit mask of force groups; None for those of kicks, which are all but the fast ones.
+            cache: gets the energy too, for a tenth of what it costs alone; None for forces only.
         """
         acting = self._groups_in_kicks if groups is None else groups
         self.evaluations += 1
         self.place(q, A)
-        wants_energy = self.evaluations == self._with_energy
-        state = openmm.Context.getState(self._context, forces=True, energy=wants_energy, groups=acting)
-        if wants_energy:
+        state = openmm.Context.getState(self._context, forces=True, energy=cache is not None, groups=acting)
+        if cache is not None:
             others = self._groups & ~acting
-            self._keep_energy((q, A, _potential(state) + (self._energy_of(others) if others else 0.0)))
+            cache.energy = _potential(state) + (self._energy_of(others) if others else 0.0)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         F, tau = np.empty(q.shape), np.empty(q.shape)
@@ -113,30 +109,24 @@ class BodyForces:
         """Return forces and torques on bodies at (q, A), each (3, n), including fast forces."""
         return self.compute(q, A, self._groups)
 
+    def with_energy(self, state: BodyState) -> BodyState:
+        """Return a state whose energy is in its cache, with the slow forces, which were computed at once."""
+        cache = state.cache
+        if cache.forces is None:
+            cache.forces = self.compute(state.q, state.A, cache=cache)
+        return state
+
     def energy(self, state: BodyState) -> float:
         """Return the potential energy at a state, kJ/mol, of all groups that move the bodies."""
-        q, A = state.q, state.A
-        entry = next((cached for cached in self._energies if cached[0] is q and cached[1] is A), None)
-        if entry is None:
-            self.place(q, A)
-            entry = (q, A, self._energy_of(self._groups))
-        self._keep_energy(entry)
-        return entry[2]
+        cache = state.cache
+        if cache.energy is None:
+            self.place(state.q, state.A)
+            cache.energy = self._energy_of(self._groups)
+        return cache.energy
 
     def _energy_of(self, groups: int) -> float:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
         return _potential(openmm.Context.getState(self._context, energy=True, groups=groups))
-
-    def _keep_energy(self, entry: tuple[np.ndarray, np.ndarray, float]) -> None:
-        self._energies = [*(cached for cached in self._energies if cached is not entry), entry][-2:]
-
-    def take_energy(self, with_evaluation: int) -> None:
-        """Compute the energy too with the evaluation of this number, for a tenth of what it costs alone."""
-        self._with_energy = with_evaluation
-
-    def forget_energies(self) -> None:
-        """Discard cached energies: positions, box, parameters or the potential were changed."""
-        self._energies = []
 
     def _blown_up(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:
         """Return the error of a step in which vectors of bodies are not finite."""

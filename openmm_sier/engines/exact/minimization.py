@@ -4,7 +4,7 @@ OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraint
 rigid only because they were named.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from itertools import islice
 from typing import Any
 
@@ -14,14 +14,13 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.minimizer import descent
-from openmm_sier.engines import interrupts
 from openmm_sier.system import tables
 
 
 def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
     """Return whether every distance inside every body is constrained."""
     constraints = tables.constraints(system)
-    return all(constraints.hold(species.atoms).all() for species in bodies.species)
+    return all(held.all() for held in constraints.hold(species.atoms for species in bodies.species))
 
 
 def minimize_bodies(
@@ -32,6 +31,8 @@ def minimize_bodies(
     tolerance: Any,
     iterations: int,
     reporter: openmm.MinimizationReporter | None = None,
+    signals: Collection[Any] = (),
+    at_signal: Callable[[], None] = lambda: None,
 ) -> None:
     """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does for atoms.
 
@@ -46,6 +47,8 @@ def minimize_bodies(
             forces, and of torques divided by radii of gyration, over the degrees of freedom of the bodies.
         iterations: largest number of iterations, each with one evaluation of forces; 0 for no limit.
         reporter: an openmm.MinimizationReporter or None.
+        signals: those that wait.
+        at_signal: called between two iterations when there are some.
 
     Raises:
         openmm.OpenMMException: a force is not finite.
@@ -56,7 +59,8 @@ def minimize_bodies(
     for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
         if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
             break
-        interrupts.act_on_pending()
+        if signals:
+            at_signal()
 
 
 def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:

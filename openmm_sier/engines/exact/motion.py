@@ -1,26 +1,20 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics import constrained, operators
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.dynamics.constraints.geodesic import TRIPLE_JUMP
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.operators import CachedForces, Operator, Rotation, StageCall
-from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT
+from openmm_sier.dynamics.operators import Forces, Rotation, always
+from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, plan_step
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
-
-#: The longest inner step where the number of substeps is left open, ps: of SIER4G, and of SIER2 around a bath, which
-#: has the averages of harmonic motion right at any step below its stability limit.
-LONGEST_INNER_STEP = 0.003
-LONGEST_WITH_BATH = 0.0035
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -32,14 +26,13 @@ class MotionOperators:
 
     Attributes:
         solute: the fast forces, of the bodies that they act on; None where there are none.
-        fast: these forces with the last ones kept.
     """
 
     def __init__(
         self,
         context: openmm.Context,
         bodies: BodySet,
-        forces: CachedForces,
+        forces: Forces,
         rotation: Rotation,
         fast_groups: int,
         tally: Tally,
@@ -58,48 +51,41 @@ class MotionOperators:
         """
         self._bodies = bodies
         self._tally = tally
-        self._rotation = rotation
-        self._groups = _flexible_points(bodies)
+        groups = _flexible_points(bodies)
         fast = _fast_forces(context.getSystem(), bodies, fast_groups)
-        #: The bodies that fast forces move.
-        self._members = _touched(bodies, fast)
-        self.solute = _solute(context, bodies.restricted(self._members), fast) if fast else None
-        self.fast = None if self.solute is None else CachedForces(self.solute)
-        if (self._groups >= 0).any():
-            self._outer = constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, self._groups)
-        else:
-            self._outer = operators.body_operators(bodies, forces, rotation)
+        touched = _touched(bodies, fast)
+        self.solute = _solute(context, bodies.restricted(touched), fast) if fast else None
+        self._table = _table(bodies, forces, rotation, groups)
+        if self.solute is not None:
+            within = _table(self.solute.bodies, self.solute, rotation, groups[touched])
+            others = bodies.constraints.without(touched)
+            drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
+            self._table[Inner] = constrained.inner_drifts(drifts, touched, within)
 
-    def calls(self, method: IntegrationMethod, longest: float) -> list[StageCall]:
-        """Return the calls that make a step of a method, with inner steps of up to `longest`, ps."""
-        by_name = dict(self._outer)
-        if method.bath is not None:
-            by_name[BATH] = constrained.bath_operator(method.bath, self._bodies, self._tally)
-        if self.fast is not None and self.solute is not None and longest:
-            by_name |= self._nested_drifts(self.solute.bodies, self.fast, method.scheme, longest)
-        return operators.calls(method.scheme, by_name, method.step)
+    def plan(self, method: IntegrationMethod, inner_step: float, updates: bool) -> Plan:
+        """Return the plan of a method, with inner steps of up to a length in ps."""
+        has_inner_steps = self.solute is not None and inner_step > 0
+        longest_fraction = inner_step / method.step if has_inner_steps else None
+        has_constraints = len(self._bodies.constraints.pairs) > 0
+        return plan_step(method.scheme, longest_fraction, None, updates, projects=has_constraints)
+
+    def table(self, method: IntegrationMethod) -> dict[type[Operation], Any]:
+        """Return the table of the operations of a method."""
+        if method.bath is None:
+            return self._table
+        return {**self._table, Bath: always(constrained.bath_operator(method.bath, self._bodies, self._tally))}
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
-        if self.fast is not None and self.solute is not None:
+        if self.solute is not None:
             self.solute.follow(context)
-            self.fast.invalidate()
 
-    def _nested_drifts(
-        self, bodies: BodySet, forces: CachedForces, scheme: Scheme, longest: float
-    ) -> dict[str, Operator]:
-        """Return drifts in which fast forces move some bodies."""
-        # One RATTLE step in each drift next to a bath: SIER2's own errors are larger.
-        composition = (1.0,) if scheme.bath_divides_drift else TRIPLE_JUMP
-        within = constrained.constrained_operators(
-            bodies, forces, bodies.constraints, self._rotation, self._groups[self._members], composition
-        )
-        if scheme.bath_divides_drift:
-            moves = constrained.steps_around_bath(within, longest)
-        else:
-            moves = {DRIFT: constrained.equal_steps(scheme.within_drifts, within, longest)}
-        drift = operators.drift(self._bodies, self._rotation)
-        return {name: constrained.nested_drift(drift, self._members, move) for name, move in moves.items()}
+
+def _table(bodies: BodySet, forces: Forces, rotation: Rotation, groups: np.ndarray) -> dict[type[Operation], Any]:
+    """Return the table of some bodies; `groups` are those of `DisplacedForces`."""
+    if (groups >= 0).any():
+        return constrained.constrained_operators(bodies, forces, bodies.constraints, rotation, groups)
+    return operators.body_operators(bodies, forces, rotation)
 
 
 def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
@@ -146,22 +132,3 @@ def _flexible_points(bodies: BodySet) -> np.ndarray:
     groups = np.full(bodies.n, -1)
     groups[points] = np.unique(bodies.molecules[points], return_inverse=True)[1]
     return groups
-
-
-def inner_step(method: IntegrationMethod, accurate: float) -> float:
-    """Return the length of the inner steps in the longest drift of a method, ps.
-
-    Without `IntegrationMethod.substeps` there are as many as `LONGEST_INNER_STEP` and `LONGEST_WITH_BATH` require, or
-    more where bonds are accurate only up to shorter steps.
-
-    Args:
-        method: of the steps.
-        accurate: longest step at which bonds are accurate, ps.
-    """
-    scheme, h = method.scheme, method.step
-    if method.substeps is not None:
-        return h * scheme.inner_fraction(method.substeps)
-    if scheme.bath_divides_drift:
-        return h / constrained.steps_with_bath(h, min(LONGEST_WITH_BATH, accurate))
-    longest = h * scheme.longest_drift
-    return longest / constrained.inner_steps(longest, min(LONGEST_INNER_STEP, accurate))

@@ -1,7 +1,5 @@
 """The phase point of bodies from the atoms of a Context, whoever put them there."""
 
-from dataclasses import replace
-
 import numpy as np
 import openmm
 
@@ -58,7 +56,7 @@ def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodySta
         raise openmm.OpenMMException(
             f"The velocities of {bodies.describe(error.body)} in the Context are not finite"
         ) from None
-    return replace(state, p=bodies.constraints.project(state.q, p), L=L)
+    return BodyState(state.q, bodies.constraints.project(state.q, p), state.A, L, state.cache)
 
 
 class Fitting:

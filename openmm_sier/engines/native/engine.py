@@ -1,8 +1,9 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
 import math
+from collections.abc import Collection
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -11,12 +12,12 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines import interrupts, neighbour_list, trajectories
+from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
 from openmm_sier.engines.native.constrained_start import are_satisfied, satisfy_constraints
-from openmm_sier.engines.native.installation import guard, set_bath
+from openmm_sier.engines.native.installation import set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK, Program
@@ -76,15 +77,13 @@ class NativeEngine(Engine):
         super().__init__(context, method, tally)
         system, integrator = context.getSystem(), context.getIntegrator()
         self._program = program
-        self._refuse_system(system, bodies)
+        refusals.refuse_system(system, bodies)
+        self.accept(method, self._groups)
         self._constraints = tables.constraints(system)
         self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
-        fraction = program.inner_fraction
-        self.step_check = StepCheck(
-            system, self.moving, lambda wanted, _: wanted.step * fraction, self._reported.species
-        )
+        self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)
         #: The step size of OpenMM's own clock.
         self._step_of_clock = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
         self._potential: Potential | None = None
@@ -97,17 +96,6 @@ class NativeEngine(Engine):
         self._checks_positions = needs_finite_positions(system, context.getPlatform())
         if self.precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
-
-    def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
-        """Refuse what only the exact engine can do.
-
-        Raises:
-            openmm.OpenMMException: the message says what that is, and the remedy.
-        """
-        refusals.refuse(self.method, bodies, self._program, system)
-        # Other integration groups come with another engine, since OpenMM fixes them when it reads the program.
-        refusals.refuse_fast_forces(system, groups_of(self.method.fast_groups), self._groups)
-        refuse_other_slow_groups(self._program, system, self._groups, self.method.fast_groups)
 
     @property
     def clock(self) -> Clock:
@@ -124,11 +112,16 @@ class NativeEngine(Engine):
 
     # --- changes by users ---
 
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        refusals.refuse_method(method, self._program)
+        if groups is not None:
+            system = self._context.getSystem()
+            refusals.refuse_fast_forces(system, groups_of(method.fast_groups), groups)
+            refuse_other_slow_groups(self._program, system, groups, method.fast_groups)
+
     def synchronize(self) -> None:
         changes = self.changes
         self._set_bath()
-        # A program that does less than what was asked for runs here, since this engine does the rest.
-        guard(self._integrator, False)
         if Changes.ATOMS in changes:
             self._atoms.forget()
             self._follows_bath = False
@@ -177,14 +170,14 @@ class NativeEngine(Engine):
 
     # --- steps ---
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if self.method.step == 0:
             # Steps of zero length are only counted: the program would divide by zero.
             time, count = self.clock
             self.clock = Clock(time, count + steps)
-            return
+            return steps
         if not steps:
-            return
+            return 0
         if not self._has_force:
             self.evaluations += int(self.method.scheme.reuses_force)
             self._has_force = True
@@ -192,19 +185,21 @@ class NativeEngine(Engine):
         self._atoms.forget()
         # Where positions are looked at, or a step is divided into native ones, steps are made one by one.
         at_once = 1 if self._checks_positions or len(self._program.parts) > 1 else AT_ONCE
+        made = 0
         try:
-            while steps:
-                number = min(steps, at_once)
+            while made < steps:
+                number = min(steps - made, at_once)
                 self._advance(number)
-                steps -= number
-                if interrupts.pending:
-                    interrupts.act_on_pending()
+                made += number
+                if signals:
+                    break
         finally:
             if not self._program.ends_constrained:
                 openmm.Context.applyVelocityConstraints(self._context, self._integrator.getConstraintTolerance())
         # An end whose energy is asked for may become a sample, and OpenMM's solvers do not say where they stop.
         if wants_energy and not are_satisfied(self._constraints, self.positions()):
             raise TrajectoryError("OpenMM could not satisfy the constraints at the end of a trajectory")
+        return made
 
     def _advance(self, steps: int) -> None:
         """Make steps by native ones, of which OpenMM counts as many as a step has parts."""

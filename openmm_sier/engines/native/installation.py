@@ -1,7 +1,6 @@
 """A program as the computations of an OpenMM CustomIntegrator, with the variables that it uses."""
 
 import copy
-import re
 from collections.abc import Iterable
 from functools import partial
 
@@ -24,8 +23,8 @@ from openmm_sier.engines.program import (
 from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
 
-#: Global variable that is 1 if only the exact engine can do what the integrator was made for.
-EXACT_ONLY = PREFIX + "exact_only"
+#: Global variable without a use. Without it OpenMM would misread checkpoints of earlier versions.
+UNUSED = PREFIX + "exact_only"
 
 #: Global variable: the number of native steps of the program in a step of the scheme, below 1 where a native step is a
 #: trial.
@@ -33,9 +32,6 @@ PARTS = PREFIX + "parts"
 
 #: The per-atom variables of both engines, which are there where a run may go on with the other one.
 ALL_VECTORS = (*STATE_VARIABLES, *VECTORS)
-
-#: The force of one group in an expression.
-GROUP_FORCE = re.compile(r"\bf\d+(?=/m)")
 
 #: OpenMM's own computations, by the targets of statements without an expression.
 OWN = {
@@ -56,12 +52,17 @@ def all_vectors(method: IntegrationMethod) -> tuple[str, ...]:
 def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:
     """Give an openmm.CustomIntegrator the global variables of programs, or of trials too, unless it has them."""
     there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
-    for name in (EXACT_ONLY, PART, PARTS, FRICTION, THERMAL, *(trials.GLOBALS if in_trials else ())):
+    for name in (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trials.GLOBALS if in_trials else ())):
         if name not in there:
             integrator.addGlobalVariable(name, 0)
 
 
-def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iterable[str] | None = None) -> None:
+def install(
+    program: Program,
+    integrator: openmm.CustomIntegrator,
+    vectors: Iterable[str] | None = None,
+    is_guarded: bool = False,
+) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
@@ -72,6 +73,8 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
         program: what OpenMM executes.
         integrator: has neither computations nor per-atom variables yet.
         vectors: names of the per-atom variables; None: those of the program, with all that steps may need.
+        is_guarded: whether the program must fail at its first step, as one in XML that does less than what was asked
+            for. The integrators of Contexts here have none of these, since the engine does the rest.
     """
     usual = program.vectors if program.trials is not None else ALL_VECTORS
     for name in usual if vectors is None else vectors:
@@ -79,7 +82,7 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
     declare(integrator, program.trials is not None)
     n = program.native_steps
     integrator.setGlobalVariableByName(PARTS, n)
-    _add_guard(integrator)
+    _add_guard(integrator, is_guarded)
     if program.trials is not None:
         trials.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
         _add_last_force(program, integrator)
@@ -114,7 +117,7 @@ def _add_last_force(program: Program, integrator: openmm.CustomIntegrator) -> No
     OpenMM computes what uses no force together with what uses the next force, and statements after the last one alone,
     in kernels of their own.
     """
-    used = [name for statement in program.statements for name in GROUP_FORCE.findall(statement.expression)]
+    used = [term.name for statement in program.statements if (term := statement.force) is not None and term.is_of_group]
     if used:
         integrator.beginIfBlock(f"{PART} = {NEVER}")
         integrator.addComputePerDof("v", f"v + {used[-1]}/m")
@@ -190,24 +193,17 @@ def set_trial(integrator: openmm.CustomIntegrator, trial: Trial | None) -> None:
         integrator.setGlobalVariableByName(name, value)
 
 
-def guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:
-    """Let a program run or not without this package.
-
-    Args:
-        integrator: openmm.CustomIntegrator with the variables of programs.
-        is_guarded: whether its program alone would do less than what was asked for.
-    """
-    integrator.setGlobalVariableByName(EXACT_ONLY, float(is_guarded))
-
-
-def _add_guard(integrator: openmm.CustomIntegrator) -> None:
-    """Make the program fail where it cannot do all that was asked for, and this package is not there to do it.
+def _add_guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:
+    """Make a program fail that cannot do all that was asked for, where this package is not there to do it.
 
     XML gives a plain CustomIntegrator there. Reference and CPU name the undefined variable in an error; other platforms
     stop at positions that are NaN.
     """
-    integrator.beginIfBlock(f"{EXACT_ONLY}*step({PART}) > 0.5")
+    # OpenMM draws random numbers for each condition, so that all programs have this one.
+    integrator.beginIfBlock(f"{int(is_guarded)} = 1")
     integrator.addComputePerDof(LOST, "0")
-    integrator.addComputePerDof("x", f"x + sqrt(-{EXACT_ONLY})")
-    integrator.addComputeGlobal(EXACT_ONLY, "energy")
+    # A constant that is NaN would keep OpenMM's optimizer of expressions busy for ever.
+    integrator.addComputePerDof("x", "x + sqrt(-1 - x*x)")
+    # They notice that where an energy is computed.
+    integrator.addComputeGlobal(UNUSED, "energy")
     integrator.endBlock()

@@ -1,7 +1,7 @@
 """A splitting scheme written out as the program of an OpenMM CustomIntegrator.
 
 The program runs where the forces run, and XML carries it to interpreters without this package. `write` makes it from a
-`Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, substeps=4))` shows it.
+`Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, rattle_steps=5))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
 Where a System may have virtual sites, a step of the scheme is therefore divided into several steps of OpenMM, here
@@ -18,13 +18,40 @@ to, since that takes four more projections of the velocities.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from functools import partial
+from dataclasses import dataclass
+from typing import Any
 
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.integration_method import FEWEST_WITH_BATH
+from openmm_sier.dynamics.plan import (
+    Bath,
+    Drift,
+    Inner,
+    Kick,
+    Operation,
+    Project,
+    Repeat,
+    Resolution,
+    UpdateContext,
+    expanded,
+    plan_step,
+)
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_FROM_BATH, DRIFT_TO_BATH, GRADIENT_KICK, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, DRIFT, DRIFT_TO_BATH
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, UPDATE, V0, WORK, Line, Program, Statement
+from openmm_sier.engines.program import (
+    ALL_GROUPS,
+    CONSTRAIN_V,
+    CONSTRAIN_X,
+    KEPT,
+    UPDATE,
+    V0,
+    WORK,
+    ForceTerm,
+    Line,
+    Program,
+    Statement,
+)
 from openmm_sier.engines.variables import PREFIX
 
 #: Global variables for the bath's friction (1/ps) and thermal energy (kJ/mol).
@@ -37,7 +64,7 @@ MOST_PARTS = 12
 COMPOSITIONS = {3: TRIPLE_JUMP, 5: SUZUKI}
 
 #: Usual steps of RATTLE in each drift of an inner step.
-INNER_SUBSTEPS = 3
+USUAL_IN_INNER_STEPS = 3
 
 #: A drift longer than this many times the simulated time per force takes five RATTLE steps.
 LONG_DRIFT = 2.0
@@ -52,48 +79,38 @@ GAINED = Statement(WORK, f"{WORK} + 0.5*m*(v*v - {V0}*{V0})")
 #: Count the kinetic energy gained from the first to the second, without keeping velocities.
 BEFORE, AFTER = (Statement(WORK, f"{WORK} {sign} 0.5*m*v*v") for sign in "-+")
 
-#: A force as a sum of OpenMM's forces, each with its sign.
-Force = list[tuple[str, str]]
-
-#: Writes a drift out from its stage.
-Drift = Callable[[Stage], "Line"]
+#: The force that moves the atoms, as a sum of OpenMM's forces.
+Force = list[ForceTerm]
 
 
-def usual_substeps(scheme: Scheme, nested: bool) -> int:
-    """Return the least number of substeps whose errors are below those of the scheme at usual steps.
+def usual_rattle_steps(scheme: Scheme) -> int:
+    """Return the least number of steps of RATTLE in a drift whose errors are below those of the scheme at usual steps.
 
-    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three RATTLE steps
-    suffice. SIER4 and SIER4V have drifts of 2.4 and 2.8 times it. With fast forces, `nested`, an inner step is at most
-    as long as a drift of SIER4G, 3 fs. Beside a bath one RATTLE step of 9 fs, which has the bath in its middle, has the
-    exact averages of water within 0.1 %. With fast forces a third of the step is short enough for bonds.
+    SIER2, SIER4G and SIER4P have drifts of up to 1.6 times the simulated time per force, for which three suffice. SIER4
+    and SIER4V have drifts of 2.4 and 2.8 times it. Beside a bath one step of 9 fs, which has the bath in its middle,
+    has the exact averages of water within 0.1 %.
     """
     if scheme.bath_divides_drift:
-        return 2 if nested else 1
-    is_long = scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT
-    if nested:
-        return 2 if is_long else 1
-    return 5 if is_long else 3
+        return 1
+    return 5 if scheme.longest_drift * scheme.force_evaluations > LONG_DRIFT else 3
 
 
 def write(
     scheme: Scheme,
-    substeps: int | None = None,
+    rattle_steps: int | None = None,
     fast_groups: Collection[int] = (),
+    inner_step: float | None = None,
     updates_context: bool = True,
     bath: Thermostat | None = None,
     slow_group: int | None = None,
     divides_step: bool = True,
     counts_heat: bool = True,
-    inner_substeps: int = INNER_SUBSTEPS,
 ) -> Program:
     """Write the program of a scheme.
 
     Without fast groups all forces are in the kicks, and the drift is free motion. With them the forces of these groups
-    move from the kicks into the drift, which becomes `substeps` steps of SIER4G: its kicks use the fast forces, and
-    each of its drifts is `inner_substeps` RATTLE steps, three of which are composed to fourth order. One step of SIER4G
-    in a drift of 3 fs follows springs of 1100/cm as well as twenty steps of velocity Verlet. With a bath in the middle
-    of the drift, the drift is an odd number of RATTLE steps with the bath in the middle of one, with or without fast
-    forces.
+    move from the kicks into the drift, see `dynamics.plan`. With a bath in the middle of the drift, the drift is an odd
+    number of steps of RATTLE with the bath in the middle of one, with or without fast forces.
 
     Velocities are constrained where they are read, before a bath and at the end of the step, and not after every stage:
     what they have along the constraints changes no position that is constrained next, since the constraint forces take
@@ -103,11 +120,12 @@ def write(
 
     Args:
         scheme: what to execute; its operators are kicks, gradient kicks, drifts and baths.
-        substeps: without fast groups, RATTLE steps in each drift: 3 and 5 make it fourth order (`COMPOSITIONS`), other
-            numbers are equal steps. With fast groups, equal inner steps in each drift. Beside a bath in the middle of
-            the drift steps are always equal, and the one that has the bath in its middle is counted in the drifts on
-            both sides. None: `usual_substeps`.
+        rattle_steps: in each drift or, with fast groups, in each drift of an inner step: 3 and 5 make it fourth order
+            (`COMPOSITIONS`), other numbers are equal steps. Beside a bath in the middle of a drift steps are always
+            equal, and the one that has the bath in its middle is counted on both sides; with fast groups there is one
+            in each inner step. None: `usual_rattle_steps`, and `USUAL_IN_INNER_STEPS` with fast groups.
         fast_groups: force groups of the fast forces, which must act on atoms alone, see `refusals.refuse_fast_forces`.
+        inner_step: longest inner step as a fraction of the step; None: one in each drift, three around a bath.
         updates_context: whether OpenMM's barostats and CMMotionRemovers act before each step. What a remover takes is
             counted as heat, unless that of a bath is not.
         bath: executes the scheme's bath, with whatever temperature and friction it is given later.
@@ -116,48 +134,47 @@ def write(
             have virtual sites. Otherwise one native step is enough.
         counts_heat: whether the heat of the bath is counted. It takes projections of the velocities before and after
             the bath; the trajectory is the same without them, to rounding.
-        inner_substeps: RATTLE steps in each drift of an inner step.
 
     Raises:
         ValueError: the scheme has another operator, or a bath that nothing executes, or needs more than `MOST_PARTS`
             native steps.
     """
-    fast = [f"f{group}" for group in sorted(fast_groups)]
-    number = usual_substeps(scheme, bool(fast)) if substeps is None else substeps
+    fast = [ForceTerm(f"f{group}") for group in sorted(fast_groups)]
     counts_heat = counts_heat or BATH not in scheme.operators
-    slow = [("+", "f"), *(("-", name) for name in fast)] if slow_group is None else [("+", f"f{slow_group}")]
-
-    def drift(stage: Stage) -> Line:
-        if scheme.bath_divides_drift:
-            return _drift_beside_bath(stage, scheme.inner_fraction(number), number - 1, fast, counts_heat)
-        return _nested_drift(scheme, stage, number, fast, inner_substeps) if fast else _drift(stage.fraction, number)
-
-    def bathe(time: str) -> Line:
-        if bath is None:
-            raise ValueError(f"OpenMM cannot execute the operator '{BATH}' in a CustomIntegrator")
-        velocity = bath.velocity(time, FRICTION, THERMAL)
-        if scheme.bath_divides_drift:
-            return _bath_in_drift(velocity, keeps=bool(fast))
-        return _bath(velocity, counts_heat)
-
-    lines = _update(counts_heat) if updates_context else []
-    lines += _lines(scheme.stages, "h", slow, drift, bathe)
-    ends_constrained = counts_heat or not scheme.bath_divides_drift
-    if ends_constrained and not _leaves_constrained(lines[-1]):
-        lines.append(Line("end", (Statement(CONSTRAIN_V),)))
+    if fast:
+        resolution = _resolution(scheme, rattle_steps or USUAL_IN_INNER_STEPS)
+        inner_step = inner_step or (1 / FEWEST_WITH_BATH if scheme.bath_divides_drift else scheme.longest_drift)
+    else:
+        resolution, inner_step = _resolution(scheme, rattle_steps or usual_rattle_steps(scheme)), None
+    plan = plan_step(scheme, inner_step, resolution, updates_context)
+    statements = Statements(_slow_forces(fast, slow_group), fast, bath, scheme.bath_divides_drift, counts_heat)
+    lines = statements.of(plan.operations)
     parts = _divided(lines) if divides_step else (tuple(lines),)
     if len(parts) > MOST_PARTS:
         raise ValueError(f"the scheme {scheme.name} takes {len(parts)} native steps, more than {MOST_PARTS}")
     return Program(
         scheme.name,
         parts,
-        inner_fraction=scheme.inner_fraction(number) if fast else 1.0,
+        inner_fraction=plan.longest_inner_step,
         counts_heat=counts_heat,
-        ends_constrained=ends_constrained,
+        ends_constrained=statements.ends_constrained,
         slow_group=slow_group,
         momentum_lag=scheme.momentum_lag,
         fast_groups=tuple(sorted(fast_groups)),
     )
+
+
+def _resolution(scheme: Scheme, rattle_steps: int) -> Resolution:
+    """Return how drifts are divided into steps of RATTLE; see `write`."""
+    weights = COMPOSITIONS.get(rattle_steps, (1 / rattle_steps,) * rattle_steps)
+    return Resolution(weights, weights, around_bath=2 * rattle_steps - 1 if scheme.bath_divides_drift else 0)
+
+
+def _slow_forces(fast: Force, slow_group: int | None) -> Force:
+    """Return the sum of all forces less the fast ones, or the force of the only slow group."""
+    if slow_group is not None:
+        return [ForceTerm(f"f{slow_group}", is_slow=True)]
+    return [ForceTerm(ALL_GROUPS, is_slow=True), *(term._replace(sign="-") for term in fast)]
 
 
 def _leaves_constrained(line: Line) -> bool:
@@ -166,19 +183,12 @@ def _leaves_constrained(line: Line) -> bool:
     return changes[-1:] == [CONSTRAIN_V]
 
 
-def _update(counts_heat: bool) -> list[Line]:
-    """Let OpenMM's barostats and CMMotionRemovers act."""
-    if not counts_heat:
-        return [Line("every step", (Statement(UPDATE),))]
-    return [Line("every step", (Statement(V0, "v"), Statement(UPDATE), GAINED))]
-
-
 def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
-    """Return lines by native step; one begins where a force is needed at positions that the present one changed."""
+    """Return lines by native step; one begins where slow forces are needed at positions that the last one changed."""
     parts: list[list[Line]] = [[]]
     moved = False
     for line in lines:
-        if moved and line.needs_force:
+        if moved and line.needs_slow_force:
             parts.append([])
             moved = False
         parts[-1].append(line)
@@ -186,42 +196,105 @@ def _divided(lines: list[Line]) -> tuple[tuple[Line, ...], ...]:
     return tuple(map(tuple, parts))
 
 
-def _nested_drift(scheme: Scheme, stage: Stage, number: int, fast: list[str], substeps: int) -> Line:
-    """Write a drift under the forces of fast groups, with RATTLE steps in each drift of an inner step."""
-    inner_drift = partial(_drift, substeps=substeps, unit="d/e")
-    stages = scheme.within_drifts.stages
-    within = _lines(stages, "e", _sum_of(fast), lambda one: inner_drift(one.fraction))
-    title = f"{stage.operator}, inner steps of {scheme.within_drifts.name}"
-    return Line(title, (), (stage.fraction / number,) * number, "e/h", tuple(within))
+# --- statements of operations ---
 
 
-def _drift_beside_bath(stage: Stage, e: float, whole: int, fast: list[str], counts_heat: bool) -> Line:
-    """Write what a drift has on one side of a bath in its middle: half an inner step, and whole ones.
+@dataclass(frozen=True)
+class Statements:
+    """The statements of each operation of a plan.
 
-    See `dynamics.constrained.steps_around_bath`.
-
-    Args:
-        stage: the drift to the bath or from it.
-        e: the length of an inner step in units of h.
-        whole: number of whole inner steps.
-        fast: names of the forces of fast groups, which kick before each inner step.
-        counts_heat: whether the heat of the bath is counted.
+    Attributes:
+        slow, fast: the forces of kicks.
+        bath: executes `Bath`; None where nothing does.
+        bath_divides_drift: whether a bath is in the middle of a drift.
+        counts_heat: whether heat is counted.
     """
 
-    def drift(one: Stage) -> Line:
-        if one.operator == DRIFT:
-            return _drift(one.fraction, 1, "d/e")
-        half = _half_drift_to_bath(counts_heat) if one.operator == DRIFT_TO_BATH else _half_drift_from_bath(counts_heat)
-        return Line(one.operator, half, (one.fraction,), "d/e")
+    slow: Force
+    fast: Force
+    bath: Thermostat | None
+    bath_divides_drift: bool
+    counts_heat: bool
 
-    kick = (Stage(KICK, 1),) if fast else ()
-    steps = (*kick, Stage(DRIFT, 1)) * whole
-    half = Stage(stage.operator, 0.5)
-    stages = (half, *steps) if stage.operator == DRIFT_FROM_BATH else (*steps, *kick, half)
-    within = _lines(stages, "e", _sum_of(fast), drift)
-    if len(within) == 1:
-        return within[0]._replace(unit="d/h")
-    return Line(f"{stage.operator}, inner steps", (), (e,), "e/h", tuple(within))
+    @property
+    def ends_constrained(self) -> bool:
+        """Whether velocities are constrained at the end of a step."""
+        return self.counts_heat or not self.bath_divides_drift
+
+    def of(self, operations: Iterable[Operation], step: str = "h") -> list[Line]:
+        """Return the lines of operations of a step that expressions call `step`.
+
+        Raises:
+            ValueError: OpenMM cannot execute an operation.
+        """
+        lines: list[Line] = []
+        for operation in operations:
+            if isinstance(operation, Project):
+                lines += self._projection(lines)
+            elif type(operation) in STATEMENTS:
+                lines += STATEMENTS[type(operation)](self, operation, step)
+            else:
+                raise ValueError(f"OpenMM cannot execute the operation '{operation}' in a CustomIntegrator")
+        return lines
+
+    def _update(self, operation: UpdateContext, step: str) -> list[Line]:
+        """Let OpenMM's barostats and CMMotionRemovers act."""
+        update = (Statement(V0, "v"), Statement(UPDATE), GAINED) if self.counts_heat else (Statement(UPDATE),)
+        return [Line("every step", update)]
+
+    def _kick(self, operation: Kick, step: str) -> list[Line]:
+        force = getattr(self, operation.forces)
+        time = f"{operation.fraction!r}*{step}"
+        if operation.shift:
+            return _gradient_kick(time, f"{operation.shift!r}*{step}*{step}", force)
+        return [Line("kick", tuple(_summed("v", "v", f"{time}*", force)))]
+
+    def _drift(self, operation: Drift, step: str) -> list[Line]:
+        """Write out free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
+
+        Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
+        where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
+        """
+        if operation.side == DRIFT:
+            statements = _constrained_motion("x", "d")
+        elif operation.side == DRIFT_TO_BATH:
+            statements = _half_drift_to_bath(self.counts_heat)
+        else:
+            statements = _half_drift_from_bath(self.counts_heat)
+        lengths = tuple(operation.fraction * weight for weight in operation.weights)
+        return [Line(operation.side, statements, lengths, f"d/{step}")]
+
+    def _inner(self, operation: Inner, step: str) -> list[Line]:
+        """Write inner steps, all alike or, beside a bath, one after the other."""
+        length, operations, times = operation.whole / operation.number, operation.operations, 1
+        if len(operations) == 1 and isinstance(operations[0], Repeat):
+            times, operations = operations[0].number, operations[0].operations
+        inner = tuple(self.of(expanded(operations), "e"))
+        return [Line(f"{operation.drift.side}, inner steps", (), (length,) * times, f"e/{step}", inner)]
+
+    def _bathe(self, operation: Bath, step: str) -> list[Line]:
+        if self.bath is None:
+            raise ValueError(f"OpenMM cannot execute the operation '{operation}' in a CustomIntegrator")
+        velocity = self.bath.velocity(f"{operation.fraction!r}*{step}", FRICTION, THERMAL)
+        if self.bath_divides_drift:
+            return [_bath_in_drift(velocity, keeps=bool(self.fast))]
+        return [_bath(velocity, self.counts_heat)]
+
+    def _projection(self, lines: list[Line]) -> list[Line]:
+        """Constrain velocities, unless the lines before have done so or the engine will."""
+        if not self.ends_constrained or (lines and _leaves_constrained(lines[-1])):
+            return []
+        return [Line("end", (Statement(CONSTRAIN_V),))]
+
+
+#: Functions that write an operation, by its class.
+STATEMENTS: dict[type[Operation], Callable[[Statements, Any, str], list[Line]]] = {
+    UpdateContext: Statements._update,
+    Kick: Statements._kick,
+    Drift: Statements._drift,
+    Inner: Statements._inner,
+    Bath: Statements._bathe,
+}
 
 
 def _half_drift_to_bath(counts_heat: bool) -> tuple[Statement, ...]:
@@ -246,40 +319,6 @@ def _half_drift_from_bath(counts_heat: bool) -> tuple[Statement, ...]:
     return *_constrained_motion(KEPT, "(2*d)"), *after
 
 
-def _lines(
-    stages: Iterable[Stage],
-    h: str,
-    force: Force,
-    drift: Drift,
-    bathe: Callable[[str], Line] | None = None,
-) -> list[Line]:
-    """Write stages for a step called `h`; `drift` writes one from its stage, and `bathe` a bath from its time."""
-    lines: list[Line] = []
-    for stage in stages:
-        time = f"{stage.fraction!r}*{h}"
-        if stage.flow == DRIFT:
-            lines.append(drift(stage))
-        elif stage.operator == KICK:
-            lines.append(Line("kick", tuple(_summed("v", "v", f"{time}*", force))))
-        elif stage.operator == GRADIENT_KICK:
-            lines += _gradient_kick(time, f"{stage.shift!r}*{h}*{h}", force)
-        elif stage.operator == BATH and bathe is not None:
-            lines.append(bathe(time))
-        else:
-            raise ValueError(f"OpenMM cannot execute the operator '{stage.operator}' in a CustomIntegrator")
-    return lines
-
-
-def _drift(fraction: float, substeps: int, unit: str = "d/h") -> Line:
-    """Write out free motion by steps of RATTLE (Andersen, J. Comput. Phys. 52, 24 (1983)).
-
-    Constraints move the positions, and the velocities are corrected for this displacement. It is the difference to
-    where the atoms would be without, so that rounded positions do not change the velocities of free atoms.
-    """
-    weights = COMPOSITIONS.get(substeps, (1 / substeps,) * substeps)
-    return Line("drift", _constrained_motion("x", "d"), tuple(fraction * weight for weight in weights), unit)
-
-
 def _constrained_motion(start: str, time: str) -> tuple[Statement, ...]:
     """Write free motion from a start for a time d, constraints, and the velocities that these change over a time."""
     return (
@@ -290,16 +329,12 @@ def _constrained_motion(start: str, time: str) -> tuple[Statement, ...]:
     )
 
 
-def _sum_of(names: list[str]) -> Force:
-    return [("+", name) for name in names]
-
-
 def _summed(target: str, start: str, time: str, force: Force) -> list[Statement]:
     """Write `target = start + time*f/m`, one statement for each group: OpenMM allows only one in an expression."""
     statements = []
-    for sign, name in force:
-        expression = f"{start} {sign} {time}{name}/m" if start else f"{sign.strip('+')}{time}{name}/m"
-        statements.append(Statement(target, expression))
+    for term in force:
+        before = f"{start} {term.sign} " if start else term.sign.strip("+")
+        statements.append(Statement(target, f"{before}{time}{term.name}/m", term))
         start = target
     return statements
 
@@ -312,12 +347,12 @@ def _gradient_kick(time: str, shift: str, force: Force) -> list[Line]:
     rather than the positions, since GPU platforms may carry a molecule to the other side of the box between two native
     steps.
     """
-    *others, (sign, name) = force
-    acceleration = f"({V0} {sign} {name}/m)" if others else f"{name}/m"
+    *others, last = force
+    acceleration = f"({V0} {last.sign} {last.name}/m)" if others else f"{last.name}/m"
     displace = (
         *_summed(V0, "", "", others),
         Statement(KEPT, "x"),
-        Statement("x", f"x + {shift}*{acceleration}"),
+        Statement("x", f"x + {shift}*{acceleration}", last),
         Statement(CONSTRAIN_X),
         Statement(KEPT, f"x - {KEPT}"),
     )

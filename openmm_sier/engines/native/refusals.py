@@ -15,16 +15,28 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.bonded_terms import bonded_terms
 from openmm_sier.system.forces import kind_of
 
+#: What ends the text of a refusal.
+REMEDY = "or take engine='exact', which any platform runs"
 
-def refuse(method: IntegrationMethod, bodies: BodySet | None, program: Program, system: openmm.System) -> None:
-    """Refuse what only the exact engine can do; the program is that of the method.
+
+def refuse_method(method: IntegrationMethod, program: Program) -> None:
+    """Refuse a method that the program cannot follow.
+
+    Raises:
+        openmm.OpenMMException: the message says why, and the remedy.
+    """
+    if reason := why_not(method, program):
+        raise openmm.OpenMMException(f"The native engine {reason}, {REMEDY}")
+
+
+def refuse_system(system: openmm.System, bodies: BodySet | None) -> None:
+    """Refuse bodies and a System that only the exact engine can move.
 
     Raises:
         openmm.OpenMMException: the message says what that is, and the remedy.
     """
-    reason = why_not(method, program) or _unheld_bodies(bodies, system)
-    if reason is not None:
-        raise openmm.OpenMMException(f"The native engine {reason}, or take engine='exact', which any platform runs")
+    if reason := _unheld_bodies(bodies, system):
+        raise openmm.OpenMMException(f"The native engine {reason}, {REMEDY}")
     if any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         raise openmm.OpenMMException(
             "The native engine divides its step, and AndersenThermostat takes each part for a whole step. Remove the "

@@ -1,6 +1,9 @@
 """The native engine where its program makes whole trials of hybrid Monte Carlo."""
 
 import math
+from collections.abc import Collection
+from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import openmm
@@ -8,7 +11,6 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.interrupts import act_on_pending
 from openmm_sier.engines.native import trials
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.trials import Numbers
@@ -21,7 +23,8 @@ from openmm_sier.engines.trials import Outcome, Trial
 class TrialEngine(NativeEngine):
     """An engine whose trials are native steps, so that no atom is read or written between two of them.
 
-    The kinetic energy of the end of a trial is known until velocities are changed.
+    The kinetic energy of the end of a trial is known until velocities are changed. Atoms are read before a trial only
+    if somebody has changed the Context: then the energy of the start may not be finite, and the trial is undone.
     """
 
     makes_trials = True
@@ -35,6 +38,8 @@ class TrialEngine(NativeEngine):
                 program was written, on which virtual sites stay behind.
         """
         self._kinetic: float | None = None
+        #: Whether the energy where the Context is was found finite.
+        self._is_sample = False
         super().__init__(context, method, tally, bodies, program)
         name = context.getPlatform().getName()
         if self._has_sites and name in ("CPU", "Reference"):
@@ -43,10 +48,22 @@ class TrialEngine(NativeEngine):
                 "follow their atoms within a trial there: name the platform when the Context is made"
             )
 
+    def synchronize(self) -> None:
+        super().synchronize()
+        self._is_sample = False
+
     def make_trial(self, trial: Trial) -> Outcome:
         if not trial.kinetic:
             # Nothing moves.
             return super().make_trial(trial)
+        with nullcontext() if self._is_sample else self.transaction():
+            outcome = self._outcome(trial)
+            refuse_energy(outcome.energy, self.clock)
+        self._is_sample = True
+        return outcome
+
+    def _outcome(self, trial: Trial) -> Outcome:
+        """Make a trial, and return its outcome, whose energy may not be finite."""
         before, clock = self.kinetic_energy(), self.clock
         self.tally.draws += 2
         try:
@@ -55,20 +72,20 @@ class TrialEngine(NativeEngine):
             self.tally.heat += trial.kinetic - before
             if not isinstance(error, TrajectoryError):
                 raise
+            if self.removes_momentum:
+                self.shift_velocities(-self.centre_velocity())
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
         self.tally.heat += trial.kinetic - before - numbers.stopped
         if not math.isfinite(numbers.start):
             self.clock = clock
-            refuse_energy(numbers.start, clock)
         # A comparison with NaN is false.
         first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
-    def propagate(self, steps: int, wants_energy: bool = False) -> None:
+    def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if not steps or self.method.step == 0:
-            super().propagate(steps, wants_energy)
-            return
+            return super().propagate(steps, signals, wants_energy)
         start = self.clock
         numbers = self._executed(trials.followed(self._integrator, steps))
         if not numbers.is_accepted:
@@ -76,7 +93,7 @@ class TrialEngine(NativeEngine):
                 "The energy at the end of a trajectory is not finite, or constraints are broken there"
             )
         self.clock = Clock(start.time + steps * self.method.step, start.steps + steps)
-        act_on_pending()
+        return steps
 
     def _executed(self, trial: Trial) -> Numbers:
         """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""

@@ -20,14 +20,14 @@ last force, which positions that were moved would make invalid.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.plan import Operation
 from openmm_sier.engines.native.constrained_start import NOT_CONVERGED
 from openmm_sier.engines.native.program import THERMAL
 from openmm_sier.engines.program import (
@@ -41,7 +41,20 @@ from openmm_sier.engines.program import (
     Statement,
     Trials,
 )
-from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
+from openmm_sier.engines.trials import (
+    ACCEPTED,
+    ERROR,
+    TRIAL,
+    TRIALS,
+    Decide,
+    Draw,
+    Follow,
+    GoBack,
+    Keep,
+    StopCentre,
+    Trial,
+    WhileItGoesOn,
+)
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system import tables
 
@@ -125,10 +138,10 @@ def ending_of(program: Program, checks_constraints: bool) -> list[Executed | str
     """
     _, after = halves_of(program)
     if checks_constraints:
-        # Velocities are corrected for what constraints moved, from positions that were kept.
-        corrected = 1 + max((i for i, (statement, _) in enumerate(after) if KEPT in statement.expression), default=-1)
+        # Velocities are corrected before, for what constraints moved, from positions that were kept.
+        kick = next((i for i, (statement, _) in enumerate(after) if statement.force is not None), len(after))
         again = [(Statement(KEPT, "x"), ""), (Statement(CONSTRAIN_X), "")]
-        return [*after[:corrected], *again, *_with_energies(program, after[corrected:])]
+        return [*after[:kick], *again, *_with_energies(program, after[kick:])]
     return _with_energies(program, after)
 
 
@@ -136,12 +149,17 @@ def _with_energies(program: Program, statements: list[Executed]) -> list[Execute
     """Return statements of an end with the name of each energy before the first force of the same group."""
     ending: list[Executed | str] = [*statements]
     for energy in energies(program):
-        force = re.compile(rf"\b{energy.replace('energy', 'f')}(?=/m)")
-        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and force.search(each[0].expression))
+        name = energy.replace("energy", "f")
+        places = (i for i, each in enumerate(ending) if not isinstance(each, str) and _uses(each[0], name))
         ending.insert(next(places, len(ending)), energy)
     # Statements without a force can be computed with those of the first force, after its energy.
     first = next(i for i, each in enumerate(ending) if isinstance(each, str))
     return [ending[first], *ending[:first], *ending[first + 1 :]]
+
+
+def _uses(statement: Statement, name: str) -> bool:
+    """Return whether a statement uses a force by its name in OpenMM's syntax."""
+    return statement.force is not None and statement.force.name == name
 
 
 # --- the program ---
@@ -171,32 +189,31 @@ class Writer:
 
     def write(self) -> None:
         """Add everything."""
-        to = self._integrator
-        self._draw()
-        to.addComputeGlobal(ENDS, "0")
-        to.addComputeGlobal(GOES_ON, "1")
-        to.beginWhileBlock(f"{GOES_ON} > 0.5")
-        self._trajectory()
-        self._decide()
-        to.endBlock()
-        self._go_back()
-        if self._trials.stopped_mass:
-            self._stop_centre()
+        self._add(TRIAL)
         if self._trials.steps_alone:
             self._count()
 
-    def _draw(self) -> None:
-        """Draw momenta, scale them, and keep the start. All that can fail comes later."""
+    def _add(self, operations: Iterable[Operation]) -> None:
+        for operation in operations:
+            COMPUTATIONS[type(operation)](self, operation)
+
+    def _draw(self, operation: Draw) -> None:
+        """Draw momenta and scale them. All that can fail comes later, but for OpenMM's random numbers."""
         to = self._integrator
         old = "v"
         if self._trials.stopped_mass:
             old = f"(v + vector({', '.join(CENTRE)}))"
+        # OpenMM computes this with the velocities, in one kernel.
         to.addComputePerDof(START_X, "x")
         to.addComputePerDof("v", f"{SHARE}*{old} + sqrt((1 - {SHARE}*{SHARE})*{THERMAL}/m)*gaussian")
         to.addConstrainVelocities()
         to.addComputeSum(START_KINETIC, KINETIC_ENERGY)
         if not self._trials.steps_alone:
             to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
+
+    def _keep(self, operation: Keep) -> None:
+        """Keep the velocities and energies of the start; positions were kept when momenta were drawn."""
+        to = self._integrator
         # OpenMM computes this with the velocities, in one kernel.
         to.addComputePerDof(START_V, "v")
         if self._trials.steps_alone:
@@ -205,13 +222,21 @@ class Writer:
             to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
         self._energy_of(START)
 
+    def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
+        to = self._integrator
+        to.addComputeGlobal(ENDS, "0")
+        to.addComputeGlobal(GOES_ON, "1")
+        to.beginWhileBlock(f"{GOES_ON} > 0.5")
+        self._add(operation.operations)
+        to.endBlock()
+
     def _energy_of(self, name: str) -> None:
         first, *others = energies(self._program)
         self._integrator.addComputeGlobal(name, first)
         for each in others:
             self._integrator.addComputeGlobal(name, f"{name} + {each}")
 
-    def _trajectory(self) -> None:
+    def _follow(self, operation: Follow) -> None:
         """Add the steps to an end, whose energies come with its last forces."""
         to = self._integrator
         before, after = halves_of(self._program)
@@ -232,7 +257,7 @@ class Writer:
         for statement, lengths in statements:
             self._execute(statement, lengths)
 
-    def _decide(self) -> None:
+    def _decide(self, operation: Decide) -> None:
         to = self._integrator
         to.addConstrainVelocities()
         to.addComputeSum(KINETIC, CHECKED_ENERGY if self._trials.checks_constraints else KINETIC_ENERGY)
@@ -244,7 +269,7 @@ class Writer:
         to.addComputeGlobal(TAKEN, f"step({THRESHOLD} - {END_ERROR})*{is_finite}")
         to.addComputeGlobal(GOES_ON, f"(1 - {TAKEN})*step({CHANCES} - {ENDS})*{is_finite}")
 
-    def _go_back(self) -> None:
+    def _go_back(self, operation: GoBack) -> None:
         """Restore the start of a trial that was rejected, with reversed velocities."""
         to = self._integrator
         to.beginIfBlock(f"{TAKEN} < 0.5")
@@ -253,12 +278,14 @@ class Writer:
         to.addComputeGlobal(KINETIC, START_KINETIC)
         to.endBlock()
 
-    def _stop_centre(self) -> None:
+    def _stop_centre(self, operation: StopCentre) -> None:
         """Stop the centre of mass where momenta were drawn.
 
         The sums use no global variable: to use one that has changed, the platforms for GPUs upload all of them.
         """
         to, mass = self._integrator, self._trials.stopped_mass
+        if not mass:
+            return
         for name, component in zip(CENTRE, ("_x", "_y", "_z"), strict=True):
             # A sum is over three components, and all of this vector are the same.
             to.addComputeSum(name, f"{1 / (3 * mass)!r}*m*{component}(v)")
@@ -273,6 +300,18 @@ class Writer:
         to.addComputeGlobal(TRIALS, f"{TRIALS} + 1")
         to.addComputeGlobal(ACCEPTED, f"{ACCEPTED} + {TAKEN}")
         to.addComputeGlobal(ERROR, FIRST_ERROR)
+
+
+#: Functions that write an operation of a trial, by its class.
+COMPUTATIONS: dict[type[Operation], Callable[[Writer, Any], None]] = {
+    Draw: Writer._draw,
+    Keep: Writer._keep,
+    WhileItGoesOn: Writer._while_it_goes_on,
+    Follow: Writer._follow,
+    Decide: Writer._decide,
+    GoBack: Writer._go_back,
+    StopCentre: Writer._stop_centre,
+}
 
 
 # --- its execution ---
@@ -321,22 +360,18 @@ def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarra
 # --- where trials are native ---
 
 
-def why_not(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> str | None:
-    """Tell why a trial cannot be one native step in a System; None if it can. Its steps are native in any case.
+def are_native(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> bool:
+    """Return whether a trial can be one native step in a System. Its steps are native in any case.
 
     Args:
         method: of the trials.
         system: openmm.System.
-        places_sites: whether the platform places virtual sites within a native step.
-        checks_positions: whether positions must be looked at before each force.
+        places_sites: whether the platform places virtual sites within a native step, which they must follow.
+        checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
+            computes forces of PME at positions that are not finite.
     """
-    if not method.trial_steps:
-        return "no trials are made"
-    if checks_positions:
-        return "the Reference platform computes forces of PME at positions that are not finite"
-    if not places_sites and any(map(system.isVirtualSite, range(system.getNumParticles()))):
-        return "virtual sites do not follow their atoms within a native step"
-    return None
+    has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
 
 
 def stopped_mass(system: openmm.System) -> float:

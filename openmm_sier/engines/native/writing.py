@@ -1,14 +1,20 @@
 """Write the program of an integrator: a general one, and for a System the one that costs least there."""
 
+from dataclasses import replace
 from typing import Any
 
 import openmm
 
+from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines.native.program import write
-from openmm_sier.engines.native.trials import stopped_mass, why_not
+from openmm_sier.engines.native.refusals import points
+from openmm_sier.engines.native.trials import are_native, stopped_mass
 from openmm_sier.engines.program import Program, Trials
+from openmm_sier.stability.motions import shortest_period
+from openmm_sier.stability.step_rules import longest_inner_step
 from openmm_sier.system.arguments import groups_of
+from openmm_sier.system.find_bodies import bodies_of
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.solver_test import may_not_converge
 
@@ -25,13 +31,19 @@ def general_program(method: IntegrationMethod) -> Program:
 
 
 def program_for(
-    method: IntegrationMethod, system: openmm.System, groups: int, on_gpu: bool, checks_positions: bool
+    method: IntegrationMethod,
+    system: openmm.System,
+    bodies: BodySet | None,
+    groups: int,
+    on_gpu: bool,
+    checks_positions: bool,
 ) -> Program:
     """Return the program that follows a method in a System, and costs least there.
 
     Args:
         method: what to follow.
         system: openmm.System.
+        bodies: the rigid bodies; None: those that the constraints form.
         groups: the integration force groups, a bit mask.
         on_gpu: whether a platform for GPUs executes it: then heat of a bath is not counted where the method leaves that
             open, and virtual sites follow their atoms within a native step.
@@ -42,7 +54,7 @@ def program_for(
     """
     slow = slow_groups(system, groups, method.fast_groups)
     has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    in_trials = why_not(method, system, on_gpu, checks_positions) is None
+    in_trials = are_native(method, system, on_gpu, checks_positions)
     return _written(
         method,
         # By its name the force of a group is right only if no other slow force acts.
@@ -50,7 +62,18 @@ def program_for(
         divides_step=not in_trials and (has_virtual_sites or checks_positions),
         counts_heat=not on_gpu if method.counts_heat is None else method.counts_heat,
         trials=Trials(stopped_mass(system), checks_constraints=may_not_converge(system)) if in_trials else None,
+        period=_shortest_period(system, bodies, groups & method.fast_groups) if method.fast_groups else None,
     )
+
+
+def _shortest_period(system: openmm.System, bodies: BodySet | None, groups: int) -> float | None:
+    """Return the period of the fastest bond by some force groups, ps; see `shortest_period`."""
+    try:
+        rigid = tuple(bodies_of(system, bodies).species)
+    except RigidityError:
+        # No named body, and constraints that form none.
+        rigid = ()
+    return shortest_period(system, points(system), rigid, groups)
 
 
 def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> bool:
@@ -62,17 +85,29 @@ def needs_finite_positions(system: openmm.System, platform: openmm.Platform) -> 
     return platform.getName() == "Reference" and system.usesPeriodicBoundaryConditions()
 
 
-def _written(method: IntegrationMethod, trials: Trials | None = None, **choices: Any) -> Program:
-    """Write a program by `program.write`, or one without parts that says why not."""
-    fast = groups_of(method.fast_groups)
-    substeps = method.substeps
-    if method.trial_steps:
+def _written(
+    method: IntegrationMethod, trials: Trials | None = None, period: float | None = None, **choices: Any
+) -> Program:
+    """Write a program by `program.write`, or one without parts that says why not.
+
+    Args:
+        method: what to follow.
+        trials: that the program makes.
+        period: of the fastest motion by fast forces, ps; None if it is not known.
+        choices: further arguments of `program.write`.
+    """
+    if method.fast_groups:
+        # A program serves all steps, of which one of zero length makes none.
+        shown = method if method.step else replace(method, step=1.0)
+        inner_step = shown.inner_step(longest_inner_step(method.scheme, period))
+        choices |= {"fast_groups": groups_of(method.fast_groups), "inner_step": inner_step / shown.step}
+    else:
+        choices["rattle_steps"] = method.substeps
+    if method.trial_steps and not method.substeps:
         # A step of RATTLE is reversible and keeps the volume of phase space, whatever its error.
-        choices["inner_substeps"] = 1
-        if substeps is None and not fast:
-            substeps = 1
+        choices["rattle_steps"] = 1
     try:
-        program = write(method.scheme, substeps, fast, method.updates_context, method.bath, **choices)
+        program = write(method.scheme, updates_context=method.updates_context, bath=method.bath, **choices)
         return program._replace(trials=trials)
     except ValueError as error:
         return Program(method.scheme.name, (), str(error))

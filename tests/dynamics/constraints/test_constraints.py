@@ -275,6 +275,19 @@ def test_what_moves_too_fast_raises_with_its_atoms(rng, make, factor):
     assert named <= {describe(body) for body in wild}
 
 
+def test_a_long_straight_chain_converges(rng):
+    """Its equations are close to singular, and take more iterations than any other molecule."""
+    n = 2000
+    constraints = Constraints([(k, k + 1) for k in range(n - 1)], np.full(n - 1, 0.38), np.full(n, 14.0))
+    q = np.zeros((3, n))
+    q[0] = 0.38 * np.arange(n)
+    p = thermal(rng, constraints, q)
+    # In one line nothing but the centre moves along it. Rounding is that of positions up to 760 nm.
+    assert p[0] == pytest.approx(np.full(n, p[0].mean()), abs=1e-10)
+    new_q, _ = constraints.drift(q, p, 0.0005)
+    assert np.linalg.norm(np.diff(new_q, axis=1), axis=0) == pytest.approx(constraints.lengths, abs=1e-11)
+
+
 # --- subsets ----------------------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,364 @@
+"""Runs of mixtures of `exact_models`, and their averages in standard errors from the exact ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+import openmm
+
+from openmm_sier import RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, SIERThermostatIntegrator
+from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
+from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
+from openmm_sier.ensembles import VelocityRescaling
+from tests.laws.exact_models import FAST, Assembly, Conditions, Exact, FastBonds, Wells
+from tests.laws.linear_maps import Oscillator, in_bath
+from tests.support.seeded import seeded
+
+#: Blocks of a series, of which its standard error is estimated.
+BLOCKS = 200
+
+#: Largest correlation of neighbouring blocks, which the standard error takes into account.
+CORRELATED = 0.6
+
+#: Samples at most.
+MOST = 6400
+
+#: Standard errors. Student's distribution for 200 blocks has 1e-10 beyond 6.9, so that a right program fails in one of
+#: some 30 averages with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth.
+BOUND = 7.5
+
+#: Margins of averages of anharmonic motions, by the square of their pace. SIER2 is exact where they are harmonic, and
+#: cosines of dipoles with a pace of 0.3 were right within 0.2 %. Where constraints are solved in each drift, these are
+#: off by 0.2 times the square of the pace.
+ERROR, CONSTRAINED_ERROR = 0.03, 0.3
+
+
+@dataclass(frozen=True)
+class Bath:
+    """Langevin dynamics.
+
+    Attributes:
+        scheme: name.
+        engine: name.
+        friction: times the step.
+        turning: friction of rotation times the step; None: the same.
+        step: ps.
+        temperature: K.
+        pressure: "", "moves" of the integrator, or OpenMM's "barostat".
+        substeps: inner steps, with fast bonds.
+    """
+
+    scheme: str = "sier2"
+    engine: str = "exact"
+    friction: float = 0.3
+    turning: float | None = None
+    step: float = 0.004
+    temperature: float = 300.0
+    pressure: str = ""
+    substeps: int | None = None
+
+    is_exact: ClassVar[bool] = False
+    is_ergodic: ClassVar[bool] = True
+
+    def oscillator(self, pace: float) -> Oscillator:
+        return in_bath(self._scheme.with_bath(), pace)
+
+    @property
+    def _scheme(self) -> Scheme:
+        return CATALOGUE[self.scheme]
+
+    @property
+    def keeps(self) -> tuple[float, float] | None:
+        turning = self.friction if self.turning is None else self.turning
+        return math.exp(-self.friction), math.exp(-turning)
+
+    def integrator(self, **options) -> openmm.CustomIntegrator:
+        turning = None if self.turning is None else self.turning / self.step
+        friction = self.friction / self.step
+        options |= {"rotationalFriction": turning, "substeps": self.substeps, "engine": self.engine}
+        return SIERLangevinIntegrator(self.temperature, friction, self.step, self.scheme, **options)
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Hybrid Monte Carlo.
+
+    Attributes:
+        steps: of a trial.
+        share: factor that momenta keep in a trial.
+        chances: extra ones.
+    """
+
+    scheme: str = "sier2v2"
+    engine: str = "exact"
+    steps: int = 3
+    share: float = 0.0
+    chances: int = 0
+    step: float = 0.004
+    temperature: float = 300.0
+    pressure: str = ""
+    substeps: int | None = None
+
+    is_exact: ClassVar[bool] = True
+    is_ergodic: ClassVar[bool] = True
+    keeps: ClassVar[None] = None
+
+    def oscillator(self, pace: float) -> Oscillator:
+        return Oscillator()
+
+    def integrator(self, **options) -> openmm.CustomIntegrator:
+        friction = -math.log(self.share) / (self.steps * self.step) if self.share else None
+        options |= {"extraChances": self.chances, "substeps": self.substeps, "engine": self.engine}
+        return SIERHMCIntegrator(self.temperature, self.step, self.scheme, self.steps, friction, **options)
+
+
+@dataclass(frozen=True)
+class Rescaling:
+    """Stochastic velocity rescaling, which keeps nothing canonical but sums over all molecules.
+
+    Attributes:
+        rate: times the step.
+        every: steps from one scaling to the next.
+    """
+
+    scheme: str = "sier2"
+    engine: str = "exact"
+    rate: float = 0.1
+    every: int = 3
+    step: float = 0.004
+    temperature: float = 300.0
+    pressure: str = ""
+
+    is_exact: ClassVar[bool] = False
+    is_ergodic: ClassVar[bool] = False
+    keeps: ClassVar[None] = None
+
+    def oscillator(self, pace: float) -> Oscillator:
+        return in_bath(CATALOGUE[self.scheme], pace)
+
+    def integrator(self, pressure=None, barostatInterval=1, **options) -> openmm.CustomIntegrator:
+        options.pop("fastForceGroups", None)
+        bath = VelocityRescaling(
+            self.temperature, self.rate / self.step, self.every, pressure=pressure, interval=barostatInterval
+        )
+        return SIERThermostatIntegrator(bath, self.step, self.scheme, engine=self.engine, **options)
+
+
+Method = Bath | Trials | Rescaling
+
+
+class Run:
+    """A Context of an assembly, at a draw of its exact distribution.
+
+    Attributes:
+        exact: exact averages of a row of `rows`, by name.
+    """
+
+    def __init__(self, method: Method, kinds: tuple, copies: int, seed: int, platform: str):
+        """
+        Args:
+            method: of the sampling.
+            kinds: of molecules.
+            copies: of each.
+            seed: of places and of the integrator.
+            platform: name of the platform.
+        """
+        self._method, self._kinds = method, kinds
+        self._thermal = GAS_CONSTANT * method.temperature
+        assembly = Assembly(np.random.default_rng(seed), is_pressed=bool(method.pressure))
+        at = Conditions(self._thermal, method.step, method.oscillator, partial(_margin, method), method.keeps)
+        for kind in kinds:
+            kind.put(assembly, copies, at)
+        self._assembly = assembly
+        self._pressure = (assembly.molecules + 1) * self._thermal / assembly.box**3
+        self._has_memory = (
+            method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
+        )
+        self._integrator = self._make_integrator(kinds, seed)
+        self._context = self._make_context(seed, platform)
+        self._masses = np.array(
+            [assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())]
+        )
+        # The motion of the centre of mass stays as it is where nothing holds it.
+        self._is_held = any(not kind.is_free for kind in kinds)
+        self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
+        #: Steps from one sample to the next.
+        self.stride = self._strides()
+        self.exact = self._averages()
+
+    def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
+        options, method, assembly = {}, self._method, self._assembly
+        if assembly.bodies:
+            options["bodies"] = RigidBodies.from_system(
+                assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
+            )
+        if any(isinstance(kind, FastBonds) for kind in kinds):
+            options["fastForceGroups"] = {FAST}
+        if method.pressure:
+            assembly.system.setDefaultPeriodicBoxVectors(*(assembly.box * np.eye(3)))
+            _make_periodic(assembly.system)
+        if method.pressure == "moves":
+            options |= {"pressure": self._pressure / BAR, "barostatInterval": 1}
+        elif method.pressure:
+            barostat = openmm.MonteCarloBarostat(self._pressure / BAR, method.temperature, 1)
+            assembly.system.addForce(seeded(barostat, seed + 1))
+        return seeded(method.integrator(**options), seed + 1)
+
+    def _make_context(self, seed: int, platform: str) -> openmm.Context:
+        on = openmm.Platform.getPlatformByName(platform)
+        context = openmm.Context(self._assembly.system, self._integrator, on)
+        context.setPositions(np.concatenate(self._assembly.positions))
+        context.setVelocitiesToTemperature(self._method.temperature, seed + 1)
+        return context
+
+    def _strides(self) -> int:
+        """Return a fifth of the slowest relaxation, by friction or against it; it is a few moves for the volume."""
+        method = self._method
+        if not method.is_ergodic:
+            return method.every
+        if method.pressure:
+            return 4
+        if method.is_exact:
+            return 1
+        pace = min(part.pace for part in self._assembly.parts)
+        return max(1, min(20, round(1 / (5 * min(method.friction, pace, pace**2 / method.friction)))))
+
+    # --- averages ---
+
+    def _averages(self) -> dict[str, Exact]:
+        assembly, result = self._assembly, {}
+        # Sums over oscillators of one frequency exchange energy.
+        if self._method.is_ergodic or [type(kind) for kind in self._kinds] == [Wells]:
+            for number, part in enumerate(assembly.parts):
+                result |= {f"{number} {name}": exact for name, exact in part.exact.items()}
+                if self._has_memory:
+                    result |= {f"{number} {name}": exact for name, exact in (part.remembered or {}).items()}
+        if not self._method.is_ergodic:
+            freedoms = self._freedoms
+            result |= {"K": Exact(1.0), "K^2": Exact(1 + 2 / freedoms)}
+            if not self._is_held:
+                # Without forces the kinetic energy changes by the bath alone.
+                kept = math.exp(-self._method.rate * self._method.every)
+                result |= {"K kept": Exact(2 / freedoms * kept)}
+        if self._method.pressure:
+            molecules = assembly.molecules
+            result |= {
+                "PV": Exact(1.0),
+                "(PV)^2": Exact((molecules + 2) / (molecules + 1)),
+                "1/PV": Exact((molecules + 1) / molecules),
+            }
+        return result
+
+    def rows(self, number: int) -> np.ndarray:
+        """Make steps, and return so many rows of averages over the molecules, of the names in `exact`."""
+        step, get = self._integrator.step, partial(self._context.getState, positions=True, velocities=True)
+        before, after, volumes = [], [], []
+        for _ in range(number):
+            if self.stride > 1:
+                step(self.stride - 1)
+            if self._has_memory:
+                before.append(_atoms(get()))
+            step(1)
+            state = get()
+            after.append(_atoms(state))
+            volumes.append(state.getPeriodicBoxVolume()._value)
+        x, v = np.swapaxes(after, 0, 1)
+        values = self._of_molecules(np.swapaxes(before, 0, 1) if before else None, x, v)
+        values |= self._of_all(v, np.array(volumes))
+        return np.stack([values[name] for name in self.exact], axis=1)
+
+    def _of_molecules(self, earlier: np.ndarray | None, x: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
+        """Return means over copies of what each kind observes."""
+        result = {}
+        for number, part in enumerate(self._assembly.parts):
+            values = part.observe(x[:, part.atoms], v[:, part.atoms])
+            if earlier is not None and part.remember is not None:
+                values |= part.remember(*earlier[:, :, part.atoms], x[:, part.atoms], v[:, part.atoms])
+            result |= {f"{number} {name}": each.mean(axis=-1) for name, each in values.items()}
+        return result
+
+    def _of_all(self, v: np.ndarray, volumes: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the kinetic energy and the volume over their means, and moments of these."""
+        kinetic = self._kinetic(v)
+        scaled = self._pressure * volumes / self._thermal / (self._assembly.molecules + 1)
+        result = {"K": kinetic, "K^2": kinetic**2, "PV": scaled, "(PV)^2": scaled**2, "1/PV": 1 / scaled}
+        # The first row has none before it.
+        return result | {"K kept": (kinetic - 1) * (np.concatenate([kinetic[1:2], kinetic[:-1]]) - 1)}
+
+    def _kinetic(self, v: np.ndarray) -> np.ndarray:
+        """Return kinetic energies over their mean, without that of a free centre of mass, (s,), of (s, N, 3)."""
+        centre = np.zeros((1, 3)) if self._is_held else self._masses @ v / self._masses.sum()
+        return ((v - centre[:, None]) ** 2).sum(axis=2) @ self._masses / (self._freedoms * self._thermal)
+
+    def prepare(self) -> None:
+        """Go on until the start is forgotten, and make trials so short that a third of them is accepted."""
+        made = 50 if self._method.pressure != "barostat" else 800
+        self._integrator.step(made * self.stride)
+        if not self._method.is_exact:
+            return
+        while self._integrator.acceptanceRate < 0.35:
+            self._integrator.setSchemeStepSize(self._integrator.getSchemeStepSize() / 1.3)
+            self._integrator.resetStatistics()
+            self._integrator.step(made)
+
+    def _first_rows(self) -> int:
+        """Return a number of rows: few with moves of the volume, which are slow, and many where faults show little.
+
+        So they do in the few averages of rescaling, and where rejections find momenta that last.
+        """
+        if self._method.pressure:
+            return 2 * BLOCKS
+        lasts = isinstance(self._method, Trials) and self._method.share > 0.5
+        return 16 * BLOCKS if lasts or not self._method.is_ergodic else 4 * BLOCKS
+
+    def distances(self) -> dict[str, float]:
+        """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""
+        self.prepare()
+        rows = self.rows(self._first_rows())
+        while _means(rows)[2].max() > CORRELATED and len(rows) < MOST:
+            rows = np.concatenate([rows, self.rows(len(rows))])
+        found, errors, _ = _means(rows)
+        values, margins = np.array(list(self.exact.values())).T
+        beyond = np.sign(found - values) * np.maximum(np.abs(found - values) - margins, 0.0)
+        # Averages that do not vary, such as a sum of squares of cosines, have the error of rounding.
+        return dict(zip(self.exact, beyond / (errors + 1e-12), strict=True))
+
+
+def _means(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return means of columns, their standard errors, and correlations of neighbouring blocks.
+
+    The errors are those of blocks whose correlation decays exponentially.
+    """
+    blocks = rows.reshape(BLOCKS, -1, rows.shape[1]).mean(axis=1)
+    off = blocks - blocks.mean(axis=0)
+    variances = (off**2).mean(axis=0)
+    correlations = (off[1:] * off[:-1]).mean(axis=0) / np.where(variances > 0, variances, 1.0)
+    kept = np.clip(correlations, 0.0, 0.95)
+    errors = np.sqrt(variances / (BLOCKS - 1) * (1 + kept) / (1 - kept))
+    return blocks.mean(axis=0), errors, correlations
+
+
+def _margin(method: Method, pace: float) -> float:
+    """Return a bound of relative errors of averages of a motion: twice that of a harmonic one, and `ERROR`."""
+    if method.is_exact:
+        return 0.0
+    more = CONSTRAINED_ERROR if method.engine == "native" else ERROR
+    return 2 * abs(method.oscillator(pace).q2 - 1) + more * pace**2
+
+
+def _atoms(state: openmm.State) -> tuple[np.ndarray, np.ndarray]:
+    return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+
+
+def _make_periodic(system: openmm.System) -> None:
+    """Add a Force that needs the box and does nothing."""
+    force = openmm.CustomNonbondedForce("0")
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(0.01)
+    for _ in range(system.getNumParticles()):
+        force.addParticle()
+    system.addForce(force)
