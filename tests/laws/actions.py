@@ -69,6 +69,7 @@ class DrawVelocities(Action):
 
     def act(self, run):
         run.context.setVelocitiesToTemperature(self.temperature, self.seed)
+        run.repeats, run.drawn = run.drawn == self, self
 
     def shows(self, run, before, after):
         assert np.array_equal(after.positions, before.positions)
@@ -76,7 +77,7 @@ class DrawVelocities(Action):
         projected = run.projected(after)
         massive = run.masses > 0
         kept = (after.velocities == before.velocities).all(axis=1) & massive
-        assert not kept.any(), f"velocities of atoms {np.flatnonzero(kept)} are those of before"
+        assert run.repeats or not kept.any(), f"velocities of atoms {np.flatnonzero(kept)} are those of before"
         excess = np.abs(projected - after.velocities)[massive].max()
         assert excess < ALLOWED, f"{excess:.1e} nm/ps are not allowed"
         energy = 2 * run.kinetic_energy(after) / (GAS_CONSTANT * self.temperature)
@@ -113,8 +114,7 @@ class SetPositions(Action):
 
     def positions(self, run, before):
         rng = np.random.default_rng(self.seed)
-        molecules = run.context.getMolecules()
-        atoms = list(molecules[self.molecule % len(molecules)])
+        atoms = run.molecules[self.molecule % len(run.molecules)]
         moved = before.positions.copy()
         centre = moved[atoms].mean(axis=0)
         turn = Rotation.from_rotvec(rng.normal(scale=0.02, size=3))

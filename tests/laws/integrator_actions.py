@@ -141,7 +141,6 @@ QUESTIONS = {
         run.context.getParameter(name) for force in run.system.getForces() for name in names(force)
     ],
     "molecules": lambda run: run.context.getMolecules(),
-    "nothing": lambda run: run.integrator.step(0),
 }
 
 

@@ -84,11 +84,13 @@ class Run:
         mixture, method, name: of which it is made: Systems, integrator and platform.
         settings: setters of the integrator that were called and their arguments.
         saved: what was saved, for later.
+        drawn, repeats: the last action that drew velocities, and whether it was the one before too.
     """
 
     def __init__(self, mixture, method, name="Reference", settings=(), forces=()):
         self.mixture, self.method, self.name, self.settings = mixture, method, name, list(settings)
         self.saved = []
+        self.drawn, self.repeats = None, False
         self.built = built = mixture.build()
         self.system = built.system
         self.system.addForce(self._pull())
@@ -129,6 +131,15 @@ class Run:
         return next(
             f for f in self.system.getForces() if isinstance(f, openmm.CustomExternalForce) and "pull" in names(f)
         )
+
+    @cached_property
+    def molecules(self):
+        """Atoms of each molecule; named bodies are parts of one."""
+        found = [set(molecule) for molecule in self.context.getMolecules()]
+        for body in map(set, self.built.named):
+            joined = [molecule for molecule in found if molecule & body]
+            found = [molecule for molecule in found if not molecule & body] + [set().union(*joined)]
+        return [sorted(molecule) for molecule in found]
 
     @property
     def is_periodic(self):
