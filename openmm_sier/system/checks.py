@@ -183,9 +183,8 @@ def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
     """
     if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         return
-    constraints = tables.constraints(system)
-    for species in bodies.species:
-        is_held = constraints.hold(species.atoms)
+    held = tables.constraints(system).hold(species.atoms for species in bodies.species)
+    for species, is_held in zip(bodies.species, held, strict=True):
         if not is_held.all():
             raise openmm.OpenMMException(
                 "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
