@@ -227,7 +227,7 @@ def test_stored_xml_rejects_ends_with_broken_constraints(tmp_path):
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
 def test_the_centre_stays_where_a_trial_ends_in_nan(engine):
-    """One atom moves between walls of NaN, 1e-4 nm from it on both sides, where trials fail; behind them none begins."""
+    """One atom has walls of NaN 1e-4 nm from it. There trials fail, and behind them none begins."""
     system = openmm.System()
     for _ in range(40):
         system.addParticle(16.0)
