@@ -113,6 +113,7 @@ def prepare_system(
             system.removeForce(i)
     if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
+        membership = BodyPlan(system, rigid=bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
