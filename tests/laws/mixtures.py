@@ -14,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from openmm_sier import Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system.find_bodies import UnknownShapeError
+from tests.laws.methods import Method
 from tests.laws.molecules import (
     HELD_BY_CONSTRAINTS,
     SHAPES,
     SITES,
+    Alike,
     Body,
     Chain,
     Ion,
@@ -358,12 +360,13 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
     rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
-    plain = [waters, chains, stars, rings, held_bodies, lines]
+    alike = st.builds(Alike, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
+    plain = [waters, chains, stars, rings, held_bodies, lines, alike]
     if named:
         shapes = st.sampled_from(list(SHAPES))
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
-        plain += [st.builds(Body, shapes), jointed]
+        plain += [st.builds(Body, shapes), jointed, st.builds(Alike, shapes)]
     with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
         _has_parents
     )
@@ -407,6 +410,13 @@ def mixtures(
         st.booleans(),
         st.sampled_from(prepared),
     )
+
+
+@st.composite
+def moved(draw: st.DrawFn, ways: st.SearchStrategy[Method]) -> tuple[Mixture, Method]:
+    """Draw a method of some, and a mixture that its engine moves: only the exact one moves named bodies."""
+    method = draw(ways)
+    return draw(mixtures(named=method.engine == "exact")), method
 
 
 def _moves(drawn: tuple[Molecule, ...]) -> bool:
