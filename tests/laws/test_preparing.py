@@ -14,7 +14,8 @@ from scipy.special import erfc
 from openmm_sier import RigidBodies, balance_pme, prepare_system
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 from tests.laws.law import Law
-from tests.laws.mixtures import HEAVY, Built, Mixture, constrained_pairs, gradients, masses_of, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import HEAVY, Built, Mixture, constrained_pairs, gradients, masses_of
 
 #: Relative to the largest force in the System and to its energy: rounding of the close pairs, which are added to one
 #: group and taken from another.
