@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
-from tests.laws.mixtures import TEMPERATURE, Mixture, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import TEMPERATURE, Mixture
 from tests.laws.runs import Run, end, started
 
 #: ps: a step in which a bath of `FRICTION`, 1/ps, draws a fifth of the momenta.

@@ -29,7 +29,8 @@ from tests.laws.actions import (
 from tests.laws.integrator_actions import Ask, Set, questions, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
-from tests.laws.mixtures import Mixture, mixtures, moved
+from tests.laws.mixture_strategies import mixtures, moved
+from tests.laws.mixtures import Mixture
 from tests.laws.molecules import Body, Chain, Jointed, Water, WithSite
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
