@@ -11,13 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import openmm
+import pytest
 from hypothesis import reject
 from hypothesis import strategies as st
 
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
+from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures, moved
 from tests.laws.mixtures import Mixture
+from tests.laws.molecules import Body, Water
 from tests.laws.runs import REFUSALS, SAME, Run, View, assert_alike, end, started
 from tests.support.faults import Fault, lines_run
 
@@ -304,6 +306,22 @@ def rejections(platform: str) -> st.SearchStrategy[Rejection]:
     return trials.flatmap(lambda drawn: st.builds(Rejection, *map(st.just, drawn), *rest))
 
 
+#: Methods whose forces come after a bath, a move or a draw in each step.
+WAYS = [
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=5.0, scheme="SIER4G", stepSize=0.001),
+    method("SIERHMCIntegrator", temperature=300.0, scheme="SIER4G", schemeStepSize=0.001, stepsPerTrial=1),
+    method(
+        "SIERThermostatIntegrator",
+        temperature=300.0,
+        rate=50.0,
+        every=1,
+        pressure=1e3,
+        barostatInterval=1,
+        scheme="SIER4G",
+        stepSize=0.001,
+    ),
+]
+
 INTERRUPTIONS = Law("interruptions", interruptions, few=15)
 INTERRUPTS = Law("interrupts", interrupts, few=6)
 THREADS = Law("threads", of_threads, few=4)
@@ -313,6 +331,12 @@ REJECTIONS = Law("rejections", rejections, few=8)
 @INTERRUPTIONS.numbers()
 def test_whoever_looks_sees_a_completed_step(examples):
     INTERRUPTIONS.hold(examples)
+
+
+@pytest.mark.parametrize("number", [2, 5])
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.kind)
+def test_an_error_leaves_a_completed_step(way, number):
+    Interruption(Mixture((Water(), Body("bent")), surroundings="cut-off"), way, Event("error", number)).check()
 
 
 @INTERRUPTS.numbers()
