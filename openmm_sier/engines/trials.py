@@ -20,9 +20,8 @@ class Trial(NamedTuple):
         chances: how many times the trajectory may go on where its end is rejected.
         share: factor that momenta keep where they are drawn in part.
         thermal: thermal energy kT, kJ/mol.
-        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol. It is 0 where nothing moves, or where a
-            program without this package draws it.
-        threshold: the largest energy error in kT at which an end is accepted. Such a program draws it too.
+        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol. It is 0 where nothing moves.
+        threshold: the largest energy error in kT at which an end is accepted.
         centre: velocity that is given to the centre of mass before momenta are drawn, (3,), nm/ps.
     """
 

@@ -102,8 +102,8 @@ class Metropolis(ConstantTemperature):
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
         return replace(method, updates_context=False, trial_steps=self.steps_per_trial)
 
-    def trial(self, method: IntegrationMethod) -> Trial:
-        """Return the numbers of each trial; a program without this package draws its kinetic energy and decision."""
+    def _trial(self, method: IntegrationMethod) -> Trial:
+        """Return the numbers that all trials share; nothing moves in this one."""
         share, chances = self._share(method), self._chances(method)
         return Trial(
             self.steps_per_trial, chances, share, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3)
@@ -135,7 +135,7 @@ class Metropolis(ConstantTemperature):
         tally, length = engine.tally, self.steps_per_trial * engine.method.step
         self._check_reversal(engine)
         clock = engine.clock
-        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self.trial(engine.method))
+        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._trial(engine.method))
         made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         tally.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
@@ -158,7 +158,7 @@ class Metropolis(ConstantTemperature):
         freedoms = engine.degrees_of_freedom(conserved=False)
         kinetic = half * over_relaxed(before, freedoms, tally.noise(stream=5))
         threshold = largest_error(tally.seed, tally.draws + 1)
-        return self.trial(method)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
+        return self._trial(method)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
 
     def _chances(self, method: IntegrationMethod) -> int:
         """Return how many times a trajectory may go on."""

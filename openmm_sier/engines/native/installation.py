@@ -20,7 +20,6 @@ from openmm_sier.engines.program import (
     Program,
     Statement,
 )
-from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
 
 #: Global variable without a use. Without it OpenMM would misread checkpoints of earlier versions.
@@ -40,7 +39,7 @@ OWN = {
     UPDATE: openmm.CustomIntegrator.addUpdateContextState,
 }
 
-#: The name of an undefined variable, so that OpenMM's error message about it tells what is wrong.
+#: An undefined variable, by which OpenMM's error message says what is wrong.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
@@ -57,12 +56,7 @@ def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> Non
             integrator.addGlobalVariable(name, 0)
 
 
-def install(
-    program: Program,
-    integrator: openmm.CustomIntegrator,
-    vectors: Iterable[str] | None = None,
-    is_guarded: bool = False,
-) -> None:
+def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iterable[str] | None = None) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
@@ -73,8 +67,6 @@ def install(
         program: what OpenMM executes.
         integrator: has neither computations nor per-atom variables yet.
         vectors: names of the per-atom variables; None: those of the program, with all that steps may need.
-        is_guarded: whether the program must fail at its first step, as one in XML that does less than what was asked
-            for. The integrators of Contexts here have none of these, since the engine does the rest.
     """
     usual = program.vectors if program.trials is not None else ALL_VECTORS
     for name in usual if vectors is None else vectors:
@@ -82,7 +74,6 @@ def install(
     declare(integrator, program.trials is not None)
     n = program.native_steps
     integrator.setGlobalVariableByName(PARTS, n)
-    _add_guard(integrator, is_guarded)
     if program.trials is not None:
         trials.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
         _add_last_force(program, integrator)
@@ -187,23 +178,11 @@ def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> No
             integrator.setGlobalVariableByName(name, value)
 
 
-def set_trial(integrator: openmm.CustomIntegrator, trial: Trial | None) -> None:
-    """Set the variables of each trial that a program makes without this package, if it makes any."""
-    for name, value in trials.variables(trial).items() if trial is not None else ():
-        integrator.setGlobalVariableByName(name, value)
+def add_failure(integrator: openmm.CustomIntegrator) -> None:
+    """Give an integrator without a program a computation that fails, with a message that names this package.
 
-
-def _add_guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:
-    """Make a program fail that cannot do all that was asked for, where this package is not there to do it.
-
-    XML gives a plain CustomIntegrator there. Reference and CPU name the undefined variable in an error; other platforms
-    stop at positions that are NaN.
+    XML becomes a plain CustomIntegrator where this package is not imported, and a step of it would do nothing.
+    Reference and CPU name the undefined variable in an error; other platforms stop at positions that are NaN.
     """
-    # OpenMM draws random numbers for each condition, so that all programs have this one.
-    integrator.beginIfBlock(f"{int(is_guarded)} = 1")
     integrator.addComputePerDof(LOST, "0")
-    # A constant that is NaN would keep OpenMM's optimizer of expressions busy for ever.
-    integrator.addComputePerDof("x", "x + sqrt(-1 - x*x)")
-    # They notice that where an energy is computed.
-    integrator.addComputeGlobal(UNUSED, "energy")
-    integrator.endBlock()
+    integrator.addComputePerDof("x", "x + sqrt(-dt)")

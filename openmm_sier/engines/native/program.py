@@ -1,7 +1,7 @@
 """A splitting scheme written out as the program of an OpenMM CustomIntegrator.
 
-The program runs where the forces run, and XML carries it to interpreters without this package. `write` makes it from a
-`Scheme` alone and `installation.install` gives it to an integrator; `print(write(SIER4G, rattle_steps=5))` shows it.
+The program runs where the forces run. `write` makes it from the plan of a `Scheme` and `installation.install` gives it
+to an integrator; `print(write(SIER4G, rattle_steps=5))` shows it.
 
 OpenMM moves virtual sites at the end of an integrator's step, but on the CPU and Reference platforms not within it.
 Where a System may have virtual sites, a step of the scheme is therefore divided into several steps of OpenMM, here

@@ -87,7 +87,7 @@ class TrialEngine(NativeEngine):
         if not steps or self.method.step == 0:
             return super().propagate(steps, signals, wants_energy)
         start = self.clock
-        numbers = self._executed(trials.followed(self._integrator, steps))
+        numbers = self._executed(trials.followed(steps))
         if not numbers.is_accepted:
             raise TrajectoryError(
                 "The energy at the end of a trajectory is not finite, or constraints are broken there"

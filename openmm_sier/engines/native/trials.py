@@ -5,9 +5,6 @@ at which an end is accepted; it reads the error, the decision and the kinetic en
 velocities of the start are kept in per-atom variables, from which a rejection restores them. Momenta are OpenMM's
 random numbers.
 
-A program alone needs no host: the random number of the decision is OpenMM's too, and the kinetic energy is
-the one that was drawn.
-
 OpenMM looks at every path through the blocks of a program, twice in a row, and computes an energy with each force after
 which some path needs it. So the ending of the last step is written apart from those of the steps before it, whose
 forces come without energies. It computes statements between two others in one kernel, but not across the beginning or
@@ -42,10 +39,7 @@ from openmm_sier.engines.program import (
     Trials,
 )
 from openmm_sier.engines.trials import (
-    ACCEPTED,
-    ERROR,
     TRIAL,
-    TRIALS,
     Decide,
     Draw,
     Follow,
@@ -190,8 +184,6 @@ class Writer:
     def write(self) -> None:
         """Add everything."""
         self._add(TRIAL)
-        if self._trials.steps_alone:
-            self._count()
 
     def _add(self, operations: Iterable[Operation]) -> None:
         for operation in operations:
@@ -208,18 +200,14 @@ class Writer:
         to.addComputePerDof("v", f"{SHARE}*{old} + sqrt((1 - {SHARE}*{SHARE})*{THERMAL}/m)*gaussian")
         to.addConstrainVelocities()
         to.addComputeSum(START_KINETIC, KINETIC_ENERGY)
-        if not self._trials.steps_alone:
-            to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
+        to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
 
     def _keep(self, operation: Keep) -> None:
         """Keep the velocities and energies of the start; positions were kept when momenta were drawn."""
         to = self._integrator
         # OpenMM computes this with the velocities, in one kernel.
         to.addComputePerDof(START_V, "v")
-        if self._trials.steps_alone:
-            to.addComputeGlobal(THRESHOLD, "-log(uniform)")
-        else:
-            to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
+        to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
         self._energy_of(START)
 
     def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
@@ -294,13 +282,6 @@ class Writer:
         to.addComputeGlobal(STOPPED, f"select({WANTED}, {0.5 * mass!r}*({squares}), 0)")
         to.addComputeGlobal(KINETIC, f"{KINETIC} - {STOPPED}")
 
-    def _count(self) -> None:
-        """Count the trial, as an ensemble does."""
-        to = self._integrator
-        to.addComputeGlobal(TRIALS, f"{TRIALS} + 1")
-        to.addComputeGlobal(ACCEPTED, f"{ACCEPTED} + {TAKEN}")
-        to.addComputeGlobal(ERROR, FIRST_ERROR)
-
 
 #: Functions that write an operation of a trial, by its class.
 COMPUTATIONS: dict[type[Operation], Callable[[Writer, Any], None]] = {
@@ -345,10 +326,9 @@ def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
     return Numbers(start, error, taken > 0, int(ends), kinetic, stopped)
 
 
-def followed(integrator: openmm.CustomIntegrator, steps: int) -> Trial:
+def followed(steps: int) -> Trial:
     """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
-    thermal = integrator.getGlobalVariableByName(THERMAL)
-    return Trial(steps, 0, share=1.0, thermal=thermal, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
+    return Trial(steps, 0, share=1.0, thermal=1.0, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
 
 
 def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:

@@ -22,11 +22,10 @@ from openmm_sier.system.solver_test import may_not_converge
 def general_program(method: IntegrationMethod) -> Program:
     """Return a program that executes a method in any System; one without parts if OpenMM cannot execute the method.
 
-    A method of trials becomes a program of whole trials. On the CPU and Reference platforms these are right only in a
-    System without virtual sites.
+    A method of trials becomes a program of whole trials.
     """
     if method.trial_steps:
-        return _written(method, divides_step=False, trials=Trials(steps_alone=method.trial_steps))
+        return _written(method, divides_step=False, trials=Trials())
     return _written(method)
 
 
