@@ -24,7 +24,7 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from openmm_sier.integrators.context import SIERContext
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored

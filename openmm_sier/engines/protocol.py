@@ -5,9 +5,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from enum import Flag, auto
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import openmm
@@ -16,8 +15,9 @@ from openmm import unit
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.tally import Mark, Tally
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.actions import Actions
+from openmm_sier.engines.records import Changes, Clock, RollbackState
 from openmm_sier.engines.snapshot import Snapshot, precision_of
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
@@ -25,58 +25,6 @@ from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
 from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation, Temperatures
-
-
-class TrajectoryError(openmm.OpenMMException):
-    """A trajectory cannot be followed: a force or position is not finite, or constraints cannot be satisfied."""
-
-
-class Clock(NamedTuple):
-    """Time in ps, and number of steps of the integrator."""
-
-    time: float
-    steps: int
-
-
-class RollbackState(NamedTuple):
-    """The state that `Engine.restore` brings back.
-
-    Attributes:
-        point: phase point, in the form of the engine.
-        clock: time and number of steps.
-        box: periodic box vectors, nm.
-        mark: of the tally.
-        counts: of the ensemble, by name, which `Engine.transaction` brings back.
-        more: further data of the engine.
-    """
-
-    point: Any
-    clock: Clock
-    box: Any
-    mark: Mark
-    counts: dict[str, float]
-    more: Any = None
-
-
-class Changes(Flag):
-    """Kinds of change since the last step.
-
-    Attributes:
-        ATOMS: positions or velocities were set.
-        BOX: the box was set.
-        FORCES: the potential was changed.
-        VARIABLES: a checkpoint or State has brought the variables of the integrator.
-        HISTORY: the next step must depend only on the contents of the Context, as after a restart.
-        SETTINGS: settings, parameters or the clock were changed, or a step failed.
-    """
-
-    NONE = 0
-    ATOMS = auto()
-    BOX = auto()
-    FORCES = auto()
-    VARIABLES = auto()
-    HISTORY = auto()
-    SETTINGS = auto()
 
 
 class Engine(ABC):

@@ -8,7 +8,8 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.plan import Operation
-from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Clock, TrajectoryError
 from openmm_sier.engines.trials import (
     TRIAL,
     Decide,

@@ -13,7 +13,8 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.engines.protocol import Engine, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.session import Advance
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system.arguments import quantity_to_float, whole_number

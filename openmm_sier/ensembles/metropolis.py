@@ -13,7 +13,8 @@ from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_c
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import BATH, Scheme
-from openmm_sier.engines.protocol import Clock, Engine
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Clock
 from openmm_sier.engines.session import Advance
 from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
 from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial

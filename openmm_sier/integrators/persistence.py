@@ -7,7 +7,7 @@ import numpy as np
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.program import WORK
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.system.user_warnings import warn
 

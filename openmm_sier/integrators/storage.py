@@ -13,7 +13,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.native import installation, trials
+from openmm_sier.engines.native import installation, trial_variables
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.persistence import store
@@ -68,7 +68,7 @@ def _give_class(plain: Any, cls: type, values: settings.Settings) -> None:
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
     required = {installation.PARTS, *values.ensemble.counts}
     if values.method().trial_steps:
-        required |= set(trials.GLOBALS)
+        required |= set(trial_variables.GLOBALS)
     if missing := required - variables:
         raise settings.SettingsError(
             f"A stored SIER integrator lacks the variable {min(missing)}, as one of an earlier version may: create a "

@@ -7,7 +7,7 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER2V2, SIERHMCIntegrator
-from openmm_sier.engines.native import trials
+from openmm_sier.engines.native import trial_variables
 from openmm_sier.ensembles import metropolis
 from tests.support import anharmonic, spinning
 from tests.support.samplers import counted, sampler
@@ -58,7 +58,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
         errors = []
         for chances in range(3):
             assert outcome(-1e300, chances) == (0, chances + 1)
-            errors.append(integrator.getGlobalVariableByName(trials.END_ERROR))
+            errors.append(integrator.getGlobalVariableByName(trial_variables.END_ERROR))
             assert integrator.lastEnergyError == errors[0]
             assert np.array_equal(phase_point(context)[0], start[0])
             # A rejection adds nothing to the energy less heat.

@@ -30,7 +30,8 @@ from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Changes, Clock, RollbackState, TrajectoryError
 from openmm_sier.engines.snapshot import Environment, Snapshot, box_of, holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import STATE_VARIABLES

@@ -8,7 +8,7 @@ from openmm import unit
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair, PlaceCache
-from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 
 

@@ -21,7 +21,8 @@ from openmm_sier.engines.native.installation import set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import V0, WORK, Program
-from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Changes, Clock, RollbackState, TrajectoryError
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial

@@ -9,8 +9,9 @@ import openmm
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.native import trials
-from openmm_sier.engines.native.program import FRICTION, NEVER, THERMAL
+from openmm_sier.engines.native import trial_program, trial_variables
+from openmm_sier.engines.native.program import NEVER
+from openmm_sier.engines.native.statements import FRICTION, THERMAL
 from openmm_sier.engines.program import (
     CONSTRAIN_V,
     CONSTRAIN_X,
@@ -51,7 +52,7 @@ def all_vectors(method: IntegrationMethod) -> tuple[str, ...]:
 def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:
     """Give an openmm.CustomIntegrator the global variables of programs, or of trials too, unless it has them."""
     there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
-    for name in (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trials.GLOBALS if in_trials else ())):
+    for name in (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trial_variables.GLOBALS if in_trials else ())):
         if name not in there:
             integrator.addGlobalVariable(name, 0)
 
@@ -75,7 +76,7 @@ def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iter
     n = program.native_steps
     integrator.setGlobalVariableByName(PARTS, n)
     if program.trials is not None:
-        trials.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
+        trial_program.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
         _add_last_force(program, integrator)
         return
     integrator.beginIfBlock(f"{PART} < 0")

@@ -18,75 +18,34 @@ last force, which positions that were moved would make invalid.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import openmm
 
-from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.plan import Operation
 from openmm_sier.engines.native.constrained_start import NOT_CONVERGED
-from openmm_sier.engines.native.program import THERMAL
-from openmm_sier.engines.program import (
-    CONSTRAIN_V,
-    CONSTRAIN_X,
-    KEPT,
-    START_V,
-    START_X,
-    TRIAL_VECTORS,
-    Program,
-    Statement,
-    Trials,
+from openmm_sier.engines.native.statements import THERMAL
+from openmm_sier.engines.native.trial_variables import (
+    CENTRE,
+    CHANCES,
+    END_ERROR,
+    ENDS,
+    FIRST_ERROR,
+    GOES_ON,
+    INFINITE,
+    KINETIC,
+    LEFT,
+    SHARE,
+    START,
+    START_KINETIC,
+    STEPS,
+    STOPPED,
+    TAKEN,
+    THRESHOLD,
+    WANTED,
 )
-from openmm_sier.engines.trials import (
-    TRIAL,
-    Decide,
-    Draw,
-    Follow,
-    GoBack,
-    Keep,
-    StopCentre,
-    Trial,
-    WhileItGoesOn,
-)
-from openmm_sier.engines.variables import PREFIX
-from openmm_sier.system import tables
-
-#: Global variables that the host sets beside `THERMAL`: steps to an end, extra chances, the share of momenta that is
-#: kept, the kinetic energy of the start, the largest error that is accepted, and the velocity that the centre of mass
-#: is given. A kinetic energy of zero leaves momenta as they are, and does not stop the centre of mass.
-STEPS, CHANCES, SHARE, WANTED, THRESHOLD = (
-    PREFIX + name for name in ("steps", "chances", "share", "wanted", "threshold")
-)
-CENTRE = tuple(f"{PREFIX}centre_{axis}" for axis in "xyz")
-
-#: Global variables that the program sets: potential and kinetic energy of the start, kinetic energy of the present
-#: state, energy error in kT of the present and of the first end, number of ends, whether the last one is accepted,
-#: whether the trajectory goes on, steps left to the end, and the kinetic energy that was taken from the centre of mass.
-START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED = (
-    PREFIX + name
-    for name in (
-        "start",
-        "start_kinetic",
-        "kinetic",
-        "end_error",
-        "first_error",
-        "ends",
-        "taken",
-        "goes_on",
-        "left",
-        "stopped",
-    )
-)
-
-#: All of them.
-GLOBALS = (
-    *(STEPS, CHANCES, SHARE, WANTED, THRESHOLD, *CENTRE),
-    *(START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED),
-)
-
-#: An error above this counts as infinite, kT.
-INFINITE = 1e20
+from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, START_V, START_X, Program, Statement, Trials
+from openmm_sier.engines.trials import TRIAL, Decide, Draw, Follow, GoBack, Keep, StopCentre, WhileItGoesOn
 
 #: The kinetic energy of atoms.
 KINETIC_ENERGY = "0.5*m*v*v"
@@ -154,9 +113,6 @@ def _with_energies(program: Program, statements: list[Executed]) -> list[Execute
 def _uses(statement: Statement, name: str) -> bool:
     """Return whether a statement uses a force by its name in OpenMM's syntax."""
     return statement.force is not None and statement.force.name == name
-
-
-# --- the program ---
 
 
 class Writer:
@@ -293,68 +249,3 @@ COMPUTATIONS: dict[type[Operation], Callable[[Writer, Any], None]] = {
     GoBack: Writer._go_back,
     StopCentre: Writer._stop_centre,
 }
-
-
-# --- its execution ---
-
-
-class Numbers(NamedTuple):
-    """Numbers that a program leaves after a trial; see the global variables of this module."""
-
-    start: float
-    first_error: float
-    is_accepted: bool
-    ends: int
-    kinetic: float
-    stopped: float
-
-
-def variables(trial: Trial) -> dict[str, float]:
-    """Return the global variables that describe a trial, by name."""
-    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
-    return dict(zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True))
-
-
-def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
-    """Let OpenMM make a trial."""
-    for name, value in variables(trial).items():
-        integrator.setGlobalVariableByName(name, value)
-    openmm.CustomIntegrator.step(integrator, 1)
-    start, error, taken, ends, kinetic, stopped = map(
-        integrator.getGlobalVariableByName, (START, FIRST_ERROR, TAKEN, ENDS, KINETIC, STOPPED)
-    )
-    return Numbers(start, error, taken > 0, int(ends), kinetic, stopped)
-
-
-def followed(steps: int) -> Trial:
-    """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
-    return Trial(steps, 0, share=1.0, thermal=1.0, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
-
-
-def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
-    positions, velocities = (np.array(integrator.getPerDofVariableByName(name)) for name in TRIAL_VECTORS)
-    return positions, velocities
-
-
-# --- where trials are native ---
-
-
-def are_native(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> bool:
-    """Return whether a trial can be one native step in a System. Its steps are native in any case.
-
-    Args:
-        method: of the trials.
-        system: openmm.System.
-        places_sites: whether the platform places virtual sites within a native step, which they must follow.
-        checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
-            computes forces of PME at positions that are not finite.
-    """
-    has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
-
-
-def stopped_mass(system: openmm.System) -> float:
-    """Return the mass in Da of the atoms whose centre a CMMotionRemover stops; 0 without one."""
-    is_stopped = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
-    return float(tables.masses(system).sum()) if is_stopped else 0.0
