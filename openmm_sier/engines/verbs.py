@@ -162,12 +162,12 @@ class Verbs(ABC):
         """Multiply all velocities by a factor and add a velocity, (3,), nm/ps. The heat is left to the caller."""
 
     @abstractmethod
-    def draw_momenta(self, thermal: float, share: float) -> None:
-        """Draw momenta, of which the old ones stay a share. It takes a draw, and the energy is counted as heat.
+    def draw_momenta(self, kT: float, kept: float) -> None:
+        """Refresh the momenta partially, which uses one draw; the energy is counted as heat.
 
         Args:
-            thermal: thermal energy kT, kJ/mol.
-            share: the factor on the old momenta, from 0 to below 1.
+            kT: thermal energy, kJ/mol.
+            kept: the fraction of the old momenta that is kept, from 0 to below 1.
         """
 
     @abstractmethod

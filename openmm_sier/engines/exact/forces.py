@@ -1,4 +1,4 @@
-"""Where the bodies of a Context are placed as atoms, and the forces on them and energies that it computes there."""
+"""Writer of bodies to a Context as atoms, and reader of forces and energies."""
 
 import weakref
 

@@ -91,9 +91,9 @@ class PointVerbs(Engine):
         scaled = BodyState(point.q, factor * point.p, point.A, factor * point.L, point.cache)
         self.point = self.moving.shifted(scaled, shift)
 
-    def draw_momenta(self, thermal: float, share: float) -> None:
-        friction = -math.log(share) if share else math.inf
-        bath = OrnsteinUhlenbeck(thermal / GAS_CONSTANT, friction, friction)
+    def draw_momenta(self, kT: float, kept: float) -> None:
+        friction = -math.log(kept) if kept else math.inf
+        bath = OrnsteinUhlenbeck(kT / GAS_CONSTANT, friction, friction)
         self.point = bath_operator(bath, self.moving, self.tally)(self.point, 1.0)
 
     def scale(self, factor: float) -> None:

@@ -92,10 +92,10 @@ class AtomVerbs(Engine):
         self._atoms.scale(factor, shift)
         self._velocities_changed()
 
-    def draw_momenta(self, thermal: float, share: float) -> None:
-        """Draw velocities, of which the old ones stay a share; constraints leave the new ones canonical."""
+    def draw_momenta(self, kT: float, kept: float) -> None:
+        """See `Verbs.draw_momenta`; constraints leave the new velocities canonical."""
         before = self.kinetic_energy()
-        self._atoms.refresh_velocities(share, thermal, self.tally.noise())
+        self._atoms.refresh_velocities(kept, kT, self.tally.noise())
         if len(self._constraints.pairs):
             self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
         self._velocities_changed()

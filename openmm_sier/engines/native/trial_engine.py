@@ -53,7 +53,7 @@ class TrialEngine(NativeEngine):
         self._is_sample = False
 
     def make_trial(self, trial: Trial) -> Outcome:
-        if not trial.kinetic:
+        if not trial.kinetic_energy:
             # Nothing moves.
             return super().make_trial(trial)
         with nullcontext() if self._is_sample else self.transaction():
@@ -69,14 +69,14 @@ class TrialEngine(NativeEngine):
         try:
             numbers = self._executed(trial)
         except openmm.OpenMMException as error:
-            self.tally.heat += trial.kinetic - before
+            self.tally.heat += trial.kinetic_energy - before
             if not isinstance(error, TrajectoryError):
                 raise
             if self.removes_momentum:
                 self.shift_velocities(-self.centre_velocity())
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
-        self.tally.heat += trial.kinetic - before - numbers.stopped
+        self.tally.heat += trial.kinetic_energy - before - numbers.stopped
         if not math.isfinite(numbers.start):
             self.clock = clock
         # A comparison with NaN is false.

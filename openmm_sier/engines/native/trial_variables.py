@@ -60,7 +60,7 @@ class Numbers(NamedTuple):
 
 def variables(trial: Trial) -> dict[str, float]:
     """Return the global variables that describe a trial, by name."""
-    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
+    values = (trial.steps, trial.chances, trial.kept, trial.kT, trial.kinetic_energy, trial.threshold, *trial.centre)
     return dict(zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True))
 
 
@@ -77,7 +77,7 @@ def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
 
 def followed(steps: int) -> Trial:
     """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
-    return Trial(steps, 0, share=1.0, thermal=1.0, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
+    return Trial(steps, 0, kept=1.0, kT=1.0, kinetic_energy=0.0, threshold=INFINITE, centre=np.zeros(3))
 
 
 def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
