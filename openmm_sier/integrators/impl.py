@@ -152,10 +152,7 @@ class IntegratorImpl:
 
     def set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        method, integrator = self.method(), self.integrator
-        # A State that was written on another platform may have those of another program.
-        integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
-        installation.set_bath(integrator, method.bath)
+        installation.set_variables(self.integrator, self.native_steps, self.method().bath)
         self.session.changed()
 
     # --- a Context ---

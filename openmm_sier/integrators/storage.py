@@ -11,9 +11,8 @@ import math
 from typing import Any
 
 import openmm
-from openmm import unit
 
-from openmm_sier.engines.native import installation, trial_variables
+from openmm_sier.engines.native import installation
 from openmm_sier.integrators import settings
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.persistence import store
@@ -66,16 +65,13 @@ def unpickled(xml: str, cls: type, values: settings.Settings, attributes: dict[s
 def _give_class(plain: Any, cls: type, values: settings.Settings) -> None:
     """Turn a CustomIntegrator into a SIER integrator with settings and without a program."""
     variables = {plain.getGlobalVariableName(i) for i in range(plain.getNumGlobalVariables())}
-    required = {installation.PARTS, *values.ensemble.counts}
-    if values.method().trial_steps:
-        required |= set(trial_variables.GLOBALS)
+    required = {*installation.variables(bool(values.method().trial_steps)), *values.ensemble.counts}
     if missing := required - variables:
         raise settings.SettingsError(
             f"A stored SIER integrator lacks the variable {min(missing)}, as one of an earlier version may: create a "
             "new integrator"
         )
-    native_steps = plain.getGlobalVariableByName(installation.PARTS) or 1
-    step = plain.getStepSize().value_in_unit(unit.picosecond) * native_steps
+    step = installation.step_of(plain)
     installation.uninstall(plain)
     plain.__class__ = cls
     plain.impl = IntegratorImpl(plain, values)

@@ -4,7 +4,9 @@ import copy
 from collections.abc import Iterable
 from functools import partial
 
+import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
@@ -18,6 +20,7 @@ from openmm_sier.engines.program import (
     TRIAL_VECTORS,
     UPDATE,
     VECTORS,
+    WORK,
     Program,
     Statement,
 )
@@ -49,10 +52,15 @@ def all_vectors(method: IntegrationMethod) -> tuple[str, ...]:
     return (*ALL_VECTORS, *TRIAL_VECTORS) if method.trial_steps else ALL_VECTORS
 
 
+def variables(in_trials: bool) -> tuple[str, ...]:
+    """Return the names of the global variables of programs, of which some may make trials."""
+    return (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trial_variables.GLOBALS if in_trials else ()))
+
+
 def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:
     """Give an openmm.CustomIntegrator the global variables of programs, or of trials too, unless it has them."""
     there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
-    for name in (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trial_variables.GLOBALS if in_trials else ())):
+    for name in variables(in_trials):
         if name not in there:
             integrator.addGlobalVariable(name, 0)
 
@@ -121,9 +129,7 @@ def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegra
 
     It is a plain CustomIntegrator, with the step of the scheme.
     """
-    plain = openmm.CustomIntegrator
-    native_steps = integrator.getGlobalVariableByName(PARTS) or 1
-    bare = plain(native_steps * plain.getStepSize(integrator))
+    bare = openmm.CustomIntegrator(step_of(integrator))
     bare.setConstraintTolerance(integrator.getConstraintTolerance())
     bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
     bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
@@ -164,6 +170,34 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
             f"This integrator had {own} computations and has {count} now. Its scheme defines its step, to which "
             "addComputePerDof and similar methods cannot add. For a step of your own use an openmm.CustomIntegrator"
         )
+
+
+def set_variables(integrator: openmm.CustomIntegrator, native_steps: int, bath: Thermostat | None) -> None:
+    """Set the variables of a program to the values that they must have, whatever was loaded.
+
+    Args:
+        integrator: openmm.CustomIntegrator with the variables of programs.
+        native_steps: number of native steps in a step of the scheme. A State that was written on another platform may
+            have that of another program.
+        bath: of the scheme.
+    """
+    integrator.setGlobalVariableByName(PARTS, native_steps)
+    set_bath(integrator, bath)
+
+
+def step_of(integrator: openmm.CustomIntegrator) -> float:
+    """Return the step of the scheme of an integrator, ps."""
+    native_step = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
+    return native_step * (integrator.getGlobalVariableByName(PARTS) or 1)
+
+
+def take_heat(integrator: openmm.CustomIntegrator) -> float:
+    """Return the heat that a program has counted, kJ/mol, and set its count to zero."""
+    if WORK not in vectors_of(integrator):
+        return 0.0
+    work = np.array(integrator.getPerDofVariableByName(WORK))
+    integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
+    return float(work.sum())
 
 
 def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> None:
