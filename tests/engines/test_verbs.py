@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from tests.support.waters import context_at, energies, phase_point
 
 pytestmark = pytest.mark.parametrize("name", ["exact", "native"])
