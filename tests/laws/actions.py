@@ -185,9 +185,9 @@ class Minimize(Action):
     def shows(self, run, before, after):
         assert after.steps == before.steps
         assert np.array_equal(after.box, before.box)
-        # Constraints are satisfied at the end, which may cost what rounding of their lengths costs.
+        # Constraints are satisfied at the end, and the first iterations find the length of a step.
         energy = run.potential_energy()
-        assert energy <= run.energy_before + 1e-3, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
+        assert energy <= run.energy_before + 0.1, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
         run.assert_rigid(after, 1e-4, moves=False)
 
 
