@@ -1,7 +1,7 @@
 """What users do to a Context, as data that Hypothesis draws, orders and shrinks.
 
 Each action is a frozen dataclass with a method `act`, which does it, and `shows`, which asserts that the Context shows
-what was asked for. An error of `act` that is one of `REFUSALS` is a refusal, and must have changed nothing.
+what was asked for. An error of `act` that is one of its `refusals` is a refusal, and must have changed nothing.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,15 @@ ALLOWED = 1e-3
 
 
 class Action:
-    """The base class. What it leaves out holds for questions: `changes` tells whether the Context may differ."""
+    """The base class. What it leaves out holds for questions.
+
+    Attributes:
+        changes: whether the Context may differ.
+        refusals: errors by which it may be refused; others are faults of the action or the package.
+    """
 
     changes = True
+    refusals = (openmm.OpenMMException, ValueError)
 
     def applies(self, run):
         """Return whether a run can be asked for this."""
@@ -229,7 +235,7 @@ class UpdateParameters(Action):
     share: float
 
     def act(self, run):
-        update_shares(run, [self.share * (1 + k % 2) for k in range(run.pull.getNumParticles())])
+        update_shares(run, [(self.share * (1 + k % 2),) for k in range(run.pull.getNumParticles())])
 
 
 # --- saving and loading -----------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
-from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
+from tests.laws.runs import ROUNDING, Run, assert_alike, started
 from tests.laws.test_requests import EVERY_CHANGE, SIMPLE, WITH_BODIES
 
 
@@ -107,7 +107,7 @@ def followed(run: Run, action: Action) -> str | None:
         return None
     try:
         action.act(run)
-    except REFUSALS as error:
+    except action.refusals as error:
         return type(error).__name__
     return None
 
