@@ -201,7 +201,7 @@ EVERY_CHANGE = [
     Reinitialize(True),
 ]
 WITH_BODIES = {
-    "free": Mixture((Water("flexible"), Chain(3)), 0, "cut-off"),
+    "free": Mixture((Water("flexible"), Chain(3)), 0, "PME"),
     "named": Mixture((Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"),
     "held": Mixture(
         (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
