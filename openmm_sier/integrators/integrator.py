@@ -189,7 +189,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Advance by a number of steps.
 
         An interrupt leaves the Context at the last completed step. With the exact engine an error does the same. With
-        the native engine an error leaves the Context where it happened, as with OpenMM's integrators.
+        the native engine an error leaves the Context where it happened, as with OpenMM's integrators, except in trials
+        and in a step that follows a move of the volume or of velocities, which are undone.
 
         Raises:
             ValueError: `steps` is negative or not a whole number.

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.engines.choice import EXACT_PLATFORMS
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.law import Law
 from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
 from tests.laws.oracle import Oracle
@@ -99,7 +99,7 @@ class Order:
                 prepare_system(system, hydrogenMass=HEAVY if self.mixture.prepared == "heavy" else None)
         scheme = CATALOGUE[self.scheme]
         integrator = SIERIntegrator(STEPS[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
-        precision = {} if self.platform in EXACT_PLATFORMS else {"Precision": "double"}
+        precision = {} if self.platform in HOST_PLATFORMS else {"Precision": "double"}
         context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform), precision)
         for step in STEPS:
             integrator.setStepSize(step)
