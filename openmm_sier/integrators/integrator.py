@@ -233,6 +233,19 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self.impl.session.changed(Changes.FORCES)
 
+    def setConstraintTolerance(self, tol: float) -> None:
+        """Set the relative error of constrained distances at which OpenMM's solvers stop.
+
+        Args:
+            tol: the error, above 0 and below 1.
+
+        Raises:
+            ValueError: it is not.
+        """
+        if not 0 < arguments.quantity_to_float("tol", tol, unit.dimensionless, "") < 1:
+            raise ValueError(f"tol, the relative error of constraints, must be above 0 and below 1, got {tol}")
+        super().setConstraintTolerance(tol)
+
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies; they take effect with the next step.
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
+from tests.laws.methods import Method
 from tests.laws.mixtures import FORMS, PREPARATIONS, SURROUNDINGS, Mixture
 from tests.laws.molecules import (
     HELD_BY_CONSTRAINTS,
     SHAPES,
     SITES,
+    Alike,
     Body,
     Chain,
     Ion,
@@ -37,12 +39,13 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
     rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
-    plain = [waters, chains, stars, rings, held_bodies, lines]
+    alike = st.builds(Alike, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
+    plain = [waters, chains, stars, rings, held_bodies, lines, alike]
     if named:
         shapes = st.sampled_from(list(SHAPES))
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
-        plain += [st.builds(Body, shapes), jointed]
+        plain += [st.builds(Body, shapes), jointed, st.builds(Alike, shapes)]
     with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
         _has_parents
     )
@@ -86,6 +89,13 @@ def mixtures(
         st.booleans(),
         st.sampled_from(prepared),
     )
+
+
+@st.composite
+def moved(draw: st.DrawFn, ways: st.SearchStrategy[Method]) -> tuple[Mixture, Method]:
+    """Draw a method of some, and a mixture that its engine moves: only the exact one moves named bodies."""
+    method = draw(ways)
+    return draw(mixtures(named=method.engine == "exact")), method
 
 
 def _moves(drawn: tuple[Molecule, ...]) -> bool:

@@ -223,6 +223,32 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Alike:
+    """Two rigid bodies whose shapes differ by a little more than their positions may be off.
+
+    Attributes:
+        shape: of the first.
+        stretched: factor on the places of the second.
+    """
+
+    shape: str = "pair"
+    named: bool = True
+    stretched: float = 1.03
+
+    def parts(self) -> Parts:
+        parts = Parts()
+        for origin, factor in ((0.0, 1.0), (0.6, self.stretched)):
+            body = _add_shape(parts, self.shape, [0.0, 0.0, origin])
+            for i in body:
+                parts.places[i] = [0.0, 0.0, origin] + factor * (parts.places[i] - [0.0, 0.0, origin])
+            if self.named:
+                parts.bodies.append(body)
+            else:
+                parts.constraints += list(combinations(body, 2))
+        return parts
+
+
+@dataclass(frozen=True)
 class Jointed:
     """A named body with a flexible tail, at whose end there may be another body.
 
@@ -345,4 +371,4 @@ class WithSite:
         return parts
 
 
-Molecule = Ion | Water | Chain | Star | Ring | Body | Jointed | Tethered | WithSite
+Molecule = Ion | Water | Chain | Star | Ring | Body | Alike | Jointed | Tethered | WithSite

@@ -7,14 +7,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import openmm
+import pytest
 from hypothesis import strategies as st
 
 from tests.laws.action_strategies import changes
-from tests.laws.actions import Action, Step
+from tests.laws.actions import (
+    Action,
+    ApplyVelocityConstraints,
+    DrawVelocities,
+    Minimize,
+    Reinitialize,
+    SetBox,
+    SetParameter,
+    SetPositions,
+    SetVelocities,
+    Step,
+    UpdateParameters,
+)
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
+from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
+from tests.laws.molecules import Body, Chain, Water, WithSite
 from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
 
 
@@ -127,6 +141,20 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 
 
+#: One of each action that changes something.
+CHANGES = (
+    DrawVelocities(300.0, 3),
+    SetVelocities(5),
+    ApplyVelocityConstraints(),
+    SetPositions(0, 7),
+    SetPositions(1, 7, 1e-5),
+    SetBox(1.02),
+    SetParameter("pull", 3.0),
+    UpdateParameters(0.2),
+    Minimize(2),
+    Reinitialize(True),
+)
+
 FUTURES = Law("futures", futures, few=15)
 RESTARTS = Law("restarts", restarts, few=15)
 
@@ -134,6 +162,14 @@ RESTARTS = Law("restarts", restarts, few=15)
 @FUTURES.numbers()
 def test_the_future_depends_on_what_is_visible(examples):
     FUTURES.hold(examples)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_the_future_depends_on_what_is_visible_after_each_change(engine):
+    molecules = (Body("bent", engine == "exact"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens"))
+    mixture = Mixture(molecules, surroundings="cut-off", prepared="yes")
+    for change in CHANGES:
+        Future(mixture, method("SIERIntegrator", engine, stepSize=0.001), (Step(2), change), ()).check()
 
 
 @RESTARTS.numbers()
