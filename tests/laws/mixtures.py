@@ -20,6 +20,7 @@ from tests.laws.molecules import (
     SITES,
     Body,
     Chain,
+    Frozen,
     Ion,
     Jointed,
     Molecule,
@@ -85,7 +86,7 @@ class Mixture:
         seed: of places and velocities.
         surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
         form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
-        remover: whether there is a CMMotionRemover.
+        remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
     """
 
@@ -93,7 +94,7 @@ class Mixture:
     seed: int = 0
     surroundings: str = "vacuum"
     form: str = "plain"
-    remover: bool = False
+    remover: int = 0
     prepared: str = "no"
 
     def build(self) -> Built:
@@ -303,7 +304,7 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
     if mixture.surroundings != "vacuum":
         system.setDefaultPeriodicBoxVectors(*_box(mixture, x))
     if mixture.remover:
-        system.addForce(openmm.CMMotionRemover(1))
+        system.addForce(openmm.CMMotionRemover(mixture.remover))
 
 
 def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
@@ -359,16 +360,22 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
     plain = [waters, chains, stars, rings, held_bodies, lines]
+    frozen = st.builds(Frozen, st.one_of(*plain, _with_sites(plain)))
     if named:
         shapes = st.sampled_from(list(SHAPES))
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
         plain += [st.builds(Body, shapes), jointed]
-    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
+    with_sites = _with_sites(plain)
+    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
+    return st.one_of(ions, *plain, with_sites, tethered, frozen)
+
+
+def _with_sites(kinds: list[st.SearchStrategy[Molecule]]) -> st.SearchStrategy[WithSite]:
+    """Draw a molecule of some kinds with virtual sites of any kind."""
+    return st.builds(WithSite, st.one_of(kinds), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
         _has_parents
     )
-    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
-    return st.one_of(ions, *plain, with_sites, tethered)
 
 
 def _has_parents(molecule: WithSite) -> bool:
@@ -404,7 +411,7 @@ def mixtures(
         st.integers(0, 2**16),
         st.sampled_from(surroundings),
         st.sampled_from(FORMS),
-        st.booleans(),
+        st.sampled_from([0, 1, 3]),
         st.sampled_from(prepared),
     )
 

@@ -407,6 +407,21 @@ def test_steps_in_the_window_are_refused():
     checked(1.001 / (1 - share) / 2)
 
 
+def test_a_bond_softer_than_its_surroundings_has_a_longest_step():
+    """Of ions that touch: their repulsion is several times as stiff as the bond."""
+    system = diatomic(strength=8000, masses=(12.0, 12.0))
+    charges = openmm.NonbondedForce()
+    for charge in (0.5, -0.5):
+        charges.addParticle(charge, 0.3, 0.5)
+    charges.setForceGroup(1)
+    system.addForce(charges)
+    check = StepCheck(system, RigidBodies.from_system(system))
+    period = 2 * math.pi / math.sqrt(8000 / 6)
+    method = IntegrationMethod(SIER4G, 0.4 * period, substeps=100, fast_groups=1)
+    with pytest.raises(openmm.OpenMMException, match=r"too long for the bond .*Take up to [1-9]\d\.\d fs"):
+        check(method, 3)
+
+
 def test_every_kind_of_warning_is_given_once(flexible):
     _, _, system = flexible
     check = StepCheck(system, RigidBodies.from_system(system))
