@@ -16,8 +16,6 @@ import openmm
 
 CARBON, NITROGEN, OXYGEN, HYDROGEN = 12.011, 14.007, 15.999, 1.008
 
-#: sigma (nm) and epsilon (kJ/mol) of atoms and of hydrogens.
-SIZES = {True: (0.1, 0.05), False: (0.3, 0.4)}
 
 #: kJ/mol/nm^2 and kJ/mol/rad^2, as in force fields.
 BOND, BOND_TO_HYDROGEN, ANGLE, ANGLE_OF_HYDROGEN = 2.5e5, 2.8e5, 500.0, 300.0
