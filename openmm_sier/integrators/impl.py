@@ -113,12 +113,17 @@ class IntegratorImpl:
         """Set the integration force groups.
 
         Raises:
+            ValueError: a group is not from 0 to 31.
+            TypeError: `groups` is neither a set of numbers nor a mask.
             openmm.OpenMMException: the engine of the Context cannot follow them. Nothing has been changed then.
         """
+        # getIntegrationForceGroups returns a mask with group 31 as a negative number.
+        is_signed = isinstance(groups, int) and -(2**31) <= groups < 0
+        mask = group_mask("groups", groups + 2**32 if is_signed else groups)
         engine = self.session.engine_or_none
         if engine is not None:
-            engine.accept(self.method(), group_mask("groups", groups))
-        openmm.CustomIntegrator.setIntegrationForceGroups(self.integrator, groups)
+            engine.accept(self.method(), mask)
+        openmm.CustomIntegrator.setIntegrationForceGroups(self.integrator, mask)
         if engine is not None:
             engine.select_groups()
 

@@ -233,7 +233,17 @@ class SIERIntegrator(openmm.CustomIntegrator):
         self.impl.session.changed(Changes.FORCES)
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
-        """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
+        """Set the force groups that move the bodies; they take effect with the next step.
+
+        Args:
+            groups: a set of groups from 0 to 31, or a bit mask, as `getIntegrationForceGroups` returns.
+
+        Raises:
+            ValueError: a group is not from 0 to 31.
+            TypeError: `groups` is neither a set of numbers nor a mask.
+            openmm.OpenMMException: the engine cannot follow them, since a fast force group is not among them. Nothing
+                has been changed then.
+        """
         self.impl.set_groups(groups)
 
     # --- copies ---

@@ -28,7 +28,7 @@ VALUES = {
     "setExtraChances": [0, 1, None],
     "setRandomNumberSeed": [3, 11],
     "setConstraintTolerance": [1e-9, 1e-8],
-    "setIntegrationForceGroups": [{0, 30, 31}, 2**32 - 1],
+    "setIntegrationForceGroups": [{0, 30, 31}, 2**32 - 1, -1],
 }
 USUAL_VALUES = [1, 2, 0.5]
 WRONG_VALUES = [-1, math.nan, "none"]
@@ -181,5 +181,6 @@ WRONG = {
     "an unknown parameter": lambda run: run.context.setParameter("unknown", 1.0),
     "no checkpoint": lambda run: run.context.loadCheckpoint(b"no checkpoint"),
     "a flat box": lambda run: run.context.setPeriodicBoxVectors((1, 0, 0), (0, 1, 0), (0.9, 0, 0.1)),
+    "a group that does not exist": lambda run: run.integrator.setIntegrationForceGroups({40}),
     "a step that is no time": lambda run: run.integrator.setStepSize(300 * unit.kelvin),
 }

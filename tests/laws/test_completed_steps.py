@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Mixture
 from tests.laws.runs import REFUSALS, SAME, Run, View, assert_alike, end, started
 from tests.support.faults import Fault, lines_run
 

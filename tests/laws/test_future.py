@@ -13,7 +13,8 @@ from tests.laws.action_strategies import changes, pasts
 from tests.laws.actions import Action, Step
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Mixture
 from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
 
 

@@ -19,7 +19,8 @@ from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frame
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.choice import EXACT_PLATFORMS
 from tests.laws.law import Law
-from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of
 from tests.laws.oracle import Oracle
 from tests.support import opencl
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system
 from tests.laws.law import Law
-from tests.laws.mixtures import Built, Mixture, masses_of, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Built, Mixture, masses_of
 from tests.laws.molecules import Body, Water
 
 Attempt = Callable[[], object]

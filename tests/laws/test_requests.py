@@ -13,7 +13,8 @@ from tests.laws.actions import Action, Step
 from tests.laws.integrator_actions import Set, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Mixture
 from tests.laws.molecules import Water
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
