@@ -10,6 +10,7 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
+<<<<<<< HEAD
 from tests.laws.action_strategies import changes
 from tests.laws.actions import (
     Action,
@@ -24,6 +25,10 @@ from tests.laws.actions import (
     Step,
     UpdateParameters,
 )
+=======
+from tests.laws.action_strategies import changes, pasts
+from tests.laws.actions import Action, Step
+>>>>>>> suite
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
@@ -128,7 +133,7 @@ def followed(run: Run, action: Action) -> str | None:
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(some), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
 
 
 @st.composite
@@ -136,7 +141,7 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
-    past = tuple(action for action in draw(some) if getattr(action, "name", "") != "setRandomNumberSeed")
+    past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 

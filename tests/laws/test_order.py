@@ -140,7 +140,7 @@ def cases(draw: st.DrawFn, platform: str) -> Order:
     surroundings = SURROUNDINGS if platform == "Reference" else SURROUNDINGS[:-1]
     mixture = draw(mixtures(surroundings, least=2))
     if is_frozen(mixture):
-        mixture = replace(mixture, remover=False)
+        mixture = replace(mixture, remover=0)
     return Order(mixture, draw(st.sampled_from(list(CATALOGUE))), draw(st.sampled_from([None, 1, 2, 3])), platform)
 
 

@@ -45,8 +45,8 @@ class TrialEngine(NativeEngine):
         platform = context.getPlatform()
         if self._has_sites and is_on_host(platform):
             raise openmm.OpenMMException(
-                f"OpenMM took the {platform.getName()} platform, and trials were written for another one. Virtual sites "
-                "do not follow their atoms within a trial there: name the platform when the Context is made"
+                f"OpenMM took the {platform.getName()} platform, and trials were written for another one. Virtual "
+                "sites do not follow their atoms within a trial there: name the platform when the Context is made"
             )
 
     def synchronize(self) -> None:
