@@ -113,6 +113,8 @@ def prepare_system(
             system.removeForce(i)
     if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
+    if heavy is not None and not isinstance(bodies, BodySet):
+        # Masses have changed.
         membership = BodyPlan(system, rigid=bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None

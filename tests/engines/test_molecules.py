@@ -18,13 +18,8 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.exact import motion
-<<<<<<< HEAD
 from openmm_sier.engines.exact.fast_force_context import FastForceError
-from tests.support.flexible import cage, chains, residual, ring, rotor
-=======
-from openmm_sier.engines.exact.solute import SoluteError
 from tests.support.flexible import chains, residual, rotor
->>>>>>> suite
 from tests.support.flexible_systems import FAST, started, system_of, total_energy
 from tests.support.methanols import GEOMETRY, positions_of
 from tests.support.methanols import system_of as methanols_of

@@ -8,12 +8,6 @@ import pytest
 
 from openmm_sier import SIER2, SIER2V2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl
-<<<<<<< HEAD
-from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.matrices import representatives
-=======
-from tests.support.openmm_alone import fails_in_openmm_alone, run_by_openmm_alone
->>>>>>> suite
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
 from tests.support.systems import assembled, with_forces

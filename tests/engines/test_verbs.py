@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import SIERIntegrator
-<<<<<<< HEAD
-from openmm_sier.engines.records import Changes
-from tests.support.waters import context_at, energies, phase_point
-=======
 from tests.support.waters import context_at, energies
->>>>>>> suite
 
 pytestmark = pytest.mark.parametrize("name", ["exact", "native"])
 

@@ -11,12 +11,6 @@ from scipy import stats
 from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_chances
 from openmm_sier.ensembles import metropolis
-<<<<<<< HEAD
-from tests.support.matrices import representatives
-from tests.support.methanols import positions_of, system_of
-=======
-from tests.support.openmm_alone import fails_in_openmm_alone
->>>>>>> suite
 from tests.support.samplers import KT, counted, sampler, states_asked
 from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled

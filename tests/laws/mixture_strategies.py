@@ -40,22 +40,14 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
     rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
-<<<<<<< HEAD
     alike = st.builds(Alike, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
     plain = [waters, chains, stars, rings, held_bodies, lines, alike]
-=======
-    plain = [waters, chains, stars, rings, held_bodies, lines]
     frozen = st.builds(Frozen, st.one_of(*plain, _with_sites(plain)))
->>>>>>> suite
     if named:
         shapes = st.sampled_from(list(SHAPES))
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
-<<<<<<< HEAD
         plain += [st.builds(Body, shapes), jointed, st.builds(Alike, shapes)]
-    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
-=======
-        plain += [st.builds(Body, shapes), jointed]
     with_sites = _with_sites(plain)
     tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
     return st.one_of(ions, *plain, with_sites, tethered, frozen)
@@ -64,7 +56,6 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
 def _with_sites(kinds: list[st.SearchStrategy[Molecule]]) -> st.SearchStrategy[WithSite]:
     """Draw a molecule of some kinds with virtual sites of any kind."""
     return st.builds(WithSite, st.one_of(kinds), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
->>>>>>> suite
         _has_parents
     )
 

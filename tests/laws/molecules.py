@@ -371,9 +371,6 @@ class WithSite:
         return parts
 
 
-<<<<<<< HEAD
-Molecule = Ion | Water | Chain | Star | Ring | Body | Alike | Jointed | Tethered | WithSite
-=======
 @dataclass(frozen=True)
 class Frozen:
     """A molecule whose atoms have no mass, with the constraints between them."""
@@ -386,5 +383,4 @@ class Frozen:
         return parts
 
 
-Molecule = Ion | Water | Chain | Star | Ring | Body | Jointed | Tethered | WithSite | Frozen
->>>>>>> suite
+Molecule = Ion | Water | Chain | Star | Ring | Body | Alike | Jointed | Tethered | WithSite | Frozen

@@ -10,8 +10,7 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
-<<<<<<< HEAD
-from tests.laws.action_strategies import changes
+from tests.laws.action_strategies import changes, pasts
 from tests.laws.actions import (
     Action,
     ApplyVelocityConstraints,
@@ -25,10 +24,6 @@ from tests.laws.actions import (
     Step,
     UpdateParameters,
 )
-=======
-from tests.laws.action_strategies import changes, pasts
-from tests.laws.actions import Action, Step
->>>>>>> suite
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
