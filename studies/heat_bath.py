@@ -8,8 +8,8 @@
 Temperatures are of water and solute apart: with SIER2 of velocities just after the bath, with OpenMM's integrators of
 those at the end of steps, without their components along constraints. Translations and rotations of water show how a
 bath is shared: a long step makes rotations warmer than translations, the more the weaker the bath. Hybrid Monte Carlo
-gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add
-to the same averages. Runs take turns on `--processes` processes of one thread each. Writes heat-bath.json.
+gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not repeated; runs with other
+seeds add to the same averages. Runs take turns on `--processes` processes of one thread each. Writes heat-bath.json.
 
 The distributions of phi and psi are compared with those of hybrid Monte Carlo by Kolmogorov and Smirnov, with as many
 samples as are independent.
