@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_sier.system import tables
+
 
 def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:
     """Return the periodic box vectors of a State, nm."""
@@ -26,7 +28,7 @@ def holds_doubles(context: openmm.Context) -> bool:
     GPU platforms may round them, and virtual sites are moved.
     """
     system = context.getSystem()
-    has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    has_sites = tables.virtual_sites(system).size > 0
     return context.getPlatform().getName() in ("CPU", "Reference") and not has_sites
 
 

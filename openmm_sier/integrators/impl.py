@@ -20,7 +20,7 @@ from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import ForceGroups, group_mask
 
 
@@ -193,7 +193,7 @@ class IntegratorImpl:
         if self.settings.fast_groups is None:
             self._prepared_groups = find_fast_groups(system, self.settings.bodies)
             self.session.rules = self._rules(self.settings)
-        has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        has_sites = tables.virtual_sites(system).size > 0
         self.needs_sites = has_sites and bool(self.method().trial_steps)
         self._write_program(system, platform)
         if self.settings.scheme.without_bath().order >= 4:

@@ -80,7 +80,7 @@ class NativeEngine(Engine):
         refusals.refuse_system(system, bodies)
         self.accept(method, self._groups)
         self._constraints = tables.constraints(system)
-        self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        self._has_sites = tables.virtual_sites(system).size > 0
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)

@@ -13,6 +13,7 @@ from openmm_sier.engines.native.trials import are_native, stopped_mass
 from openmm_sier.engines.program import Program, Trials
 from openmm_sier.stability.motions import shortest_period
 from openmm_sier.stability.step_rules import longest_inner_step
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
 from openmm_sier.system.find_bodies import bodies_of
 from openmm_sier.system.forces import kind_of
@@ -53,7 +54,7 @@ def program_for(
         A program, or one without parts if OpenMM cannot execute the method.
     """
     slow = slow_groups(system, groups, method.fast_groups)
-    has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    has_virtual_sites = tables.virtual_sites(system).size > 0
     in_trials = are_native(method, system, on_gpu, checks_positions)
     return _written(
         method,
