@@ -23,6 +23,7 @@ from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
+from openmm_sier.system.inner_forces import with_inner_forces
 from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation, Temperatures
 
@@ -65,6 +66,8 @@ class Changes(Flag):
         ATOMS: positions or velocities were set.
         BOX: the box was set.
         FORCES: the potential was changed.
+        FAST: forces that act within drifts were changed, or which ones do.
+        BONDS: bonds that keep molecules together were changed.
         VARIABLES: a checkpoint or State has brought the variables of the integrator.
         HISTORY: the next step must depend only on the contents of the Context, as after a restart.
         SETTINGS: settings, parameters or the clock were changed, or a step failed.
@@ -74,6 +77,8 @@ class Changes(Flag):
     ATOMS = auto()
     BOX = auto()
     FORCES = auto()
+    FAST = auto()
+    BONDS = auto()
     VARIABLES = auto()
     HISTORY = auto()
     SETTINGS = auto()
@@ -122,8 +127,11 @@ class Engine(ABC):
         self.method = method
         self.tally = tally
         self.changes = Changes.ATOMS
-        #: Of the System; None before they are needed, and after its Forces have changed.
+        #: Bonds that keep molecules together; None in a System without a box, and after a change of bonds.
         self._bonds: Bonds | None = None
+        system = context.getSystem()
+        if system.usesPeriodicBoundaryConditions():
+            self._bonds = Bonds.of_system(system)
 
     @property
     def _groups(self) -> int:
@@ -205,6 +213,15 @@ class Engine(ABC):
         self.synchronize()
         self.step_check(method, self._groups, self._context)
         self.changes = Changes.NONE
+
+    def changes_by(self, force: openmm.Force) -> Changes:
+        """Return what is changed by other parameters of a Force of the System."""
+        changes = Changes.FORCES
+        if self.method.fast_groups >> force.getForceGroup() & 1:
+            changes |= Changes.FAST
+        if any(isinstance(part.force, openmm.HarmonicBondForce) for part in with_inner_forces(force)):
+            changes |= Changes.BONDS
+        return changes
 
     # --- the phase point ---
 
@@ -384,7 +401,9 @@ class Engine(ABC):
         Raises:
             RigidityError: it cuts one that constraints or bonds would pull together.
         """
+        if Changes.BONDS in self.changes:
+            self._bonds = None
         system = self._context.getSystem()
-        if self._bonds is None:
+        if self._bonds is None and system.usesPeriodicBoundaryConditions():
             self._bonds = Bonds.of_system(system)
         refuse_cut_molecules(system, now.positions, now.box, self._bonds)

@@ -230,7 +230,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.impl.session.changed(Changes.FORCES)
+        self.impl.session.changed(Changes.FORCES | Changes.FAST | Changes.BONDS)
 
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
         """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""

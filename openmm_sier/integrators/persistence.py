@@ -8,6 +8,7 @@ from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.program import WORK
 from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.variables import per_atom_values
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.system.user_warnings import warn
 
@@ -34,7 +35,7 @@ def take_over(impl: IntegratorImpl) -> None:
     impl.stored.load()
     integrator = impl.integrator
     if WORK in installation.vectors_of(integrator):
-        work = np.array(integrator.getPerDofVariableByName(WORK))
+        work = per_atom_values(integrator, WORK)
         impl.stored.tally.heat += float(work.sum())
         integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
     impl.set_program_variables()

@@ -53,7 +53,7 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     Returns:
         A sentence on the change.
     """
-    masses, counts = tables.masses(system), Counter[float]()
+    masses, counts = tables.masses(system).copy(), Counter[float]()
     partners = partners_of(masses, links_of(system))
     for centre, hydrogens in hydrogens_among(masses, partners).items():
         total = masses[centre] + masses[hydrogens].sum()

@@ -91,8 +91,8 @@ def kinds(found: Iterable[Clusters], masses: np.ndarray, describe: Callable, tol
     members: dict[tuple, list[Clusters]] = {}
     for clusters in found:
         key_of_pairs = tuple(map(tuple, clusters.pairs.tolist()))
-        for kind_masses, alike in _of_equal_masses(clusters, masses):
-            members.setdefault((kind_masses, key_of_pairs), []).append(alike)
+        for kind_masses, part in _of_equal_masses(clusters, masses):
+            members.setdefault((kind_masses, key_of_pairs), []).append(part)
     sorted_kinds = []
     for (kind_masses, pairs), parts in members.items():
         alike, table = np.concatenate([part.atoms for part in parts]), np.concatenate([part.lengths for part in parts])

@@ -115,20 +115,28 @@ def forget() -> None:
 
 
 def once(read: Callable[[Source], Table]) -> Callable[[Source], Table]:
-    """Decorator that caches a function of a System or a Force inside `read_once`. Nobody changes what it returns."""
+    """Decorator that caches a function of a System or a Force inside `read_once`; arrays cannot be written."""
     name = f"{read.__module__}.{read.__qualname__}"
 
     @wraps(read)
     def cached(source: Source) -> Table:
         cache = _read.get()
         if cache is None:
-            return read(source)
+            return _fixed(read(source))
         key = name, int(source.this)
         if key not in cache:
-            cache[key] = source, read(source)
+            cache[key] = source, _fixed(read(source))
         return cache[key][1]
 
     return cached
+
+
+def _fixed(table: Table) -> Table:
+    """Return an array, or a tuple of arrays, that cannot be written."""
+    for array in table if isinstance(table, tuple) else (table,):
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
+    return table
 
 
 def rows(source: Any, method: str, count: int) -> Iterator[Any]:

@@ -35,7 +35,7 @@ from openmm_sier.engines.snapshot import Environment, Snapshot, box_of, holds_do
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
 from openmm_sier.system.temperature import Temperatures, degrees_of_freedom, temperatures
 
@@ -93,9 +93,10 @@ class ExactEngine(Engine):
         #: The end of the last step, and the phase point just after the bath within it.
         self._last: tuple[BodyState, BodyState] | None = None
 
+    @tables.read_once()
     def _new_motion(self) -> MotionOperators:
-        fast = self._groups & self.method.fast_groups
-        return MotionOperators(self._context, self.moving, self.forces.compute, self.method.rotation, fast, self.tally)
+        fast, rotation = self._fast_forces(), self.method.rotation
+        return MotionOperators(self._context, self.moving, self.forces.compute, rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -127,14 +128,12 @@ class ExactEngine(Engine):
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
-        if Changes.FORCES in self.changes:
-            self._bonds = None
         if moved:
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._point_of(now, point, moved)
-        if Changes.FORCES in self.changes:
+        if self._has_other_fast_forces():
             self.motion = self._new_motion()
         if point is not None:
             self.point = point
@@ -154,6 +153,17 @@ class ExactEngine(Engine):
         self._calls = []
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
+
+    def _has_other_fast_forces(self) -> bool:
+        """Return whether the fast forces are not those of the operators any more."""
+        if Changes.FAST in self.changes:
+            return True
+        return Changes.FORCES in self.changes and self.motion.fast != self._fast_forces()
+
+    def _fast_forces(self) -> list[int]:
+        """Return the indices of the Forces in fast groups."""
+        fast = self._groups & self.method.fast_groups
+        return [i for i, force in enumerate(self._context.getSystem().getForces()) if fast >> force.getForceGroup() & 1]
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
@@ -185,7 +195,7 @@ class ExactEngine(Engine):
         self.motion.follow(self._context)
 
     def select_groups(self) -> None:
-        self.changes |= Changes.FORCES
+        self.changes |= Changes.FORCES | Changes.FAST
 
     # --- steps ---
 

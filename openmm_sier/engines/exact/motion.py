@@ -1,6 +1,5 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,8 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import Forces, Rotation, always
 from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, plan_step
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
+from openmm_sier.engines.exact.solute import SoluteForces, WorkingForces, working_forces
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import groups_of
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -25,7 +23,8 @@ class MotionOperators:
     """Operators of one Context's bodies.
 
     Attributes:
-        solute: the fast forces, of the bodies that they act on; None where there are none.
+        fast: indices of the Forces that act within drifts.
+        solute: these forces, of the bodies that they act on; None where there are none.
     """
 
     def __init__(
@@ -34,7 +33,7 @@ class MotionOperators:
         bodies: BodySet,
         forces: Forces,
         rotation: Rotation,
-        fast_groups: int,
+        fast: list[int],
         tally: Tally,
     ):
         """
@@ -43,7 +42,7 @@ class MotionOperators:
             bodies: its bodies.
             forces: forces on them in the kicks.
             rotation: free-rotation map.
-            fast_groups: bit mask of the force groups that act within drifts.
+            fast: indices of the Forces that act within drifts, in the System.
             tally: counts what a bath does.
 
         Raises:
@@ -51,10 +50,11 @@ class MotionOperators:
         """
         self._bodies = bodies
         self._tally = tally
+        self.fast = fast
         groups = _flexible_points(bodies)
-        fast = _fast_forces(context.getSystem(), bodies, fast_groups)
-        touched = _touched(bodies, fast)
-        self.solute = _solute(context, bodies.restricted(touched), fast) if fast else None
+        working = _working_forces(context.getSystem(), bodies, fast)
+        touched = _touched(bodies, working)
+        self.solute = _solute(context, bodies.restricted(touched), working) if working.forces else None
         self._table = _table(bodies, forces, rotation, groups)
         if self.solute is not None:
             within = _table(self.solute.bodies, self.solute, rotation, groups[touched])
@@ -98,30 +98,28 @@ def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Pla
     return platform, properties
 
 
-def _fast_forces(system: openmm.System, bodies: BodySet, groups: int) -> list[openmm.Force]:
-    """Return copies of the Forces of some groups, a bit mask, that move bodies.
+def _working_forces(system: openmm.System, bodies: BodySet, fast: list[int]) -> WorkingForces:
+    """Return copies of the Forces with some indices that move bodies.
 
     Forces that cannot be fast are refused even where there is nothing to move.
     """
-    if not groups:
-        return []
     owner, moving = bodies.owners.copy(), bodies.owners >= 0
     # Terms between frozen atoms do no work, like those inside one body.
     owner[tables.frozen_atoms(system)] = bodies.n
-    return solute_forces(system, groups_of(groups), owner, moving)
+    return working_forces([system.getForce(i) for i in fast], owner, moving)
 
 
-def _touched(bodies: BodySet, forces: Sequence[openmm.Force]) -> np.ndarray:
+def _touched(bodies: BodySet, working: WorkingForces) -> np.ndarray:
     """Return the bodies on which forces act, and those that are constrained to one of them, ascending, (m,)."""
     touched = np.zeros(bodies.n, dtype=bool)
-    touched[bodies.owners[particles_of(forces)]] = True
+    touched[bodies.owners[working.particles]] = True
     groups = bodies.constraints.groups
     return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
 
 
-def _solute(context: openmm.Context, bodies: BodySet, forces: Sequence[openmm.Force]) -> SoluteForces:
+def _solute(context: openmm.Context, bodies: BodySet, working: WorkingForces) -> SoluteForces:
     """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
-    solute = SoluteForces(forces, bodies, *_platform_of_solute(context, len(particles_of(forces))))
+    solute = SoluteForces(working, bodies, *_platform_of_solute(context, len(working.particles)))
     solute.follow(context)
     return solute
 

@@ -25,7 +25,7 @@ from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, 
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial
-from openmm_sier.engines.variables import PART
+from openmm_sier.engines.variables import PART, per_atom_values
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
@@ -132,7 +132,6 @@ class NativeEngine(Engine):
             openmm.Context.setVelocities(self._context, self._atoms.velocities)
             self._has_force = False
         if Changes.FORCES in changes:
-            self._bonds = None
             # OpenMM itself considers no force valid after that.
             self._potential = None
         if changes & (Changes.ATOMS | Changes.HISTORY):
@@ -348,7 +347,7 @@ class NativeEngine(Engine):
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
         has_followed = self._follows_bath and Changes.ATOMS not in self.changes
         if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
-            return np.array(self._integrator.getPerDofVariableByName(V0))
+            return per_atom_values(self._integrator, V0)
         return None
 
     def degrees_of_freedom(self, conserved: bool) -> float:
@@ -360,5 +359,5 @@ class NativeEngine(Engine):
             return math.nan
         heat = self.tally.heat
         if WORK in self._program.vectors:
-            heat += float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
+            heat += float(np.sum(per_atom_values(self._integrator, WORK)))
         return heat

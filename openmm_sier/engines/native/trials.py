@@ -55,7 +55,7 @@ from openmm_sier.engines.trials import (
     Trial,
     WhileItGoesOn,
 )
-from openmm_sier.engines.variables import PREFIX
+from openmm_sier.engines.variables import PREFIX, per_atom_values
 from openmm_sier.system import tables
 
 #: Global variables that the host sets beside `THERMAL`: steps to an end, extra chances, the share of momenta that is
@@ -353,7 +353,7 @@ def followed(integrator: openmm.CustomIntegrator, steps: int) -> Trial:
 
 def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
     """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
-    positions, velocities = (np.array(integrator.getPerDofVariableByName(name)) for name in TRIAL_VECTORS)
+    positions, velocities = (per_atom_values(integrator, name) for name in TRIAL_VECTORS)
     return positions, velocities
 
 
