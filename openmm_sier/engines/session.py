@@ -207,6 +207,13 @@ class Session:
         finally:
             self.changed(change)
 
+    @contextmanager
+    def changing_force(self, force: openmm.Force) -> Iterator[None]:
+        """Record other parameters of a Force of the System, which the block writes to the Context."""
+        engine = self._engine
+        with self.changing(Changes.SETTINGS if engine is None else engine.changes_by(force)):
+            yield
+
     def act(self, action: str, by_openmm: Callable[[], None], *args: Any) -> None:
         """Do something in the Context by the method of `Actions` with this name; without an engine, by OpenMM.
 

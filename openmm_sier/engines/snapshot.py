@@ -36,7 +36,7 @@ def holds_doubles(context: openmm.Context) -> bool:
     GPU platforms may round them, and virtual sites are moved.
     """
     system = context.getSystem()
-    return is_on_host(context.getPlatform()) and not tables.has_virtual_sites(system)
+    return is_on_host(context.getPlatform()) and not tables.virtual_sites(system).size
 
 
 def precision_of(context: openmm.Context) -> str | None:

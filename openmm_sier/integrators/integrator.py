@@ -231,7 +231,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.impl.session.changed(Changes.FORCES)
+        self.impl.session.changed(Changes.FORCES | Changes.FAST | Changes.BONDS)
 
     def setConstraintTolerance(self, tol: float) -> None:
         """Set the relative error of constrained distances at which OpenMM's solvers stop.

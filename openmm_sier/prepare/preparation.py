@@ -19,7 +19,7 @@ from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodie
 from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.find_bodies import BodyPlan
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import links_of
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def _add_close_pairs(system: openmm.System, forces: FastForces, fast: list[openm
     """Add close pairs of bodies to the group of the fast forces; return descriptions."""
     sentences = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
-    edges = Links(system).covalent()
+    edges = links_of(system).covalent()
     edges = edges[forces.moving[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, forces.owner, group, periodic):
         sentences.append(

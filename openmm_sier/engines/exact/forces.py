@@ -35,7 +35,7 @@ class BodyForces:
         self.bodies = bodies
         system = context.getSystem()
         n = system.getNumParticles()
-        self._has_virtual_sites = tables.has_virtual_sites(system)
+        self._has_virtual_sites = tables.virtual_sites(system).size > 0
         sites = bodies.sites
         self._sites = sites.sets, sites.places, sites.atoms
         self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms

@@ -72,7 +72,7 @@ class NativeEngine(AtomVerbs):
         refusals.refuse_system(system, bodies)
         self.accept(method, self._groups)
         self._constraints = tables.constraints(system)
-        self._has_sites = tables.has_virtual_sites(system)
+        self._has_sites = tables.virtual_sites(system).size > 0
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)
@@ -122,7 +122,6 @@ class NativeEngine(AtomVerbs):
             openmm.Context.setVelocities(self._context, self._atoms.velocities)
             self._has_force = False
         if Changes.FORCES in changes:
-            self._bonds = None
             # OpenMM itself considers no force valid after that.
             self._potential = None
         if changes & (Changes.ATOMS | Changes.HISTORY):
