@@ -138,7 +138,7 @@ def test_waters_are_not_slowed_down(grouped):
     context = made(integrator, system)
     context.setPositions(positions)
     integrator.step(1)
-    moved = integrator.impl.engine.motion.fast.bodies
+    moved = integrator.impl.engine.motion.fast_context.bodies
     # ACE-ALA-NME has ten heavy atoms, of which six have hydrogens.
     assert (moved.n, int(moved.moments.any(axis=0).sum())) == (10, 6)
 

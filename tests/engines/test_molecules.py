@@ -239,7 +239,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
     A = np.repeat(np.eye(3)[:, :, None], len(members), axis=2)
-    results, _ = integrator.impl.engine.motion.fast(q[:, members].copy(), A)
+    results, _ = integrator.impl.engine.motion.fast_context(q[:, members].copy(), A)
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(results - expected).max() < 1e-5 * np.abs(expected).max()
 

@@ -19,6 +19,10 @@ from tests.laws.actions import (
     Minimize,
     Reinitialize,
     Save,
+<<<<<<< HEAD
+=======
+    SetBoth,
+>>>>>>> faults
     SetBox,
     SetParameter,
     SetPositions,
@@ -31,7 +35,11 @@ from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures, moved
 from tests.laws.mixtures import Mixture
+<<<<<<< HEAD
 from tests.laws.molecules import Body, Chain, Jointed, Water, WithSite
+=======
+from tests.laws.molecules import Body, Chain, Water, WithSite
+>>>>>>> faults
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -173,6 +181,7 @@ WITHOUT_EFFECT = (
     "setBarostatInterval",
 )
 
+<<<<<<< HEAD
 #: One of each action.
 EVERY = (
     DrawVelocities(300.0, 3),
@@ -180,17 +189,50 @@ EVERY = (
     ApplyVelocityConstraints(),
     SetPositions(0, 7, 1e-5),
     ApplyConstraints(),
+=======
+#: Methods and arguments without setters, which change a run of `WITH_BODIES`.
+ARGUMENTS = [
+    (SIMPLE[0], {"scheme": "SIER2"}),
+    (SIMPLE[0], {"substeps": 3}),
+    (SIMPLE[2], {"rotationalFriction": 20.0}),
+    (SIMPLE[4], {"rate": 50.0}),
+    (SIMPLE[4], {"every": 2}),
+    (SIMPLE[4], {"pressure": 1e3, "barostatInterval": 1}),
+]
+
+#: Actions that change something, and mixtures in which bodies are named or held by constraints.
+EVERY_CHANGE = [
+    DrawVelocities(300.0, 1),
+    SetVelocities(1),
+    ApplyVelocityConstraints(),
+    SetPositions(0, 1, 1e-5),
+    ApplyConstraints(),
+    SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
+>>>>>>> faults
     SetBox(1.02),
     SetParameter("pull", 3.0),
     UpdateParameters(0.2),
     Save("checkpoint"),
     Minimize(2),
+<<<<<<< HEAD
     DrawVelocities(100.0, 4),
     Save("XML"),
     Load(0),
     Reinitialize(True),
     Load(1),
 )
+=======
+    Load(0),
+    Reinitialize(True),
+]
+WITH_BODIES = {
+    "named": Mixture((Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"),
+    "held": Mixture(
+        (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
+    ),
+}
+
+>>>>>>> faults
 
 REQUESTS = Law("requests", requests, few=15)
 SETTINGS = Law("settings", settings, few=5)
@@ -201,24 +243,30 @@ def test_what_is_asked_for_is_there(examples):
     REQUESTS.hold(examples)
 
 
+<<<<<<< HEAD
+=======
+@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("exact", "held"), ("native", "held")])
+def test_every_change_shows_between_steps(engine, bodies):
+    asked = tuple(action for change in EVERY_CHANGE for action in (Step(2), change))
+    asked += tuple(Ask(name) for name in questions(SIMPLE[0].cls))
+    Requests(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), asked).check()
+
+
+>>>>>>> faults
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("simple", SIMPLE, ids=lambda simple: simple.kind)
 def test_every_setter_does_what_the_argument_does(simple, engine):
     for name in setters(simple.cls):
-        setting = Setting(Mixture((Water(),)), replace(simple, engine=engine), Set(name, values_of(name)[0]))
+        setting = Setting(Mixture((Water(),)), replace(simple, engine=engine), Set(name, values_of(name)[0]), True)
         setting.check()
         if name not in WITHOUT_EFFECT:
             setting.check_effect()
 
 
-@pytest.mark.parametrize(("simple", "engine"), [(SIMPLE[0], "exact"), (SIMPLE[2], "exact"), (SIMPLE[0], "native")])
-def test_all_that_is_asked_for_after_a_step_is_there(simple, engine):
-    bodies = (Body("bent"), Jointed("pair", 1, bends=True)) if engine == "exact" else (Body("bent", False),)
-    molecules = (*bodies, WithSite(Water(), "out"), Chain(3, 1, "hydrogens"))
-    mixture = Mixture(molecules, surroundings="cut-off", remover=True, prepared="yes")
-    asked = [action for each in EVERY for action in (each, Step(1))]
-    asked += [Ask(name) for name in questions(simple.cls)]
-    Requests(mixture, replace(simple, engine=engine), (Step(1), *asked)).check()
+@pytest.mark.parametrize(("plain", "arguments"), ARGUMENTS, ids=lambda each: str(each)[:24])
+def test_every_argument_changes_a_run(plain, arguments):
+    runs = [outcome(Run(WITH_BODIES["named"], each)) for each in (plain, plain.having(**arguments))]
+    assert not np.array_equal(runs[0][0], runs[1][0])
 
 
 @SETTINGS.numbers()
