@@ -10,25 +10,13 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
-<<<<<<< HEAD
 from tests.laws.action_strategies import changes, pasts
 from tests.laws.actions import (
     Action,
-    ApplyVelocityConstraints,
-    DrawVelocities,
-    Minimize,
-    Reinitialize,
-    SetBox,
-    SetParameter,
-    SetPositions,
-    SetVelocities,
+    Load,
+    Save,
     Step,
-    UpdateParameters,
 )
-=======
-from tests.laws.action_strategies import changes
-from tests.laws.actions import Action, Load, Save, Step
->>>>>>> faults
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures

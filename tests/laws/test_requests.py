@@ -19,10 +19,7 @@ from tests.laws.actions import (
     Minimize,
     Reinitialize,
     Save,
-<<<<<<< HEAD
-=======
     SetBoth,
->>>>>>> faults
     SetBox,
     SetParameter,
     SetPositions,
@@ -35,11 +32,7 @@ from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures, moved
 from tests.laws.mixtures import Mixture
-<<<<<<< HEAD
-from tests.laws.molecules import Body, Chain, Jointed, Water, WithSite
-=======
 from tests.laws.molecules import Body, Chain, Water, WithSite
->>>>>>> faults
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -181,15 +174,6 @@ WITHOUT_EFFECT = (
     "setBarostatInterval",
 )
 
-<<<<<<< HEAD
-#: One of each action.
-EVERY = (
-    DrawVelocities(300.0, 3),
-    SetVelocities(5),
-    ApplyVelocityConstraints(),
-    SetPositions(0, 7, 1e-5),
-    ApplyConstraints(),
-=======
 #: Methods and arguments without setters, which change a run of `WITH_BODIES`.
 ARGUMENTS = [
     (SIMPLE[0], {"scheme": "SIER2"}),
@@ -208,20 +192,11 @@ EVERY_CHANGE = [
     SetPositions(0, 1, 1e-5),
     ApplyConstraints(),
     SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
->>>>>>> faults
     SetBox(1.02),
     SetParameter("pull", 3.0),
     UpdateParameters(0.2),
     Save("checkpoint"),
     Minimize(2),
-<<<<<<< HEAD
-    DrawVelocities(100.0, 4),
-    Save("XML"),
-    Load(0),
-    Reinitialize(True),
-    Load(1),
-)
-=======
     Load(0),
     Reinitialize(True),
 ]
@@ -232,7 +207,6 @@ WITH_BODIES = {
     ),
 }
 
->>>>>>> faults
 
 REQUESTS = Law("requests", requests, few=15)
 SETTINGS = Law("settings", settings, few=5)
@@ -243,8 +217,6 @@ def test_what_is_asked_for_is_there(examples):
     REQUESTS.hold(examples)
 
 
-<<<<<<< HEAD
-=======
 @pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("exact", "held"), ("native", "held")])
 def test_every_change_shows_between_steps(engine, bodies):
     asked = tuple(action for change in EVERY_CHANGE for action in (Step(2), change))
@@ -252,7 +224,6 @@ def test_every_change_shows_between_steps(engine, bodies):
     Requests(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), asked).check()
 
 
->>>>>>> faults
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("simple", SIMPLE, ids=lambda simple: simple.kind)
 def test_every_setter_does_what_the_argument_does(simple, engine):
