@@ -73,4 +73,4 @@ def make_engine(
     if name in ("auto", NativeEngine.name):
         native = NativeEngine if program.trials is None else TrialEngine
         return native(context, method, tally, bodies, program)
-    raise ValueError(f"nothing here makes an engine '{name}'")
+    raise ValueError(f"unknown engine '{name}'")

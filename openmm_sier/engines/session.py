@@ -14,7 +14,8 @@ import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.protocol import Changes, Engine
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Changes
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
 

@@ -37,8 +37,6 @@ class IntegratorImpl:
         session: its steps, and the engine that makes them.
         program: the program of the native engine: a general one, and from `prepare` on that which OpenMM executes.
         stored: heat, random numbers and counts, in variables that checkpoints carry.
-        needs_sites: whether trials need virtual sites placed within them, which OpenMM alone does not do on every
-            platform.
         has_warned_of_noise: whether a warning was given that a State has no noise.
     """
 
@@ -52,7 +50,6 @@ class IntegratorImpl:
         self.settings = integrator_settings
         #: The fast force groups of a prepared System, a bit mask.
         self._prepared_groups = 0
-        self.needs_sites = False
         self.session = Session(self._rules(integrator_settings))
         self.program = self.general_program()
         self._computations = integrator.getNumComputations()
@@ -136,7 +133,7 @@ class IntegratorImpl:
         self.engine.step_check(self.method(), self.integrator.getIntegrationForceGroups())
 
     @property
-    def native_steps(self) -> float:
+    def native_steps(self) -> int:
         """Return the number of OpenMM steps in one step of the scheme."""
         return self.program.native_steps or 1 if self._computations else 1
 
@@ -160,11 +157,7 @@ class IntegratorImpl:
 
     def set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        method, integrator = self.method(), self.integrator
-        # A State that was written on another platform may have those of another program.
-        integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
-        installation.set_bath(integrator, method.bath)
-        installation.set_trial(integrator, self.ensemble.trial(method))
+        installation.set_variables(self.integrator, self.native_steps, self.method().bath)
         self.session.changed()
 
     # --- a Context ---
@@ -198,8 +191,6 @@ class IntegratorImpl:
         if self.settings.fast_groups is None:
             self._prepared_groups = find_fast_groups(system, self.settings.bodies)
             self.session.rules = self._rules(self.settings)
-        has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-        self.needs_sites = has_sites and bool(self.method().trial_steps)
         self._write_program(system, platform)
         if self.settings.scheme.without_bath().order >= 4:
             warn_about_pme(system, self.settings.scheme.name)

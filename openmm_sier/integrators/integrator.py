@@ -10,7 +10,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.settings import Settings, place_of

@@ -17,7 +17,7 @@ from openmm_sier import (
     prepare_system,
     with_frames,
 )
-from openmm_sier.engines.exact.solute import SoluteForces, particles_of, solute_forces
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, copied_fast_forces, particles_of
 from openmm_sier.system.links import linked
 from tests.support.domains import stiff_chain
 from tests.support.hydrogen_groups import hydrogen_groups
@@ -106,13 +106,13 @@ def test_forces_and_torques_are_those_of_the_whole_system(chain):
     """Only atoms of the bodies on which terms act are placed."""
     system, bodies, point = chain
     known = linked(system, bodies)
-    forces = solute_forces(system, {FAST}, known.owners, known.owners >= 0)
+    forces = copied_fast_forces(system, {FAST}, known.owners, known.owners >= 0)
     members = np.unique(known.owners[particles_of(forces)])
-    solute = SoluteForces(forces, known.restricted(members), platform(), {})
+    fast = FastForceContext(forces, known.restricted(members), platform(), {})
     q, A = known.fit(point[0])
     context = plain_context(system, known.place(q, A, point[0].copy()))
     expected = known.forces_and_torques(array(context.getState(forces=True, groups={FAST}).getForces()), A)
-    result = solute(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
+    result = fast(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
     for mine, theirs in zip(result, expected, strict=True):
         # Those within bodies, which cancel, are there in the whole System alone.
         assert np.abs(mine - theirs[:, members]).max() < 1e-10 * np.abs(theirs).max()
@@ -137,7 +137,7 @@ def test_waters_are_not_slowed_down(grouped):
     context = made(integrator, system)
     context.setPositions(positions)
     integrator.step(1)
-    moved = integrator.impl.engine.motion.solute.bodies
+    moved = integrator.impl.engine.motion.fast.bodies
     # ACE-ALA-NME has ten heavy atoms, of which six have hydrogens.
     assert (moved.n, int(moved.moments.any(axis=0).sum())) == (10, 6)
 

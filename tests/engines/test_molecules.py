@@ -18,7 +18,7 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.exact import motion
-from openmm_sier.engines.exact.solute import SoluteError
+from openmm_sier.engines.exact.fast_force_context import FastForceError
 from tests.support.flexible import chains, residual, rotor
 from tests.support.flexible_systems import FAST, started, system_of, total_energy
 from tests.support.methanols import GEOMETRY, positions_of
@@ -110,7 +110,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
 def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
-    with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
+    with pytest.raises(FastForceError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
         openmm.Context(system, SIERIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
@@ -227,7 +227,7 @@ def test_constant_pressure(own):
 @pytest.mark.parametrize("small", [0, 1000])
 def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeypatch, threads, small):
     """Of a peptide, on the CPU platform or on Reference, by the number of threads and of atoms."""
-    monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
+    monkeypatch.setattr(motion, "FEW_ATOMS", small)
     system, positions = capped_alanine(waters=4)
     prepare_system(system)
     integrator = SIERIntegrator(0.002)
@@ -239,7 +239,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
     A = np.repeat(np.eye(3)[:, :, None], len(members), axis=2)
-    results, _ = integrator.impl.engine.motion.solute(q[:, members].copy(), A)
+    results, _ = integrator.impl.engine.motion.fast(q[:, members].copy(), A)
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(results - expected).max() < 1e-5 * np.abs(expected).max()
 

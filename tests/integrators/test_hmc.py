@@ -8,10 +8,9 @@ import pytest
 from openmm import app, unit
 from scipy import stats
 
-from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_chances
 from openmm_sier.ensembles import metropolis
-from tests.support.openmm_alone import fails_in_openmm_alone
 from tests.support.samplers import KT, counted, sampler, states_asked
 from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
@@ -381,20 +380,6 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
     # Rounding of 1e-16 nm in twenty steps, which water hardly magnifies in 0.04 ps.
     assert results[SIER4G.name] < 1e-11
     assert results[CROOKED.name] > metropolis.REVERSIBLE
-
-
-@pytest.mark.parametrize("engine", ["exact", "native"])
-@pytest.mark.parametrize("kind", ["virtual sites", "pressure"])
-def test_fails_without_this_package(tmp_path, kind, engine):
-    """OpenMM alone would keep the volume, and leave virtual sites behind in a trial on some platforms."""
-    _, positions, system = cluster_system(1, "tip4pew")
-    integrator = sampler(engine=engine)
-    if kind == "pressure":
-        _, positions, system = periodic_system()
-        integrator = SIERLangevinIntegrator(300, 1, 0.001, pressure=1, engine=engine)
-    point = positions, np.zeros_like(positions)
-    _context = context_at(system, integrator, point, steps=1)
-    assert fails_in_openmm_alone(tmp_path, integrator)
 
 
 @pytest.mark.parametrize(

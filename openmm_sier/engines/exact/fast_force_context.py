@@ -10,11 +10,11 @@ from openmm_sier.system.bonded_terms import bonded_terms, with_working_terms, wo
 from openmm_sier.system.forces import FORCES, kind_of
 
 
-class SoluteError(ValueError):
+class FastForceError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
 
 
-def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarray, moving: np.ndarray) -> list:
+def copied_fast_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarray, moving: np.ndarray) -> list:
     """Return copies of the bonded Forces of some force groups, without terms that do no work.
 
     Args:
@@ -24,8 +24,8 @@ def solute_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarra
         moving: for each particle whether it moves with a body, (N,).
 
     Raises:
-        SoluteError: a Force of the groups is not a bonded force, or one of its terms acts on a particle that moves with
-            no body.
+        FastForceError: a Force of the groups is not a bonded force, or one of its terms acts on a particle that moves
+            with no body.
     """
     copies, chosen_groups = [], frozenset(groups)
     for force in system.getForces():
@@ -40,7 +40,7 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     """Return the particles of each term of a bonded Force that does work, (t, k).
 
     Raises:
-        SoluteError: it is not bonded, or has a term on a particle that moves with no body.
+        FastForceError: it is not bonded, or has a term on a particle that moves with no body.
     """
     remedy = (
         f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
@@ -49,13 +49,13 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     written = kind_of(force).terms
     if written is None:
         possible = ", ".join(each.__name__ for each, kind in FORCES.items() if kind.terms is not None)
-        raise SoluteError(
+        raise FastForceError(
             f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}, but only "
             f"{possible} can be fast. {remedy}"
         )
     terms = working_terms(force, owner)
     for atoms in terms[~moving[terms].all(axis=1)]:
-        raise SoluteError(
+        raise FastForceError(
             f"a {written.element.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but "
             f"atom {atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
         )
@@ -67,7 +67,7 @@ def particles_of(forces: Sequence[openmm.Force]) -> np.ndarray:
     return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(bonded_terms(each).ravel() for each in forces)]))
 
 
-class SoluteForces:
+class FastForceContext:
     """Fast forces and torques on some bodies: a function of their centres and attitudes.
 
     The Context keeps copies of the Forces, so that changes of parameters, box or Forces do not reach it by themselves.
@@ -86,7 +86,7 @@ class SoluteForces:
     ):
         """
         Args:
-            forces: what `solute_forces` gave, for its own.
+            forces: what `copied_fast_forces` gave, for its own.
             bodies: those that the forces act on, with particles numbered as in the System.
             platform: openmm.Platform, usually that of the Context of all forces.
             properties: of the platform, {name: value}.
