@@ -9,13 +9,28 @@ import pytest
 from hypothesis import strategies as st
 
 from tests.laws.action_strategies import actions, setters_of
-from tests.laws.actions import Action, Step
+from tests.laws.actions import (
+    Action,
+    ApplyConstraints,
+    ApplyVelocityConstraints,
+    DrawVelocities,
+    Load,
+    Minimize,
+    Reinitialize,
+    Save,
+    SetBoth,
+    SetParameter,
+    SetPositions,
+    SetVelocities,
+    Step,
+    UpdateParameters,
+)
 from tests.laws.integrator_actions import Set, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
-from tests.laws.molecules import Water
+from tests.laws.molecules import Body, Chain, Water
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -140,6 +155,27 @@ SIMPLE = [
 ]
 
 
+#: Actions that change something, and mixtures in which bodies are named or held by constraints.
+EVERY_CHANGE = [
+    DrawVelocities(300.0, 1),
+    SetVelocities(1),
+    ApplyVelocityConstraints(),
+    SetPositions(0, 1, 1e-5),
+    ApplyConstraints(),
+    SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
+    SetParameter("pull", 3.0),
+    UpdateParameters(0.2),
+    Save("checkpoint"),
+    Minimize(2),
+    Load(0),
+    Reinitialize(True),
+]
+WITH_BODIES = {
+    "named": Mixture((Body("bent"), Water(), Chain(3, 1, "hydrogens")), prepared="yes"),
+    "held": Mixture((Body("bent", named=False), Water(), Chain(3, 1, "hydrogens")), prepared="yes"),
+}
+
+
 REQUESTS = Law("requests", requests, few=15)
 SETTINGS = Law("settings", settings, few=5)
 
@@ -147,6 +183,12 @@ SETTINGS = Law("settings", settings, few=5)
 @REQUESTS.numbers()
 def test_what_is_asked_for_is_there(examples):
     REQUESTS.hold(examples)
+
+
+@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("exact", "held"), ("native", "held")])
+def test_every_change_shows_between_steps(engine, bodies):
+    asked = tuple(action for change in EVERY_CHANGE for action in (Step(2), change))
+    Requests(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), asked).check()
 
 
 @pytest.mark.parametrize("engine", ["exact", "native"])
