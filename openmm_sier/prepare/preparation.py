@@ -111,7 +111,8 @@ def prepare_system(
         sentences = _balance(system, constant_energy=heavy is None)
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
-    if heavy is not None:
+    # Bodies that have masses already are refused above.
+    if heavy is not None and not isinstance(bodies, BodySet):
         sentences.append(set_hydrogen_masses(system, heavy))
     if heavy is not None and not isinstance(bodies, BodySet):
         # Masses have changed.

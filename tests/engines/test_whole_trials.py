@@ -1,4 +1,4 @@
-"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions, failures, and XML without this package."""
+"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions and failures."""
 
 import math
 
@@ -173,9 +173,6 @@ def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
     assert conserved(context) == pytest.approx(energy, abs=1e-9)
     integrator.step(2)
     assert integrator.trials == 5
-
-
-# --- exact averages ---
 
 
 # --- trials that fail ---
