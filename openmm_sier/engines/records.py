@@ -12,6 +12,11 @@ class TrajectoryError(openmm.OpenMMException):
     """A trajectory cannot be followed: a force or position is not finite, or constraints cannot be satisfied."""
 
 
+def says_nan(error: BaseException) -> bool:
+    """Return whether OpenMM says that a number is NaN."""
+    return isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
+
+
 class Clock(NamedTuple):
     """Time in ps, and number of steps of the integrator."""
 

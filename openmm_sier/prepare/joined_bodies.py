@@ -38,7 +38,8 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
         return 0
     force = openmm.HarmonicBondForce()
     force.setName(NAME)
-    for one, other in pairs.tolist():
+    # Bodies are numbered by their masses, which a hydrogenMass changes.
+    for one, other in sorted(pairs.tolist()):
         force.addBond(one, other, 0.0, 0.0)
     system.addForce(force)
     return len(np.unique(owner[pairs[:, 0]]))

@@ -113,6 +113,9 @@ def prepare_system(
             system.removeForce(i)
     if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
+    if heavy is not None and not isinstance(bodies, BodySet):
+        # Masses have changed.
+        membership = BodyPlan(system, rigid=bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
@@ -136,7 +139,8 @@ def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
     """Balance the sums of PME, if there are any; return a description."""
     if not meshed_forces(system):
         return []
-    balance_pme(system, constant_energy)
+    if not balance_pme(system, constant_energy):
+        return ["The sums of PME stay as they are: the box is so empty that OpenMM's are more accurate."]
     return ["The sums of PME are balanced." if constant_energy else "The sums of PME are balanced for a heat bath."]
 
 

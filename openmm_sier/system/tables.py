@@ -154,6 +154,11 @@ def rigid_sites(system: openmm.System) -> dict[int, list[int]]:
     }
 
 
+def has_virtual_sites(system: openmm.System) -> bool:
+    """Return whether a System has virtual sites."""
+    return any(map(system.isVirtualSite, range(system.getNumParticles())))
+
+
 def with_sites(system: openmm.System, owner: np.ndarray) -> np.ndarray:
     """Return the body of each particle, (N,), where a virtual site placed by particles of one body belongs to it.
 

@@ -137,7 +137,8 @@ def test_only_contexts_of_this_package_are_equilibrated(tethered):
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_step_follows_the_bonds(fast):
-    """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it."""
+    """Springs with a period of 11.6 fs: SIER4G follows them at 4.2 fs, and kicks should come twice in it, or more often
+    where the charges are an eighth as stiff as the springs."""
     system, positions = system_of([spc(), spc()])
     groups = prepare_system(system).fastForceGroups if fast else None
     report = RecordingReport()
@@ -145,9 +146,9 @@ def test_the_step_follows_the_bonds(fast):
         context = context_of(system, positions, SIERIntegrator(0.002, fastForceGroups=groups))
         equilibration = equilibrate(context, TEMPERATURE, time=0.05, report=report)
     period = 2 * math.pi * math.sqrt(1 / (solutes.WITH_HYDROGEN * (1 / 1.008 + 1 / 15.999)))
-    step = 0.75 * (0.45 * period if fast else SIER4G.accuracy_limit * period / (2 * math.pi))
+    step = 0.75 * (0.4365 * period if fast else SIER4G.accuracy_limit * period / (2 * math.pi))
     assert f"equilibrates in steps of {1000 * step:.2g} fs" in report.notes[0]
-    assert equilibration.time == pytest.approx(round(0.05 / step) * step)
+    assert equilibration.time == pytest.approx(round(0.05 / step) * step, rel=1e-3)
     # Bonds in the kicks are followed to a few per cent. Velocities are drawn: 12 degrees of freedom, four deviations.
     assert 0 < equilibration.means.flexible < TEMPERATURE * (1 + 4 * math.sqrt(2 / 12))
 

@@ -7,13 +7,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import openmm
+import pytest
 from hypothesis import strategies as st
 
-from tests.laws.action_strategies import changes
-from tests.laws.actions import Action, Step
+from tests.laws.action_strategies import changes, pasts
+from tests.laws.actions import (
+    Action,
+    ApplyVelocityConstraints,
+    DrawVelocities,
+    Minimize,
+    Reinitialize,
+    SetBox,
+    SetParameter,
+    SetPositions,
+    SetVelocities,
+    Step,
+    UpdateParameters,
+)
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.methods import Method, method, methods
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Mixture
+from tests.laws.molecules import Body, Chain, Water, WithSite
 from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
 
 
@@ -113,7 +128,7 @@ def followed(run: Run, action: Action) -> str | None:
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(some), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
 
 
 @st.composite
@@ -121,10 +136,24 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
-    past = tuple(action for action in draw(some) if getattr(action, "name", "") != "setRandomNumberSeed")
+    past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 
+
+#: One of each action that changes something.
+CHANGES = (
+    DrawVelocities(300.0, 3),
+    SetVelocities(5),
+    ApplyVelocityConstraints(),
+    SetPositions(0, 7),
+    SetPositions(1, 7, 1e-5),
+    SetBox(1.02),
+    SetParameter("pull", 3.0),
+    UpdateParameters(0.2),
+    Minimize(2),
+    Reinitialize(True),
+)
 
 FUTURES = Law("futures", futures, few=15)
 RESTARTS = Law("restarts", restarts, few=15)
@@ -133,6 +162,14 @@ RESTARTS = Law("restarts", restarts, few=15)
 @FUTURES.numbers()
 def test_the_future_depends_on_what_is_visible(examples):
     FUTURES.hold(examples)
+
+
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_the_future_depends_on_what_is_visible_after_each_change(engine):
+    molecules = (Body("bent", engine == "exact"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens"))
+    mixture = Mixture(molecules, surroundings="cut-off", prepared="yes")
+    for change in CHANGES:
+        Future(mixture, method("SIERIntegrator", engine, stepSize=0.001), (Step(2), change), ()).check()
 
 
 @RESTARTS.numbers()
