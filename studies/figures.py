@@ -41,10 +41,10 @@ def bath(record: Record, path: Path) -> None:
     exact = rows[rows["method"].str.contains(EXACT)]
     off = rows["potential"] - exact["potential"].mean()
     rows = rows.assign(off=off, off_error=rows["potential_error"])
-    with style.figure(path, 1, bath_title(rows, exact.iloc[0])) as (picture, (energies,)):
+    with style.figure(path, 1, bath_title(rows, exact.iloc[0])) as (_, (energies,)):
         _against_speed(energies, rows, "off")
         energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
-        style.shared_legend(picture, energies)
+        energies.legend(loc="lower left")
 
 
 def bath_title(rows: pd.DataFrame, exact: pd.Series) -> str:
@@ -58,7 +58,7 @@ def bath_title(rows: pd.DataFrame, exact: pd.Series) -> str:
     steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
     best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
     off, error = records.percent_off(best, exact, "potential")
-    return f"{best['method']}: {best['over']:.1f} times LangevinMiddle at 4 fs, V {off:+.2f} ± {error:.2f} %"
+    return f"{best['method']}: V is off by {off:+.2f} ± {error:.2f} %"
 
 
 def _against_speed(axes: Any, rows: pd.DataFrame, key: str) -> None:

@@ -87,15 +87,18 @@ AVERAGES = {
 
 COSTS = {
     **NAMES,
-    "forces an independent V": "{cost:.0f}",
-    "dipole": "{dipole_cost:.0f}",
-    "cos psi": "{psi_cost:.0f}",
+    "forces an independent V": "{cost:.0f} ± {cost_error:.0f}",
+    "dipole": "{dipole_cost:.0f} ± {dipole_cost_error:.0f}",
+    "cos psi": "{psi_cost:.0f} ± {psi_cost_error:.0f}",
     "accepted": "{accepted:.2f}",
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
 #: The dihedrals of the backbone, and the number of bins of their distributions.
 ANGLES, BINS = ("phi", "psi"), 72
+
+#: Forces for an independent sample, by the names of the columns.
+SAMPLED = ("cost", "dipole_cost", "psi_cost")
 
 #: Components of the box's dipole moment.
 DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
@@ -363,9 +366,9 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
     row["projected"] = bool(runs.get("projected", pd.Series(False)).eq(True).all())
     # What is not known of any run has no column.
-    known = runs.reindex(columns=["cost", "dipole_cost", "psi_cost", "accepted", "trials", "fs_per_second"])
+    known = runs.reindex(columns=["accepted", "trials", "fs_per_second"])
     row |= known.mean().rename({"fs_per_second": "speed"}).to_dict() | {"trials": known["trials"].sum()}
-    return row | records.pooled(runs, AVERAGED)
+    return row | records.pooled(runs, (*SAMPLED, *AVERAGED))
 
 
 def comparable(rows: pd.DataFrame) -> pd.DataFrame:
