@@ -115,8 +115,9 @@ class IntegratorImpl:
             openmm.OpenMMException: the engine of the Context cannot follow them. Nothing has been changed then.
         """
         # getIntegrationForceGroups returns a mask with group 31 as a negative number.
-        is_signed = isinstance(groups, int) and -(2**31) <= groups < 0
-        mask = group_mask("groups", groups + 2**32 if is_signed else groups)
+        if isinstance(groups, int) and -(2**31) <= groups < 0:
+            groups += 2**32
+        mask = group_mask("groups", groups)
         engine = self.session.engine_or_none
         if engine is not None:
             engine.accept(self.method(), mask)
