@@ -99,7 +99,7 @@ def prepare_system(
     with tables.read_once():
         refuse_sites_without_place(system)
         bodies = checked_bodies(bodies)
-        membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
+        membership = _membership(system, bodies)
         forces = FastForces(system, membership)
         group = forces.free_group() if group is None else group
         _refuse_others_in(group, forces)
@@ -112,11 +112,10 @@ def prepare_system(
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
     # Bodies that have masses already are refused above.
-    if heavy is not None and not isinstance(bodies, BodySet):
+    if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
-    if heavy is not None and not isinstance(bodies, BodySet):
-        # Masses have changed.
-        membership = BodyPlan(system, rigid=bodies)
+        # The kinds of bodies have the new masses.
+        membership = _membership(system, bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
@@ -124,6 +123,11 @@ def prepare_system(
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(sentences), limits)
+
+
+def _membership(system: openmm.System, bodies: Bodies) -> BodySet | BodyPlan:
+    """Return the bodies, or those that are named and form by constraints."""
+    return bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
 
 
 def _refuse_others_in(group: int, forces: FastForces) -> None:
