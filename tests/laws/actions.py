@@ -1,7 +1,7 @@
 """What users do to a Context, as data that Hypothesis draws, orders and shrinks.
 
 Each action is a frozen dataclass with a method `act`, which does it, and `shows`, which asserts that the Context shows
-what was asked for. An error of `act` that is one of `REFUSALS` is a refusal, and must have changed nothing.
+what was asked for. An error of `act` that is one of its `refusals` is a refusal, and must have changed nothing.
 """
 
 from dataclasses import dataclass
@@ -24,9 +24,15 @@ ALLOWED = 1e-3
 
 
 class Action:
-    """The base class. What it leaves out holds for questions: `changes` tells whether the Context may differ."""
+    """The base class. What it leaves out holds for questions.
+
+    Attributes:
+        changes: whether the Context may differ.
+        refusals: errors by which it may be refused; others are faults of the action or the package.
+    """
 
     changes = True
+    refusals = (openmm.OpenMMException, ValueError)
 
     def applies(self, run):
         """Return whether a run can be asked for this."""
@@ -200,9 +206,9 @@ class Minimize(Action):
     def shows(self, run, before, after):
         assert after.steps == before.steps
         assert np.array_equal(after.box, before.box)
-        # Constraints are satisfied at the end, which may cost what rounding of their lengths costs.
+        # Constraints are satisfied at the end, and the first iterations find the length of a step.
         energy = run.potential_energy()
-        assert energy <= run.energy_before + 1e-3, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
+        assert energy <= run.energy_before + 0.1, f"the energy rose from {run.energy_before} to {energy} kJ/mol"
         run.assert_rigid(after, 1e-4, moves=False)
 
 
@@ -244,7 +250,7 @@ class UpdateParameters(Action):
     share: float
 
     def act(self, run):
-        update_shares(run, [self.share * (1 + k % 2) for k in range(run.pull.getNumParticles())])
+        update_shares(run, [(self.share * (1 + k % 2),) for k in range(run.pull.getNumParticles())])
 
 
 # --- saving and loading -----------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.actions import Action
-from tests.laws.runs import names
+from tests.laws.runs import REFUSALS, names
 
 #: OpenMM's setters for users; the others change the program, which users of the package do not write.
 SETTERS_OF_OPENMM = ("setConstraintTolerance", "setRandomNumberSeed", "setIntegrationForceGroups")
@@ -72,6 +72,7 @@ class Set(Action):
 
     name: str
     value: object
+    refusals = REFUSALS
 
     def applies(self, run):
         return self.name in setters(type(run.integrator))
@@ -190,6 +191,7 @@ class Refused(Action):
 
     name: str
     changes = False
+    refusals = REFUSALS
 
     def act(self, run):
         WRONG[self.name](run)

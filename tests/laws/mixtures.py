@@ -288,7 +288,10 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
         _set_method(mixture, force)
         system.addForce(force)
         if mixture.form == "custom":
-            system.addForce(_without_dispersion(force))
+            # Slow forces of several groups are a sum less the fast ones.
+            custom = _without_dispersion(force)
+            custom.setForceGroup(2)
+            system.addForce(custom)
     if mixture.surroundings != "vacuum":
         system.setDefaultPeriodicBoxVectors(*_box(mixture, x))
     if mixture.remover:

@@ -339,6 +339,20 @@ def test_an_error_leaves_a_completed_step(way, number):
     Interruption(Mixture((Water(), Body("bent")), surroundings="cut-off"), way, Event("error", number)).check()
 
 
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.kind)
+def test_an_energy_that_is_not_finite_changes_nothing(way):
+    """No PythonForce is there, which lets each step be one transaction."""
+    runs = [Run(Mixture((Water(), Body("bent")), surroundings="cut-off"), way) for _ in range(2)]
+    for run in runs:
+        run.integrator.step(1)
+    runs[0].context.setParameter("pull", np.nan)
+    assert end(runs[0], 1), "a step was made where forces are not finite"
+    runs[0].context.setParameter("pull", runs[1].view().parameters["pull"])
+    for run in runs:
+        run.integrator.step(2)
+    assert_alike(runs[0].everything(), runs[1].everything())
+
+
 @INTERRUPTS.numbers()
 def test_an_interrupt_at_any_line_leaves_a_completed_step(examples):
     INTERRUPTS.hold(examples)

@@ -1,18 +1,20 @@
-"""Energies: in short steps all energy that a Context gains is heat, and reversed velocities lead back to the start."""
+"""Energies: in short steps all energy that a Context gains is heat, and every trial is accepted."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
+from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import TEMPERATURE, Mixture
 from tests.laws.runs import Run, end, started
+from tests.laws.test_requests import WITH_BODIES
 
 #: ps: a step in which a bath of `FRICTION`, 1/ps, draws a fifth of the momenta.
 SHORT, FRICTION = 0.0001, 2000.0
@@ -44,6 +46,9 @@ class Gain:
             gain = (energy - last) / thermal
             assert abs(gain) < LOST, f"the energy less the heat grew by {gain:.3f} kT for each degree of freedom"
             last = energy
+        if run.method.kind == "SIERHMCIntegrator":
+            rate = run.integrator.acceptanceRate
+            assert rate == 1, f"a part of {rate} of trials is accepted, whose energy has no error"
 
 
 def own_energy(run: Run) -> float:
@@ -54,16 +59,35 @@ def own_energy(run: Run) -> float:
 @st.composite
 def gains(draw: st.DrawFn, platform: str) -> Gain:
     """Draw a method of any class, whose steps are short and whose bath is strong."""
-    method = draw(methods())
+    return Gain(draw(mixtures()), in_short_steps(draw(methods())), platform)
+
+
+def in_short_steps(method: Method) -> Method:
+    """Return a method with short steps, and with a strong bath if it has one."""
     names = {"stepSize": SHORT, "schemeStepSize": SHORT, "frictionCoeff": FRICTION, "rotationalFriction": 2 * FRICTION}
     names |= {"rate": FRICTION}
-    known = {name: value for name, value in names.items() if method.get(name)}
-    return Gain(draw(mixtures()), method.having(**known), platform)
+    return method.having(**{name: value for name, value in names.items() if method.get(name)})
 
 
-GAINS = Law("gains", gains, few=20)
+#: A method of each class that gives heat, with moves of the volume where there are any.
+BATHS = [
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=1.0, scheme="SIER4G", stepSize=SHORT),
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=1.0, scheme="SIER2", stepSize=SHORT),
+    method("SIERHMCIntegrator", temperature=300.0, frictionCoeff=1.0, schemeStepSize=SHORT, stepsPerTrial=2),
+    method("SIERThermostatIntegrator", temperature=300.0, rate=1.0, every=1, stepSize=SHORT),
+]
+
+GAINS = Law("gains", gains, few=12)
 
 
 @GAINS.numbers()
 def test_what_is_gained_is_heat(examples):
     GAINS.hold(examples)
+
+
+@pytest.mark.parametrize("pressure", [None, 1e3])
+@pytest.mark.parametrize("bath", BATHS, ids=lambda bath: bath.kind)
+@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("native", "held")])
+def test_what_each_bath_gives_is_heat(bath, engine, bodies, pressure):
+    bath = in_short_steps(bath).having(pressure=pressure, barostatInterval=pressure and 1)
+    Gain(replace(WITH_BODIES[bodies], remover=True), replace(bath, engine=engine)).check()

@@ -21,7 +21,7 @@ from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
-from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
+from tests.laws.runs import ROUNDING, Run, assert_alike, started
 from tests.laws.test_requests import EVERY_CHANGE, SIMPLE, WITH_BODIES
 
 
@@ -112,7 +112,7 @@ def followed(run: Run, action: Action) -> str | None:
         return None
     try:
         action.act(run)
-    except REFUSALS as error:
+    except action.refusals as error:
         return type(error).__name__
     return None
 
@@ -134,6 +134,9 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 
 
+#: A method whose step begins with the forces of the end of the last one.
+REUSING = SIMPLE[0].having(scheme="SIER2V2")
+
 FUTURES = Law("futures", futures, few=15)
 RESTARTS = Law("restarts", restarts, few=15)
 
@@ -147,7 +150,7 @@ def test_the_future_depends_on_what_is_visible(examples):
 def test_the_future_depends_on_what_is_visible_after_each_change(engine, bodies):
     for change in EVERY_CHANGE:
         if not isinstance(change, (Save, Load)):
-            Future(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), (Step(2), change), ()).check()
+            Future(WITH_BODIES[bodies], replace(REUSING, engine=engine), (Step(2), change), ()).check()
 
 
 @pytest.mark.parametrize("way", ["checkpoint", "State", "XML"])
