@@ -70,9 +70,9 @@ class Restart:
         run = started(self.mixture, self.method, self.platform)
         for action in self.past:
             followed(run, action)
-        if run.method.draws_from_openmm:
-            # A checkpoint from before the first noise does not bring back the generator of the Reference and CPU
-            # platforms, which other Contexts share.
+        if run.method.is_random:
+            # So that noise was used. A checkpoint from before the first noise does not bring back OpenMM's generator of
+            # the Reference and CPU platforms, which other Contexts share.
             followed(run, Step(1))
         again = self.restarted(run)
         future = (*self.future, Step(2))
