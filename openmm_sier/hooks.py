@@ -24,7 +24,6 @@ from typing import Any
 
 import openmm
 
-from openmm_sier.engines.records import Changes
 from openmm_sier.integrators.context import SIERContext
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.settings import is_stored
@@ -103,7 +102,7 @@ def _refuse_compound(integrator: openmm.Integrator) -> None:
 
 def _notify_integrator(method: Callable, force: Any, context: openmm.Context, *args: Any, **kwargs: Any) -> None:
     if isinstance(context, SIERContext):
-        with context.session.changing(Changes.FORCES):
+        with context.session.changing_force(force):
             method(force, context, *args, **kwargs)
     else:
         method(force, context, *args, **kwargs)

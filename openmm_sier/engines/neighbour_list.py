@@ -9,11 +9,15 @@ two evaluations agree.
 import openmm
 from openmm import unit
 
+from openmm_sier.engines.snapshot import box_of
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import all_forces
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
+
+#: Factor by which box and positions grow meanwhile, so that few atoms are neighbours. Larger boxes have many cells.
+GROWTH = 3.0
 
 
 def is_remembered(context: openmm.Context) -> bool:
@@ -27,18 +31,21 @@ def is_remembered(context: openmm.Context) -> bool:
 def forget(context: openmm.Context) -> None:
     """Make the next force evaluation of a Context rebuild the list; nothing else changes.
 
-    OpenMM checks the list at every request for forces, even for no force group. This costs two constructions of the
-    list, a fifth of a force evaluation. Forces within other Forces have lists of their own, which OpenMM checks only
+    OpenMM checks the list at every request for forces, even for no force group. In a larger box, where few atoms are
+    neighbours, that costs little. Forces within other Forces have lists of their own, which OpenMM checks only
     where it evaluates these.
     """
     inner = {part.group for part in all_forces(context.getSystem()) if part.containers and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
     state = openmm.Context.getState(context, positions=True)
     positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    box = box_of(state)
     try:
-        openmm.Context.setPositions(context, positions + FAR)
+        openmm.Context.setPeriodicBoxVectors(context, *(GROWTH * edge for edge in box))
+        openmm.Context.setPositions(context, GROWTH * positions + FAR)
         openmm.Context.getState(context, forces=True, groups=groups)
     finally:
+        openmm.Context.setPeriodicBoxVectors(context, *box)
         openmm.Context.setPositions(context, positions)
 
 

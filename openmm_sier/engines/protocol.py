@@ -12,11 +12,13 @@ from openmm import unit
 from openmm_sier.dynamics.barostat import MoleculeCentres
 from openmm_sier.dynamics.bodies import BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.records import Changes
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.engines.verbs import Verbs
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import Bonds, refuse_cut_molecules
+from openmm_sier.system.inner_forces import with_inner_forces
 from openmm_sier.system.solver_test import SolverTest
 from openmm_sier.system.temperature import MomentumConservation
 
@@ -27,8 +29,13 @@ class Engine(Verbs):
     The methods here are built from the verbs, and no engine replaces them.
     """
 
-    #: Of the System; None before they are needed, and after its Forces have changed.
-    _bonds: Bonds | None = None
+    def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally):
+        super().__init__(context, method, tally)
+        #: Bonds that keep molecules together; None in a System without a box, and after a change of bonds.
+        self._bonds: Bonds | None = None
+        system = context.getSystem()
+        if system.usesPeriodicBoundaryConditions():
+            self._bonds = Bonds.of_system(system)
 
     # --- steps ---
 
@@ -43,6 +50,15 @@ class Engine(Verbs):
         self.synchronize()
         self.step_check(method, self._groups, self._context)
         self.changes = Changes.NONE
+
+    def changes_by(self, force: openmm.Force) -> Changes:
+        """Return what is changed by other parameters of a Force of the System."""
+        changes = Changes.FORCES
+        if self.method.fast_groups >> force.getForceGroup() & 1:
+            changes |= Changes.FAST
+        if any(isinstance(part.force, openmm.HarmonicBondForce) for part in with_inner_forces(force)):
+            changes |= Changes.BONDS
+        return changes
 
     # --- the phase point ---
 
@@ -146,7 +162,9 @@ class Engine(Verbs):
         Raises:
             RigidityError: it cuts one that constraints or bonds would pull together.
         """
+        if Changes.BONDS in self.changes:
+            self._bonds = None
         system = self._context.getSystem()
-        if self._bonds is None:
+        if self._bonds is None and system.usesPeriodicBoundaryConditions():
             self._bonds = Bonds.of_system(system)
         refuse_cut_molecules(system, now.positions, now.box, self._bonds)

@@ -12,6 +12,11 @@ class TrajectoryError(openmm.OpenMMException):
     """A trajectory cannot be followed: a force or position is not finite, or constraints cannot be satisfied."""
 
 
+def says_nan(error: BaseException) -> bool:
+    """Return whether OpenMM says that a number is NaN."""
+    return isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
+
+
 class Clock(NamedTuple):
     """Time in ps, and number of steps of the integrator."""
 
@@ -46,6 +51,8 @@ class Changes(Flag):
         ATOMS: positions or velocities were set.
         BOX: the box was set.
         FORCES: the potential was changed.
+        FAST: forces that act within drifts were changed, or which ones do.
+        BONDS: bonds that keep molecules together were changed.
         VARIABLES: a checkpoint or State has brought the variables of the integrator.
         HISTORY: the next step must depend only on the contents of the Context, as after a restart.
         SETTINGS: settings, parameters or the clock were changed, or a step failed.
@@ -55,6 +62,8 @@ class Changes(Flag):
     ATOMS = auto()
     BOX = auto()
     FORCES = auto()
+    FAST = auto()
+    BONDS = auto()
     VARIABLES = auto()
     HISTORY = auto()
     SETTINGS = auto()

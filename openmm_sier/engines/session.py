@@ -19,8 +19,8 @@ from openmm_sier.engines.records import Changes
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
 
-#: Makes the next block of up to so many steps of the integrator, at least one, and returns how many there were. A block
-#: that can end after each step does so once the collection is not empty: it has the signals that wait.
+#: Advances by at most so many steps of the integrator, at least one, and returns the number made. It stops early when
+#: the collection of pending signals becomes non-empty.
 Advance = Callable[[int, Collection[Any]], int]
 
 
@@ -137,7 +137,7 @@ class Session:
             try:
                 remaining = steps
                 while True:
-                    # In other threads, and within a block where signals wait, they are left to who defers them.
+                    # In other threads, and where signals wait already, they belong to the caller that deferred them.
                     signals = () if handlers is None else interrupts.pending
                     if engine.changes:
                         self._begin(engine, context)
@@ -206,6 +206,13 @@ class Session:
             yield
         finally:
             self.changed(change)
+
+    @contextmanager
+    def changing_force(self, force: openmm.Force) -> Iterator[None]:
+        """Record other parameters of a Force of the System, which the block writes to the Context."""
+        engine = self._engine
+        with self.changing(Changes.SETTINGS if engine is None else engine.changes_by(force)):
+            yield
 
     def act(self, action: str, by_openmm: Callable[[], None], *args: Any) -> None:
         """Do something in the Context by the method of `Actions` with this name; without an engine, by OpenMM.

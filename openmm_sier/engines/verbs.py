@@ -1,4 +1,4 @@
-"""The verbs of engines: what each does in its own way."""
+"""Operations that every engine must implement."""
 
 import weakref
 from abc import ABC, abstractmethod
@@ -89,8 +89,8 @@ class Verbs(ABC):
 
         Args:
             steps: number of steps.
-            signals: those that wait. Once there are any no further step is made; a trajectory, which is followed to
-                its end, has none.
+            signals: pending signals; stepping stops after the current step when this becomes non-empty. Trajectories
+                pass none, since they always run to their end.
             wants_energy: whether the potential energy of the end will be needed. An engine may compute it with the
                 last force.
 

@@ -41,7 +41,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Rules for the time between the steps of a scheme: this base class adds nothing.
+    """Base class of ensembles, which act between the steps of a scheme. By itself it does nothing.
 
     A subclass has moves, which act between steps, another way to make steps, or another method, such as a bath within
     steps.

@@ -15,7 +15,7 @@ from openmm_sier.inputs.pdb_files import ForceFieldError, box_vectors, extent, r
 from openmm_sier.inputs.source_files import FilePath, SourceFile
 from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
-from openmm_sier.prepare.pme import balance_pme, meshed_forces
+from openmm_sier.prepare.pme import balance_pme, mesh_of, meshed_forces
 from openmm_sier.system import tables
 from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.cut_molecules import Bonds, joined_by
@@ -228,7 +228,7 @@ def _refuse_huge_meshes(system: openmm.System) -> None:
         ForceFieldError: the mesh is too large.
     """
     for force in meshed_forces(system):
-        mesh = force.getPMEParameters()[1:]
+        mesh = mesh_of(force, system)
         if math.prod(mesh) > MOST_MESH_POINTS:
             vectors = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
             raise ForceFieldError(

@@ -213,7 +213,7 @@ def _topology_of(system: openmm.System) -> app.Topology:
     Water is HOH; residues of other kinds are M1, M2 and so on. Massless particles have no element.
     """
     topology, kinds = app.Topology(), {"OHH": "HOH"}
-    chain, masses = topology.addChain(), tables.masses(system)
+    chain, masses = topology.addChain(), tables.masses(system).copy()
     for centre, bonded in hydrogens(system).items():
         # Undo mass repartitioning.
         masses[centre] += (masses[bonded] - HYDROGEN).sum()

@@ -11,6 +11,7 @@ from openmm_sier.engines.records import Changes
 from openmm_sier.engines.session import Session
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.persistence import load_checkpoint, set_state, store
+from openmm_sier.system import tables
 
 #: The parameters of OpenMM's method.
 GET_STATE = inspect.signature(openmm.Context.getState)
@@ -51,7 +52,8 @@ class SIERContext(openmm.Context):
     def reinitialize(self, preserveState: bool = False) -> None:
         store(self.impl)
         super().reinitialize(preserveState)
-        self.impl.bind(self, keeps_tally=preserveState)
+        with tables.read_once():
+            self.impl.bind(self, keeps_tally=preserveState)
 
     # --- saved and loaded states ---
 

@@ -9,13 +9,14 @@ import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.choice import is_on_host, make_engine, usual_platform
+from openmm_sier.engines.choice import make_engine, usual_platform
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.session import Rules, Session
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
@@ -115,8 +116,9 @@ class IntegratorImpl:
             openmm.OpenMMException: the engine of the Context cannot follow them. Nothing has been changed then.
         """
         # getIntegrationForceGroups returns a mask with group 31 as a negative number.
-        is_signed = isinstance(groups, int) and -(2**31) <= groups < 0
-        mask = group_mask("groups", groups + 2**32 if is_signed else groups)
+        if isinstance(groups, int) and -(2**31) <= groups < 0:
+            groups += 2**32
+        mask = group_mask("groups", groups)
         engine = self.session.engine_or_none
         if engine is not None:
             engine.accept(self.method(), mask)
@@ -135,7 +137,9 @@ class IntegratorImpl:
     @property
     def native_steps(self) -> int:
         """Return the number of OpenMM steps in one step of the scheme."""
-        return self.program.native_steps or 1 if self._computations else 1
+        if not self._computations:
+            return 1
+        return self.program.native_steps or 1
 
     def _rules(self, given: settings.Settings) -> Rules:
         """Return what steps with settings follow."""

@@ -189,7 +189,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Advance by a number of steps.
 
         An interrupt leaves the Context at the last completed step. With the exact engine an error does the same. With
-        the native engine an error leaves the Context where it happened, as with OpenMM's integrators.
+        the native engine an error leaves the Context where it happened, as with OpenMM's integrators, except in trials
+        and in a step that follows a move of the volume or of velocities, which are undone.
 
         Raises:
             ValueError: `steps` is negative or not a whole number.
@@ -230,7 +231,7 @@ class SIERIntegrator(openmm.CustomIntegrator):
         The integrator notices changes of positions, velocities, box and Context parameters, and those by
         `updateParametersInContext`, by itself.
         """
-        self.impl.session.changed(Changes.FORCES)
+        self.impl.session.changed(Changes.FORCES | Changes.FAST | Changes.BONDS)
 
     def setConstraintTolerance(self, tol: float) -> None:
         """Set the relative error of constrained distances at which OpenMM's solvers stop.

@@ -9,7 +9,7 @@ import openmm
 
 from openmm_sier.dynamics.acceptance import spread_at
 from openmm_sier.dynamics.correlation import inefficiency_and_error
-from openmm_sier.engines.choice import is_on_host
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.tuning_results import LengthFound, StepFound
 from openmm_sier.stability.step_check import StepCheck

@@ -8,9 +8,7 @@ one subtracts them in the kicks. The two cancel whatever happens to other Forces
 unchanged: if charges are scaled afterwards, only the division into fast and slow forces becomes less accurate.
 """
 
-import math
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import openmm
@@ -69,10 +67,11 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
     fast = _pair_force(NAME, "", group, periodic)
     opposite = _pair_force(OPPOSITE, "-", nonbonded[0].group if nonbonded else 0, periodic)
     for entry in nonbonded:
-        for a, b, (q, sigma, epsilon) in _interactions(entry.force, close):
-            parameters = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
-            fast.addBond(a, b, parameters)
-            opposite.addBond(a, b, parameters)
+        pairs, parameters = _interactions(entry.force, close)
+        for (a, b), (q, sigma, epsilon) in zip(pairs.tolist(), parameters, strict=True):
+            values = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
+            fast.addBond(a, b, values)
+            opposite.addBond(a, b, values)
     system.addForce(fast)
     if opposite.getNumBonds():
         system.addForce(opposite)
@@ -90,47 +89,45 @@ def _pair_force(name: str, sign: str, group: int, periodic: bool) -> openmm.Cust
     return force
 
 
-def _interactions(force: openmm.NonbondedForce, close: list[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yield interacting close pairs of a Force: both atoms, and charge product, sigma and epsilon."""
-    offsets = _offsets(force, force.getNumParticleParameterOffsets(), force.getParticleParameterOffset)
-    atoms = {
-        i: tables.numbers(force.getParticleParameters(i), tables.ATOM_UNITS) + offsets[i]
-        for i in {i for pair in close for i in pair}
-    }
-    offsets = _offsets(force, force.getNumExceptionParameterOffsets(), force.getExceptionParameterOffset)
-    exceptions, close_set = {}, set(close)
-    for number in range(force.getNumExceptions()):
-        a, b, *parameters = force.getExceptionParameters(number)
-        if (pair := (min(a, b), max(a, b))) in close_set:
-            exceptions[pair] = tables.numbers(parameters, tables.PAIR_UNITS) + offsets[number]
-    for a, b in close:
-        interaction = exceptions.get((a, b))
-        if interaction is None:
-            (q, sigma, epsilon), (other_q, other_sigma, other_epsilon) = atoms[a], atoms[b]
-            interaction = np.array(
-                [q * other_q, (sigma + other_sigma) / 2, math.sqrt(max(0.0, epsilon * other_epsilon))]
-            )
-        if interaction[0] or interaction[2]:
-            yield a, b, interaction
+def _interactions(force: openmm.NonbondedForce, close: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the interacting ones of close pairs, (p, 2), and charge product, sigma and epsilon of each, (p, 3)."""
+    atoms = _with_offsets(
+        force, tables.atom_parameters(force), force.getNumParticleParameterOffsets(), force.getParticleParameterOffset
+    )
+    (q, sigma, epsilon), (other_q, other_sigma, other_epsilon) = atoms[close[:, 0]].T, atoms[close[:, 1]].T
+    mixed = np.sqrt(np.maximum(0.0, epsilon * other_epsilon))
+    parameters = np.column_stack([q * other_q, (sigma + other_sigma) / 2, mixed])
+    pairs, excepted = tables.exceptions(force)
+    excepted = _with_offsets(
+        force, excepted, force.getNumExceptionParameterOffsets(), force.getExceptionParameterOffset
+    )
+    base = [force.getNumParticles(), 1]
+    numbers, wanted = np.sort(pairs, axis=1) @ base, close @ base
+    is_close = np.isin(numbers, wanted)
+    parameters[np.searchsorted(wanted, numbers[is_close])] = excepted[is_close]
+    acting = (parameters[:, 0] != 0) | (parameters[:, 2] != 0)
+    return close[acting], parameters[acting]
 
 
-def _offsets(force: openmm.NonbondedForce, count: int, get: Callable) -> dict[int, np.ndarray]:
-    """Return the parameter offsets of particles or exceptions at the defaults of global parameters."""
+def _with_offsets(force: openmm.NonbondedForce, parameters: np.ndarray, count: int, get: Callable) -> np.ndarray:
+    """Return parameters (m, 3) of particles or exceptions with offsets at the defaults of global parameters."""
+    if not count:
+        return parameters
     names = range(force.getNumGlobalParameters())
     defaults = {force.getGlobalParameterName(i): force.getGlobalParameterDefaultValue(i) for i in names}
-    sums: dict[int, np.ndarray] = defaultdict(lambda: np.zeros(3))
+    offsets = np.zeros_like(parameters)
     for parameter, index, *scales in map(get, range(count)):
-        sums[index] += defaults[parameter] * np.array(scales)
-    return sums
+        offsets[index] += defaults[parameter] * np.array(scales)
+    return parameters + offsets
 
 
-def _close(edges: np.ndarray, owner: np.ndarray) -> list[tuple[int, int]]:
-    """Return pairs of particles of two bodies up to `REACH` edges (b, 2) apart, the smaller first, in order."""
+def _close(edges: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return pairs of particles of two bodies up to `REACH` edges (b, 2) apart, the smaller first, in order, (p, 2)."""
     # Rigid molecules such as water, usually the majority, have none.
     near = _near_others(edges, owner)
     edges = edges[near[edges].any(axis=1)]
     if not len(edges):
-        return []
+        return np.empty((0, 2), dtype=np.int64)
     # Most systems have no solute and skip this import.
     from scipy import sparse
 
@@ -142,7 +139,8 @@ def _close(edges: np.ndarray, owner: np.ndarray) -> list[tuple[int, int]]:
         reached = reached @ step
     one, other = sparse.triu(reached, k=1).nonzero()
     apart = owner[one] != owner[other]
-    return sorted(zip(one[apart].tolist(), other[apart].tolist(), strict=True))
+    order = np.lexsort((other[apart], one[apart]))
+    return np.column_stack([one[apart], other[apart]]).astype(np.int64)[order]
 
 
 def _near_others(edges: np.ndarray, owner: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from openmm import unit
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
 from openmm_sier.system.hydrogens import hydrogens_among, partners_of
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import links_of
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN, HEAVIEST_IN_CHAINS
 from openmm_sier.system.user_warnings import warn
 
@@ -53,8 +53,8 @@ def set_hydrogen_masses(system: openmm.System, mass: float) -> str:
     Returns:
         A sentence on the change.
     """
-    masses, counts = tables.masses(system), Counter[float]()
-    partners = partners_of(masses, Links(system))
+    masses, counts = tables.masses(system).copy(), Counter[float]()
+    partners = partners_of(masses, links_of(system))
     for centre, hydrogens in hydrogens_among(masses, partners).items():
         total = masses[centre] + masses[hydrogens].sum()
         spared = (total - LIGHTEST_CENTRE) / len(hydrogens)

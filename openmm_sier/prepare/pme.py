@@ -69,7 +69,7 @@ def balance_pme(system: openmm.System, constantEnergy: bool = True) -> bool:
     `prepare_system` calls this function. Call it only if you need nothing else of the preparation, after box, cut-off
     and tolerance of the System are set and before a Context is created.
 
-    >>> balance_pme(system)
+    >>> is_balanced = balance_pme(system)
 
     At the cut-off the energy jumps, and the forces do not account for it. With OpenMM's rule for `ewaldErrorTolerance`
     this jump limits energy conservation. A larger Ewald parameter makes it two hundred times smaller, with a mesh a
@@ -133,6 +133,12 @@ def warn_about_pme(system: openmm.System, scheme: str) -> None:
 def meshed_forces(system: openmm.System) -> list[openmm.Force]:
     """Return the Forces of a System that use PME or LJPME, including Forces inside other Forces."""
     return [entry.force for entry in all_forces(system) if _has_mesh(entry.force)]
+
+
+def mesh_of(force: openmm.Force, system: openmm.System) -> tuple[int, ...]:
+    """Return the numbers of mesh points of a Force along the box vectors: its own, or those that OpenMM will choose."""
+    alpha, *mesh = pme_parameters(force)
+    return tuple(mesh) if alpha else _by_rule(force, _box(system).diagonal(), Split(1, 1.0)).mesh
 
 
 def _has_mesh(force: openmm.Force) -> bool:

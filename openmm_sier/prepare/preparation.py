@@ -19,7 +19,7 @@ from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodie
 from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.find_bodies import BodyPlan
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import links_of
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def prepare_system(
     with tables.read_once():
         refuse_sites_without_place(system)
         bodies = checked_bodies(bodies)
-        membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
+        membership = _membership(system, bodies)
         forces = FastForces(system, membership)
         group = forces.free_group() if group is None else group
         _refuse_others_in(group, forces)
@@ -111,9 +111,11 @@ def prepare_system(
         sentences = _balance(system, constant_energy=heavy is None)
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
+    # Bodies that have masses already are refused above.
     if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
-        membership = BodyPlan(system, rigid=bodies)
+        # The kinds of bodies have the new masses.
+        membership = _membership(system, bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
@@ -121,6 +123,11 @@ def prepare_system(
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(sentences), limits)
+
+
+def _membership(system: openmm.System, bodies: Bodies) -> BodySet | BodyPlan:
+    """Return the bodies, or those that are named and form by constraints."""
+    return bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
 
 
 def _refuse_others_in(group: int, forces: FastForces) -> None:
@@ -203,7 +210,7 @@ def _add_close_pairs(system: openmm.System, forces: FastForces, fast: list[openm
     """Add close pairs of bodies to the group of the fast forces; return descriptions."""
     sentences = [f"Force group {group} has the fast forces now: {', '.join(force.getName() for force in fast)}."]
     periodic = any(force.usesPeriodicBoundaryConditions() for force in fast)
-    edges = Links(system).covalent()
+    edges = links_of(system).covalent()
     edges = edges[forces.moving[edges].all(axis=1)]
     if count := close_pairs.add_close_pairs(system, edges, forces.owner, group, periodic):
         sentences.append(

@@ -24,7 +24,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import COARSE, constrained_bends, harmonic_frequencies, mobilities
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import SystemForce, all_forces
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import links_of
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
 #: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
@@ -119,7 +119,7 @@ class Motions:
         """
         self.bodies = bodies
         self._mobility = mobilities(bodies)
-        links = Links(system)
+        links = links_of(system)
         self.remedies = Remedies(system, bodies, links)
         forces = [entry for entry in all_forces(system) if not entry.is_variable]
         with_charges = [entry for entry in forces if kind_of(entry.force).charges]

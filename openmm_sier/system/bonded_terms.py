@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.system import tables
 from openmm_sier.system.forces import Terms, kind_of
 from openmm_sier.system.tables import Constraints
 
@@ -19,9 +20,15 @@ COARSE = 0.2
 ARM = 0.2
 
 
+@tables.once
 def bonded_terms(force: openmm.Force) -> np.ndarray:
     """Return particles of each term of a bonded Force, (t, k)."""
-    return _atoms(force, _elements(force))
+    if isinstance(force, openmm.HarmonicBondForce | openmm.HarmonicAngleForce):
+        return _harmonic_terms(force)[0]
+    written = _written(force)
+    first, size = written.first, len(written.atoms)
+    terms = tables.rows(force, f"get{written.element}Parameters", _count(force))
+    return np.fromiter((term[first : first + size] for term in terms), np.dtype((np.int64, size)), _count(force))
 
 
 def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
@@ -39,10 +46,12 @@ def working_terms(force: openmm.Force, owner: np.ndarray) -> np.ndarray:
 
 def with_working_terms(force: openmm.Force, owner: np.ndarray) -> openmm.Force:
     """Return a copy of a bonded Force with only its `working_terms`."""
-    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    works = iter(do_work(bonded_terms(force), owner).tolist())
-    for parent in _parents(force, root):
-        parent[:] = [term for term in parent if next(works)]
+    works = do_work(bonded_terms(force), owner)
+    if works.all():
+        return openmm.XmlSerializer.clone(force)
+    root, remaining = ElementTree.fromstring(openmm.XmlSerializer.serialize(force)), iter(works.tolist())
+    for parent in root.iter(f"{_written(force).element}s"):
+        parent[:] = [term for term in parent if next(remaining)]
     return openmm.XmlSerializer.deserialize(ElementTree.tostring(root, encoding="unicode"))
 
 
@@ -54,18 +63,28 @@ def do_work(terms: np.ndarray, owner: np.ndarray) -> np.ndarray:
 
 def harmonic_bonds(force: openmm.HarmonicBondForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return particles of each bond, (b, 2), lengths, (b,), nm, and force constants, (b,), kJ/mol/nm^2."""
-    elements = _elements(force)
-    parameters = [(float(term.attrib["d"]), float(term.attrib["k"])) for term in elements]
-    lengths, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
-    return _atoms(force, elements), lengths, strengths
+    atoms, parameters = _harmonic_terms(force)
+    return atoms, parameters[:, 0], parameters[:, 1]
 
 
 def harmonic_angles(force: openmm.HarmonicAngleForce) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return particles of each angle, (a, 3), angles, (a,), radians, and force constants, (a,), kJ/mol/rad^2."""
-    elements = _elements(force)
-    parameters = [(float(term.attrib["a"]), float(term.attrib["k"])) for term in elements]
-    angles, strengths = np.array(parameters, dtype=float).reshape(-1, 2).T
-    return _atoms(force, elements), angles, strengths
+    atoms, parameters = _harmonic_terms(force)
+    return atoms, parameters[:, 0], parameters[:, 1]
+
+
+@tables.once
+def _harmonic_terms(force: openmm.Force) -> tuple[np.ndarray, np.ndarray]:
+    """Return particles of each harmonic bond or angle, (t, k), and its equilibrium and force constant, (t, 2)."""
+    written = _written(force)
+    size = len(written.atoms)
+    table = tables.numeric_rows(force, f"get{written.element}Parameters", _count(force), size + 2)
+    return table[:, :size].astype(np.int64), table[:, size:]
+
+
+def _count(force: openmm.Force) -> int:
+    """Return the number of terms of a bonded Force."""
+    return int(getattr(force, f"getNum{_written(force).element}s")())
 
 
 def mobilities(bodies: BodySet) -> np.ndarray:
@@ -152,23 +171,6 @@ def constrained_bends(
     ) / (bonds[0] * bonds[1] - coupling**2)
     inverse_mass = (gradients * mobility[atoms]).sum(axis=1) - eliminated
     return Bends(atoms, strengths * inverse_mass, gradients)
-
-
-def _atoms(force: openmm.Force, elements: list[ElementTree.Element]) -> np.ndarray:
-    """Return particles of each term, (t, k)."""
-    attributes = _written(force).atoms
-    rows = [[int(term.attrib[name]) for name in attributes] for term in elements]
-    return np.array(rows, dtype=np.int64).reshape(-1, len(attributes))
-
-
-def _elements(force: openmm.Force) -> list[ElementTree.Element]:
-    root = ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
-    return [term for parent in _parents(force, root) for term in parent]
-
-
-def _parents(force: openmm.Force, root: ElementTree.Element) -> list[ElementTree.Element]:
-    """Return the elements of a Force's XML that contain its terms."""
-    return list(root.iter(f"{_written(force).element}s"))
 
 
 def _written(force: openmm.Force) -> Terms:

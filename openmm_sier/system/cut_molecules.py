@@ -82,7 +82,7 @@ class Bonds(NamedTuple):
             acts = strengths > 0
             longest = lengths[acts] + np.sqrt(2 * BREAKING / strengths[acts])
             kinds.append(cls.of_pairs(pairs[acts], lengths[acts], longest, force.usesPeriodicBoundaryConditions()))
-        sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)]
+        sites = tables.virtual_sites(system).tolist()
         kinds.append(cls.of_pairs([(i, system.getVirtualSite(i).getParticle(0)) for i in sites]))
         return cls.merged(*kinds)
 
@@ -91,8 +91,8 @@ class Bonds(NamedTuple):
         """Return the bonds of several kinds. Of two bonds between the same atoms the first one is kept."""
         pairs, *others = map(np.concatenate, zip(*kinds, strict=True))
         pairs = np.sort(pairs, axis=1)
-        _, first = np.unique(pairs, axis=0, return_index=True)
-        return cls(*(column[np.sort(first)] for column in (pairs, *others)))
+        first = tables.first_of_each(pairs)
+        return cls(*(column[first] for column in (pairs, *others)))
 
     def selected(self, mask: np.ndarray) -> Bonds:
         """Return the bonds selected by a mask (b,)."""

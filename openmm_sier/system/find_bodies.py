@@ -24,8 +24,8 @@ from openmm_sier.system.arguments import (
     quantity_to_float,
 )
 from openmm_sier.system.cut_molecules import Wholeness
-from openmm_sier.system.geometries import Cluster, Kind, Lengths
-from openmm_sier.system.links import Links, joins_a_body, linked
+from openmm_sier.system.geometries import Cluster, Clusters, Kind
+from openmm_sier.system.links import Links, joins_a_body, linked, links_of
 from openmm_sier.system.user_warnings import warn
 
 #: Values of the argument `rigid`.
@@ -47,6 +47,7 @@ class RigidBodies(dynamics.BodySet):
     """
 
     @classmethod
+    @tables.read_once()
     def from_system(
         cls,
         system: openmm.System,
@@ -116,11 +117,9 @@ class BodyPlan:
         self._n = n
         self._describe = RigidBodies([], n, self._labels).describe_atoms
         self._masses = tables.masses(system)
-        self._links = Links(system)
-        lengths = self._links.constraints.by_pair()
-        named = self._checked(rigid, system)
-        clusters = self._clusters(named, lengths)
-        self.kinds = geometries.kinds(clusters, self._masses.tolist(), self._describe, self._tolerance)
+        self._links = links_of(system)
+        clusters = self._clusters(self._checked(rigid, system))
+        self.kinds = geometries.kinds(clusters, self._masses, self._describe, self._tolerance)
         self._wholeness = Wholeness(system, topology) if self.needs_positions else None
 
     @property
@@ -192,28 +191,31 @@ class BodyPlan:
             raise ValueError(f"bodies name particle {particle} twice")
         return clusters
 
-    def _clusters(self, named: list[Cluster], lengths: Lengths) -> Iterator[tuple[Cluster, Lengths]]:
-        """Yield all bodies, with the constraints inside them.
+    def _clusters(self, named: list[Cluster]) -> Iterator[Clusters]:
+        """Yield all bodies: named ones, those that constraints form, and single atoms.
 
         Raises:
             RigidityError: a constraint joins a body to another particle.
         """
-        owner = {i: cluster for cluster in named for i in cluster}
-        inside: dict[Cluster, Lengths] = {cluster: {} for cluster in named}
-        loose: Lengths = {}
-        for (a, b), length in lengths.items():
-            if owner.get(a) != owner.get(b):
-                raise joins_a_body(a, b)
-            (inside[owner[a]] if a in owner else loose)[a, b] = length
-        yield from inside.items()
-        free = self._masses > 0
-        free[list(owner)] = False
-        for cluster, rigid in _constrained_clusters(loose, self._links):
-            if rigid:
-                free[list(cluster)] = False
-                yield cluster, {pair: lengths[pair] for pair in combinations(cluster, 2)}
-        for atom in np.flatnonzero(free).tolist():
-            yield (atom,), {}
+        pairs, lengths = self._links.constraints
+        owner = np.full(self._n, -1)
+        if named:
+            owner[np.concatenate(named)] = np.repeat(np.arange(len(named)), list(map(len, named)))
+        ends = owner[pairs]
+        if (joins := ends[:, 0] != ends[:, 1]).any():
+            raise joins_a_body(*pairs[joins.argmax()].tolist())
+        inside = np.flatnonzero(ends[:, 0] >= 0)
+        yield from _named_clusters(named, ends[inside, 0], pairs[inside], lengths[inside])
+        free = (self._masses > 0) & (owner < 0)
+        for atoms in _rigid_molecules(pairs[ends[:, 0] < 0], self._links):
+            size = atoms.shape[1]
+            places = np.array(list(combinations(range(size), 2)))
+            distances = self._links.constraints.lengths_of(atoms[:, places].reshape(-1, 2))
+            yield Clusters(atoms, places, distances.reshape(len(atoms), len(places)))
+            free[atoms] = False
+        points = np.flatnonzero(free)[:, None]
+        if len(points):
+            yield Clusters(points, np.empty((0, 2), dtype=np.int64), np.empty((len(points), 0)))
 
     def _warn_if_one_is_meant(self, kind: Kind, number: int, positions: np.ndarray) -> None:
         """Warn about shapes that differ so little that they may be one with thermal motion, or from a GRO file."""
@@ -241,7 +243,13 @@ def bodies_of(system: openmm.System, bodies: dynamics.BodySet | None) -> dynamic
         ValueError: the bodies belong to a System with another number of particles or other masses.
         RigidityError: see `RigidBodies.from_system` and `linked`.
     """
-    return BodyPlan(system).bodies() if bodies is None else linked(system, bodies)
+    return _formed_by_constraints(system) if bodies is None else linked(system, bodies)
+
+
+@tables.once
+def _formed_by_constraints(system: openmm.System) -> RigidBodies:
+    """Return the bodies that the constraints of a System form."""
+    return BodyPlan(system).bodies()
 
 
 def _checked_tolerance(tolerance: Quantity) -> float:
@@ -267,16 +275,58 @@ def _residue_labels(topology: openmm.app.Topology, n_particles: int) -> list[str
 # --- constraints ------------------------------------------------------------------------------------------------------
 
 
-def _constrained_clusters(lengths: Lengths, links: Links) -> Iterator[tuple[Cluster, bool]]:
-    """Return clusters joined by constraints, each with whether it is a whole molecule with every distance constrained.
+def _named_clusters(
+    named: list[Cluster], bodies: np.ndarray, pairs: np.ndarray, lengths: np.ndarray
+) -> Iterator[Clusters]:
+    """Yield named bodies with the constraints inside them, those that follow each other and are alike together.
 
-    A rigid group in a larger molecule does not count: fast forces move only points, so its atoms keep constraints.
+    Args:
+        named: particle indices of each.
+        bodies: the body of each constraint, (c,).
+        pairs, lengths: the constraints inside them, (c, 2) and (c,).
     """
-    pairs = np.array(list(lengths), dtype=np.int64).reshape(-1, 2)
+    order = np.argsort(bodies, kind="stable")
+    ends = np.searchsorted(bodies[order], np.arange(len(named) + 1))
+    alike: list[tuple[Cluster, np.ndarray]] = []
+    last: tuple = ()
+    for cluster, start, end in zip(named, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        rows: list[tuple[int, int, float]] = []
+        if start < end:
+            place = {particle: i for i, particle in enumerate(cluster)}
+            inside = order[start:end]
+            local = (sorted((place[a], place[b])) for a, b in pairs[inside].tolist())
+            rows = sorted((*ends, length) for ends, length in zip(local, lengths[inside].tolist(), strict=True))
+        key = len(cluster), tuple((i, j) for i, j, _ in rows)
+        if alike and key != last:
+            yield _stacked(alike, last)
+            alike = []
+        last = key
+        alike.append((cluster, np.array([length for _, _, length in rows])))
+    if alike:
+        yield _stacked(alike, last)
+
+
+def _stacked(alike: list[tuple[Cluster, np.ndarray]], key: tuple) -> Clusters:
+    """Return clusters, and lengths inside them, whose `key` is the number of atoms and the constrained pairs."""
+    atoms, lengths = zip(*alike, strict=True)
+    return Clusters(np.array(atoms), np.array(key[1], dtype=np.int64).reshape(-1, 2), np.stack(lengths))
+
+
+def _rigid_molecules(pairs: np.ndarray, links: Links) -> Iterator[np.ndarray]:
+    """Yield the molecules that constraints (c, 2) make rigid, those of one size that follow each other as (m, k).
+
+    Every distance in them is constrained. A rigid group in a larger molecule does not count: fast forces move only
+    points, so its atoms keep constraints.
+    """
+    if not len(pairs):
+        return
     members, first = np.unique(pairs), joined(links.n_particles, pairs)
-    names, sizes = np.unique(first[members], return_counts=True)
-    ordered = members[np.argsort(first[members], kind="stable")]
-    clusters = [tuple(cluster.tolist()) for cluster in np.split(ordered, np.cumsum(sizes)[:-1])][: len(names)]
+    names, number, sizes = np.unique(first[members], return_inverse=True, return_counts=True)
     counts = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
     complete = counts == sizes * (sizes - 1) // 2
-    return zip(clusters, (complete & ~links.leave(clusters)).tolist(), strict=True)
+    cluster = np.full(links.n_particles, -1)
+    cluster[members] = number
+    chosen = np.flatnonzero(complete & ~links.leave(cluster, len(names)))
+    ordered, starts = members[np.argsort(number, kind="stable")], np.cumsum(sizes) - sizes
+    for run in np.split(chosen, np.flatnonzero(np.diff(sizes[chosen])) + 1) if chosen.size else ():
+        yield ordered[starts[run][:, None] + np.arange(sizes[run[0]])]

@@ -15,11 +15,13 @@ class Terms(NamedTuple):
         atoms: its attributes that contain atom indices.
         strengths: positions of the parameters that make the energy 0 if they are 0; empty if there are none, so that
             a term cannot be moved to another Force.
+        first: position of the first atom among the parameters.
     """
 
     element: str
     atoms: tuple[str, ...]
     strengths: tuple[int, ...] = ()
+    first: int = 0
 
 
 class ForceKind(NamedTuple):
@@ -79,7 +81,7 @@ FORCES: dict[type[openmm.Force], ForceKind] = {
     openmm.HarmonicAngleForce: ForceKind("terms", "soft", terms=Terms("Angle", _THREE, (4,)), joins=True),
     openmm.PeriodicTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR, (6,)), joins=True),
     openmm.RBTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR, (4, 5, 6, 7, 8, 9)), joins=True),
-    openmm.CMAPTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _EIGHT)),
+    openmm.CMAPTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _EIGHT, first=1)),
     openmm.CustomBondForce: ForceKind("terms", "measured", terms=Terms("Bond", _TWO)),
     openmm.CustomAngleForce: ForceKind("terms", "soft", terms=Terms("Angle", _THREE)),
     openmm.CustomTorsionForce: ForceKind("terms", "soft", terms=Terms("Torsion", _FOUR)),

@@ -4,7 +4,7 @@ Bodies share a geometry if theirs are equal up to rounding: otherwise every mole
 its own. Mirror images are different kinds.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,19 @@ MOST_RADII = 6
 
 Cluster = tuple[int, ...]
 
-#: Constraint lengths in nm by pairs of particles, the smaller first.
-Lengths = dict[tuple[int, int], float]
+
+class Clusters(NamedTuple):
+    """Clusters of particles with constraints between the same atoms of each.
+
+    Attributes:
+        atoms: particle indices of each cluster, (m, k).
+        pairs: constrained pairs of atoms, by their indices in the cluster, (p, 2), the smaller first, in order.
+        lengths: constrained distances, (m, p), nm.
+    """
+
+    atoms: np.ndarray
+    pairs: np.ndarray
+    lengths: np.ndarray
 
 
 class Kind(NamedTuple):
@@ -65,31 +76,26 @@ class Kind(NamedTuple):
         return self.model is None or bool(self.model.sites.any(axis=1).all())
 
 
-def kinds(
-    clusters: Iterable[tuple[Cluster, Lengths]], masses: Sequence[float], describe: Callable, tolerance: float
-) -> list[Kind]:
+def kinds(found: Iterable[Clusters], masses: np.ndarray, describe: Callable, tolerance: float) -> list[Kind]:
     """Sort clusters of particles into kinds, in the order of their first clusters.
 
     Args:
-        clusters: particle indices, and the constraints between them.
-        masses: masses of all particles, dalton.
+        found: the clusters.
+        masses: masses of all particles, (N,), dalton.
         describe: names particle indices in messages.
         tolerance: distance in nm by which each atom may move, so that twice as much is added to a length.
 
     Raises:
         RigidityError: constraint lengths contradict each other.
     """
-    members: dict[tuple, tuple[list[Cluster], list[list[float]]]] = {}
-    for cluster, lengths in clusters:
-        number = {particle: i for i, particle in enumerate(cluster)}
-        numbered = sorted((*sorted((number[a], number[b])), length) for (a, b), length in lengths.items())
-        key = tuple(masses[i] for i in cluster), tuple((i, j) for i, j, _ in numbered)
-        same, rows = members.setdefault(key, ([], []))
-        same.append(cluster)
-        rows.append([length for _, _, length in numbered])
+    members: dict[tuple, list[Clusters]] = {}
+    for clusters in found:
+        key_of_pairs = tuple(map(tuple, clusters.pairs.tolist()))
+        for kind_masses, part in _of_equal_masses(clusters, masses):
+            members.setdefault((kind_masses, key_of_pairs), []).append(part)
     sorted_kinds = []
-    for (kind_masses, pairs), (same, lists) in members.items():
-        alike, table = np.array(same), np.array(lists).reshape(len(same), len(pairs))
+    for (kind_masses, pairs), parts in members.items():
+        alike, table = np.concatenate([part.atoms for part in parts]), np.concatenate([part.lengths for part in parts])
         for near in _near(table, 2 * tolerance):
             lengths, first = table[near], table[near[0]]
             # The mean of equal lengths may differ from them by rounding.
@@ -99,6 +105,20 @@ def kinds(
             complete = len(pairs) == len(kind_masses) * (len(kind_masses) - 1) // 2
             sorted_kinds.append(kind._replace(model=_embedded(kind, describe)) if complete else kind)
     return sorted_kinds
+
+
+def _of_equal_masses(clusters: Clusters, masses: np.ndarray) -> Iterator[tuple[tuple[float, ...], Clusters]]:
+    """Divide clusters by the masses of their atoms, in the order of the first ones; yield masses and clusters."""
+    rows = masses[clusters.atoms]
+    if (rows == rows[0]).all():
+        yield tuple(rows[0].tolist()), clusters
+        return
+    _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1])
+    for k in np.argsort(first).tolist():
+        group = groups[k]
+        yield tuple(rows[group[0]].tolist()), Clusters(clusters.atoms[group], clusters.pairs, clusters.lengths[group])
 
 
 def _near(table: np.ndarray, distance: float, choose: Callable | None = None) -> Iterator[np.ndarray]:

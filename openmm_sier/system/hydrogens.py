@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.system import tables
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import Links, links_of
 from openmm_sier.system.tables import HEAVIEST_HYDROGEN
 
 #: Maximum length in nm of a bond to hydrogen: those to iodine and silicon have 0.16 and 0.15. Longer ones are
@@ -23,7 +23,7 @@ def hydrogens(system: openmm.System) -> dict[int, list[int]]:
     bond, custom bonds count instead. Frozen atoms, virtual sites, Drude particles and H2 are left out.
     """
     masses = tables.masses(system)
-    return hydrogens_among(masses, partners_of(masses, Links(system)))
+    return hydrogens_among(masses, partners_of(masses, links_of(system)))
 
 
 def hydrogens_among(masses: np.ndarray, partners: Mapping[int, Mapping[int, float]]) -> dict[int, list[int]]:

@@ -40,7 +40,12 @@ class SystemForce:
 def all_forces(system: openmm.System) -> Iterator[SystemForce]:
     """Yield each Force of a System, followed by the Forces inside it."""
     for number, force in enumerate(system.getForces()):
-        yield from _with_inner(SystemForce(force, number, force.getForceGroup()))
+        yield from with_inner_forces(force, number)
+
+
+def with_inner_forces(force: openmm.Force, number: int = -1) -> Iterator[SystemForce]:
+    """Yield a Force and the Forces inside it; `number` is its index in a System."""
+    yield from _with_inner(SystemForce(force, number, force.getForceGroup()))
 
 
 def pme_parameters(force: openmm.Force) -> tuple[float, int, int, int]:

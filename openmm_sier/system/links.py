@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -59,14 +59,16 @@ class Links:
         ends = joined(self.n_particles, sure)[others]
         return np.concatenate([sure, others[ends[:, 0] != ends[:, 1]]])
 
-    def leave(self, clusters: Sequence[Sequence[int]]) -> np.ndarray:
-        """Return whether a bond joins each cluster of particles to a particle outside; its own sites are inside."""
-        owner = np.full(self.n_particles, -1)
-        for number, cluster in enumerate(clusters):
-            owner[list(cluster)] = number
-        owner = tables.with_sites(self._system, owner)
+    def leave(self, clusters: np.ndarray, count: int) -> np.ndarray:
+        """Return whether a bond joins each cluster to a particle outside, (count,); its own sites are inside.
+
+        Args:
+            clusters: number of the cluster of each particle, (N,); -1 without one.
+            count: number of clusters.
+        """
+        owner = tables.with_sites(self._system, clusters)
         ends = owner[np.concatenate([self.bonds, self.terms])]
-        leaving = np.zeros(len(clusters) + 1, dtype=bool)
+        leaving = np.zeros(count + 1, dtype=bool)
         leaving[ends[ends[:, 0] != ends[:, 1]]] = True
         return leaving[:-1]
 
@@ -81,9 +83,9 @@ class Links:
         ends = bodies.owners[pairs]
         between = np.flatnonzero(ends[:, 0] != ends[:, 1])
         extended = (bodies.moments > 0).max(axis=0, initial=False)
-        for pair, body in zip(pairs[between].tolist(), ends[between].tolist(), strict=True):
-            if min(body) < 0 or extended[body].any():
-                raise joins_a_body(*pair)
+        wrong = between[(ends[between] < 0).any(axis=1) | np.append(extended, False)[ends[between]].any(axis=1)]
+        if wrong.size:
+            raise joins_a_body(*pairs[wrong[0]].tolist())
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
         links = ends[between], lengths[between]
@@ -100,10 +102,19 @@ def joins_a_body(a: int, b: int) -> RigidityError:
 
 
 def _pairs(forces: Iterable[openmm.Force]) -> np.ndarray:
-    """Return distinct pairs of neighbours in the terms of bonded Forces, (m, 2)."""
+    """Return distinct pairs of neighbours in the terms of bonded Forces, (m, 2), in order."""
     terms = map(bonded_terms, forces)
-    pairs = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
-    return np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]), axis=0)
+    neighbours = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
+    pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *neighbours])
+    # As one number each: np.unique of rows takes ten times as long.
+    base = int(pairs.max(initial=0)) + 1
+    return np.column_stack(np.divmod(np.unique(pairs @ [base, 1]), base))
+
+
+@tables.once
+def links_of(system: openmm.System) -> Links:
+    """Return the `Links` of a System."""
+    return Links(system)
 
 
 def linked(system: openmm.System, bodies: Linked) -> Linked:
@@ -129,4 +140,4 @@ def linked(system: openmm.System, bodies: Linked) -> Linked:
                 f"dalton in the bodies, but {masses[atom]} dalton in the System: create the bodies from this System "
                 "again"
             )
-    return Links(system).link(bodies)
+    return links_of(system).link(bodies)

@@ -7,11 +7,13 @@ import openmm
 from openmm import app
 
 from openmm_sier.dynamics import bodies as dynamics
+from openmm_sier.system import tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness, refuse_broken
 from openmm_sier.system.find_bodies import BodyPlan, Rigid
 
 
+@tables.read_once()
 def make_whole(
     system: openmm.System,
     positions: Positions,

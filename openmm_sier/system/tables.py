@@ -1,19 +1,22 @@
-"""Masses and constraints of a System as arrays.
+"""Contents of a System as arrays: masses, constraints, virtual sites, parameters of Forces.
 
-Every call reads the System, which users may change between Contexts. OpenMM returns each value as a quantity, so that a
-million atoms take seconds; inside `read_once` each System is read only once.
+Users may change a System between two calls, so that every call reads it. Inside `read_once`, which lasts as long as one
+call by a user, each table is made once, and everything that derives from it takes it from here.
+
+Tables are read by the compiled functions beneath OpenMM's methods. The methods attach a unit to each number, which
+takes three times as long; OpenMM's XML takes twice as long. Units are dalton, nm, kJ/mol, e and radians.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from itertools import combinations
+from itertools import combinations, repeat
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import openmm
-from openmm import unit
+from openmm import _openmm
 
 
 class Constraints(NamedTuple):
@@ -43,11 +46,36 @@ class Constraints(NamedTuple):
 
     def hold(self, kinds: Iterable[np.ndarray]) -> list[np.ndarray]:
         """Return whether every distance within each cluster of particles is constrained, (m,), for kinds of (m, k)."""
-        constrained = self.by_pair()
-        return [
-            np.array([all(pair in constrained for pair in combinations(sorted(row), 2)) for row in kind.tolist()], bool)
-            for kind in kinds
-        ]
+        clusters = list(kinds)
+        held: list[np.ndarray] = [np.empty(0, dtype=bool)] * len(clusters)
+        # All kinds of one size at once: there may be thousands.
+        by_size: dict[int, list[int]] = {}
+        for number, kind in enumerate(clusters):
+            by_size.setdefault(kind.shape[1], []).append(number)
+        degree = np.bincount(self.pairs.ravel(), minlength=1)
+        for numbers in by_size.values():
+            together = self._hold(np.concatenate([clusters[number] for number in numbers]), degree)
+            ends = np.cumsum([len(clusters[number]) for number in numbers])
+            for number, part in zip(numbers, np.split(together, ends[:-1]), strict=True):
+                held[number] = part
+        return held
+
+    def _hold(self, clusters: np.ndarray, degree: np.ndarray) -> np.ndarray:
+        """Return whether every distance within each cluster (m, k) is constrained, (m,).
+
+        Args:
+            clusters: particle indices.
+            degree: number of constraints of the particles up to the last constrained one.
+        """
+        size = clusters.shape[1]
+        degrees = np.where(clusters < len(degree), degree[clusters.clip(max=len(degree) - 1)], 0)
+        # Large bodies, which have too many pairs to list them, have fewer constraints.
+        held = (degrees >= size - 1).all(axis=1)
+        if size > 1 and held.any():
+            pairs = clusters[held][:, np.array(list(combinations(range(size), 2)))]
+            lengths = self.lengths_of(pairs.reshape(-1, 2)).reshape(len(pairs), -1)
+            held[held] = ~np.isnan(lengths).any(axis=1)
+        return held
 
 
 #: Maximum mass of a hydrogen, also after mass repartitioning, dalton.
@@ -59,26 +87,19 @@ HEAVIEST_HYDROGEN = 4.5
 #: LangevinMiddle would fail at steps of 5 fs. Water has no such bonds.
 HEAVIEST_IN_CHAINS = 3.0
 
-#: Units of charge, sigma and epsilon of atoms, and of exceptions, in a NonbondedForce.
-ATOM_UNITS = (unit.elementary_charge, unit.nanometer, unit.kilojoule_per_mole)
-PAIR_UNITS = (unit.elementary_charge**2, unit.nanometer, unit.kilojoule_per_mole)
-
-
-def numbers(quantities: Iterable[unit.Quantity], units: Iterable[unit.Unit]) -> np.ndarray:
-    """Return the values of quantities in the given units."""
-    return np.array([quantity.value_in_unit(one) for quantity, one in zip(quantities, units, strict=True)])
-
-
 Table = TypeVar("Table")
 
-#: Cache of `read_once`: (function name, System address) -> (System, table). Holding the System keeps its address
-#: unique. None outside the block.
-_read: ContextVar[dict[tuple[str, int], tuple[openmm.System, Any]] | None] = ContextVar("read", default=None)
+#: A System or a Force.
+Source = TypeVar("Source", openmm.System, openmm.Force)
+
+#: Cache of `read_once`: (name of the function, address of its argument) -> (argument, table). Holding a System keeps
+#: its address unique. None outside the block.
+_read: ContextVar[dict[tuple[str, int], tuple[Any, Any]] | None] = ContextVar("read", default=None)
 
 
 @contextmanager
 def read_once() -> Iterator[None]:
-    """Context manager inside which each System is read only once, and must not change."""
+    """Context manager inside which each System and Force is read only once, and must not change without `forget`."""
     token = _read.set({} if _read.get() is None else _read.get())
     try:
         yield
@@ -86,67 +107,118 @@ def read_once() -> Iterator[None]:
         _read.reset(token)
 
 
-def _once(read: Callable[[openmm.System], Table]) -> Callable[[openmm.System], Table]:
-    """Decorator that caches a function of a System inside `read_once`."""
+def forget() -> None:
+    """Read everything again inside `read_once`, since a System was changed."""
+    cache = _read.get()
+    if cache is not None:
+        cache.clear()
+
+
+def once(read: Callable[[Source], Table]) -> Callable[[Source], Table]:
+    """Decorator that caches a function of a System or a Force inside `read_once`; arrays cannot be written."""
+    name = f"{read.__module__}.{read.__qualname__}"
 
     @wraps(read)
-    def cached(system: openmm.System) -> Table:
+    def cached(source: Source) -> Table:
         cache = _read.get()
         if cache is None:
-            return read(system)
-        key = read.__name__, int(system.this)
+            return _fixed(read(source))
+        key = name, int(source.this)
         if key not in cache:
-            cache[key] = system, read(system)
+            cache[key] = source, _fixed(read(source))
         return cache[key][1]
 
     return cached
 
 
+def _fixed(table: Table) -> Table:
+    """Return an array, or a tuple of arrays, that cannot be written."""
+    for array in table if isinstance(table, tuple) else (table,):
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
+    return table
+
+
+def rows(source: Any, method: str, count: int) -> Iterator[Any]:
+    """Iterate over what a method of a System or Force returns for the indices from 0 to `count`, without units.
+
+    Args:
+        source: openmm.System or openmm.Force.
+        method: name of a method of an index.
+        count: number of rows.
+    """
+    names = [f"{cls.__name__}_{method}" for cls in type(source).__mro__]
+    function = next(getattr(_openmm, name) for name in names if hasattr(_openmm, name))
+    return map(function, repeat(source), range(count))
+
+
+def numeric_rows(source: Any, method: str, count: int, columns: int) -> np.ndarray:
+    """Return `rows` of numbers, (count, columns)."""
+    return np.fromiter(rows(source, method, count), np.dtype((float, columns)), count)
+
+
+@once
 def atom_parameters(force: openmm.NonbondedForce) -> np.ndarray:
     """Return charge in e, sigma in nm and epsilon in kJ/mol of each particle of a NonbondedForce, (N, 3)."""
-    # OpenMM returns these units; converting each quantity would take ten times as long.
-    rows = map(force.getParticleParameters, range(force.getNumParticles()))
-    return np.fromiter(
-        ((charge._value, sigma._value, epsilon._value) for charge, sigma, epsilon in rows), np.dtype((float, 3))
-    )
+    return numeric_rows(force, "getParticleParameters", force.getNumParticles(), 3)
 
 
-@_once
+@once
+def exceptions(force: openmm.NonbondedForce) -> tuple[np.ndarray, np.ndarray]:
+    """Return the exceptions of a NonbondedForce.
+
+    Returns:
+        Their particles, (x, 2), and charge products in e^2, sigma in nm and epsilon in kJ/mol, (x, 3).
+    """
+    table = numeric_rows(force, "getExceptionParameters", force.getNumExceptions(), 5)
+    return table[:, :2].astype(np.int64), table[:, 2:]
+
+
+@once
 def masses(system: openmm.System) -> np.ndarray:
     """Return masses of all particles, (N,), dalton; 0 for virtual sites and frozen atoms."""
-    # OpenMM returns dalton and nm; converting each quantity would take ten times as long.
-    quantities = map(system.getParticleMass, range(system.getNumParticles()))
-    return np.fromiter((mass._value for mass in quantities), float)
+    count = system.getNumParticles()
+    return np.fromiter(rows(system, "getParticleMass", count), float, count)
 
 
-@_once
+@once
 def constraints(system: openmm.System) -> Constraints:
     """Return the acting constraints in the System's order, without repeated ones.
 
     Constraints between frozen atoms do not act, and OpenMM refuses those between a frozen and a moving atom.
     """
-    # An iterator, since a list of all quantities would take most of the memory.
-    parameters = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    rows = np.fromiter(((a, b, length._value) for a, b, length in parameters), np.dtype((float, 3)))
-    pairs, lengths = np.sort(rows[:, :2].astype(np.int64), axis=1), rows[:, 2]
+    table = numeric_rows(system, "getConstraintParameters", system.getNumConstraints(), 3)
+    pairs, lengths = np.sort(table[:, :2].astype(np.int64), axis=1), table[:, 2]
     acting = (masses(system)[pairs] > 0).all(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
-    _, first = np.unique(pairs @ [system.getNumParticles(), 1], return_index=True)
-    distinct = np.sort(first)
+    distinct = first_of_each(pairs)
     return Constraints(pairs[distinct], lengths[distinct])
 
 
-@_once
+def first_of_each(pairs: np.ndarray) -> np.ndarray:
+    """Return the places of distinct pairs of particles (m, 2) where each occurs first, ascending."""
+    _, first = np.unique(pairs @ [int(pairs.max(initial=0)) + 1, 1], return_index=True)
+    return np.sort(first)
+
+
+@once
+def virtual_sites(system: openmm.System) -> np.ndarray:
+    """Return the virtual sites, ascending, (v,)."""
+    count = system.getNumParticles()
+    return np.flatnonzero(np.fromiter(rows(system, "isVirtualSite", count), bool, count))
+
+
+@once
 def frozen_atoms(system: openmm.System) -> np.ndarray:
     """Return massless particles that are not virtual sites, (f,): they exert forces but do not move."""
-    return np.array([i for i in np.flatnonzero(masses(system) == 0).tolist() if not system.isVirtualSite(i)], dtype=int)
+    return np.setdiff1d(np.flatnonzero(masses(system) == 0), virtual_sites(system), assume_unique=True)
 
 
-@_once
+@once
 def rigid_sites(system: openmm.System) -> dict[int, list[int]]:
     """Return the particles that place each virtual site; without sites that depend on the box too."""
-    massless = np.flatnonzero(masses(system) == 0).tolist()
-    sites = {i: system.getVirtualSite(i) for i in massless if system.isVirtualSite(i)}
+    massless = virtual_sites(system)[masses(system)[virtual_sites(system)] == 0]
+    sites = {i: system.getVirtualSite(i) for i in massless.tolist()}
     return {
         i: [site.getParticle(k) for k in range(site.getNumParticles())]
         for i, site in sites.items()

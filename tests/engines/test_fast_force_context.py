@@ -6,7 +6,7 @@ import pytest
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.exact.fast_force_context import FastForceContext, FastForceError, copied_fast_forces
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, FastForceError, working_forces
 from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
@@ -61,10 +61,14 @@ def whole_system(forces):
     return system
 
 
+def fast_forces(system):
+    return [force for force in system.getForces() if force.getForceGroup() == FAST]
+
+
 def fast_context_of(system, owner=OWNER):
     points = Species.from_sites(np.sort(FLEXIBLE)[:, None], np.array([12.011]), np.zeros((3, 1)))
     bodies = BodySet([points], system.getNumParticles())
-    forces = copied_fast_forces(system, {FAST}, owner, MOVING)
+    forces = working_forces(fast_forces(system), owner, MOVING)
     return FastForceContext(forces, bodies, openmm.Platform.getPlatformByName("Reference"), {})
 
 
@@ -126,7 +130,7 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     owner = OWNER.copy()
     owner[WATER] = 0
     system = whole_system([angle])
-    (only,) = copied_fast_forces(system, {FAST}, owner, MOVING)
+    (only,) = working_forces(fast_forces(system), owner, MOVING).forces
     assert only.getNumAngles() == 1
     assert_forces_are_those_in(plain_context(system, positions), fast_context_of(system, owner))
 
@@ -134,7 +138,8 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
 def test_forces_without_working_terms_are_left_out():
     angle = openmm.HarmonicAngleForce()
     angle.addAngle(1, 0, 2, 1.8, 400)
-    assert copied_fast_forces(whole_system([angle]), {FAST}, np.where(OWNER < 3, 0, OWNER), MOVING) == []
+    system = whole_system([angle])
+    assert working_forces(fast_forces(system), np.where(OWNER < 3, 0, OWNER), MOVING).forces == []
 
 
 def test_what_is_refused():
@@ -146,5 +151,6 @@ def test_what_is_refused():
         (external, r"trap \(CustomExternalForce\) is in the fast force group 3, but only HarmonicBondForce"),
         (bond, "bond of HarmonicBondForce acts on the atoms 9, 11, but atom 11 is a virtual site or frozen"),
     ):
+        system = whole_system([force])
         with pytest.raises(FastForceError, match=message):
-            copied_fast_forces(whole_system([force]), {FAST}, OWNER, MOVING)
+            working_forces(fast_forces(system), OWNER, MOVING)

@@ -14,6 +14,7 @@ from tests.laws.molecules import (
     Alike,
     Body,
     Chain,
+    Frozen,
     Ion,
     Jointed,
     Molecule,
@@ -41,16 +42,22 @@ def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
     alike = st.builds(Alike, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
     plain = [waters, chains, stars, rings, held_bodies, lines, alike]
+    frozen = st.builds(Frozen, st.one_of(*plain, _with_sites(plain)))
     if named:
         shapes = st.sampled_from(list(SHAPES))
         others = st.sampled_from(["none", *SHAPES])
         jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
         plain += [st.builds(Body, shapes), jointed, st.builds(Alike, shapes)]
-    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
+    with_sites = _with_sites(plain)
+    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
+    return st.one_of(ions, *plain, with_sites, tethered, frozen)
+
+
+def _with_sites(kinds: list[st.SearchStrategy[Molecule]]) -> st.SearchStrategy[WithSite]:
+    """Draw a molecule of some kinds with virtual sites of any kind."""
+    return st.builds(WithSite, st.one_of(kinds), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
         _has_parents
     )
-    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
-    return st.one_of(ions, *plain, with_sites, tethered)
 
 
 def _has_parents(molecule: WithSite) -> bool:
@@ -86,7 +93,7 @@ def mixtures(
         st.integers(0, 2**16),
         st.sampled_from(surroundings),
         st.sampled_from(FORMS),
-        st.booleans(),
+        st.sampled_from([0, 1, 3]),
         st.sampled_from(prepared),
     )
 

@@ -67,7 +67,7 @@ class Mixture:
         seed: of places and velocities.
         surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
         form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
-        remover: whether there is a CMMotionRemover.
+        remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
     """
 
@@ -75,7 +75,7 @@ class Mixture:
     seed: int = 0
     surroundings: str = "vacuum"
     form: str = "plain"
-    remover: bool = False
+    remover: int = 0
     prepared: str = "no"
 
     def build(self) -> Built:
@@ -295,7 +295,7 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
     if mixture.surroundings != "vacuum":
         system.setDefaultPeriodicBoxVectors(*_box(mixture, x))
     if mixture.remover:
-        system.addForce(openmm.CMMotionRemover(1))
+        system.addForce(openmm.CMMotionRemover(mixture.remover))
 
 
 def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:

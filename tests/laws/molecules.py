@@ -371,4 +371,16 @@ class WithSite:
         return parts
 
 
-Molecule = Ion | Water | Chain | Star | Ring | Body | Alike | Jointed | Tethered | WithSite
+@dataclass(frozen=True)
+class Frozen:
+    """A molecule whose atoms have no mass, with the constraints between them."""
+
+    molecule: Molecule
+
+    def parts(self) -> Parts:
+        parts = self.molecule.parts()
+        parts.masses = len(parts.masses) * [0.0]
+        return parts
+
+
+Molecule = Ion | Water | Chain | Star | Ring | Body | Alike | Jointed | Tethered | WithSite | Frozen

@@ -308,10 +308,13 @@ class Run:
     def _first_rows(self) -> int:
         """Return a number of rows: few with moves of the volume, which are slow, and many where faults show little.
 
-        So they do in the few averages of rescaling, and where rejections find momenta that last.
+        So they do in the few averages of rescaling, above all in how fast it forgets, and where rejections find momenta
+        that last.
         """
         if self._method.pressure:
             return 2 * BLOCKS
+        if "K kept" in self.exact:
+            return 64 * BLOCKS
         lasts = isinstance(self._method, Trials) and self._method.share > 0.5
         return 16 * BLOCKS if lasts or not self._method.is_ergodic else 4 * BLOCKS
 

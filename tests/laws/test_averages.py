@@ -188,7 +188,7 @@ EXAMPLES = [
     Experiment(Trials("sier2", chances=1, share=0.5), (Chains(pace=0.1), Wells(pace=0.7)), 10),
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
     Experiment(Rescaling(rate=0.5, every=2), (Wells(pace=0.8),), 1),
-    Experiment(Rescaling(engine="native", rate=0.5, every=2), (Free(pace=0.1),), 1),
+    Experiment(Rescaling(engine="native", rate=0.5, every=2), (Free(pace=0.1),), 4),
 ]
 
 #: Slower ones.

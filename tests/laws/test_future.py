@@ -10,8 +10,13 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
-from tests.laws.action_strategies import changes
-from tests.laws.actions import Action, Load, Save, Step
+from tests.laws.action_strategies import changes, pasts
+from tests.laws.actions import (
+    Action,
+    Load,
+    Save,
+    Step,
+)
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
@@ -75,9 +80,9 @@ class Restart:
         run = started(self.mixture, self.method, self.platform)
         for action in self.past:
             followed(run, action)
-        if run.method.draws_from_openmm:
-            # A checkpoint from before the first noise does not bring back the generator of the Reference and CPU
-            # platforms, which other Contexts share.
+        if run.method.is_random:
+            # So that noise was used. A checkpoint from before the first noise does not bring back OpenMM's generator of
+            # the Reference and CPU platforms, which other Contexts share.
             followed(run, Step(1))
         again = self.restarted(run)
         future = (*self.future, Step(2))
@@ -126,7 +131,7 @@ def followed(run: Run, action: Action) -> str | None:
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(some), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
 
 
 @st.composite
@@ -134,7 +139,7 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
-    past = tuple(action for action in draw(some) if getattr(action, "name", "") != "setRandomNumberSeed")
+    past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frames
 from openmm_sier.dynamics.schemes import CATALOGUE
-from openmm_sier.engines.choice import EXACT_PLATFORMS
+from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.law import Law
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of
@@ -100,7 +100,7 @@ class Order:
                 prepare_system(system, hydrogenMass=HEAVY if self.mixture.prepared == "heavy" else None)
         scheme = CATALOGUE[self.scheme]
         integrator = SIERIntegrator(STEPS[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
-        precision = {} if self.platform in EXACT_PLATFORMS else {"Precision": "double"}
+        precision = {} if self.platform in HOST_PLATFORMS else {"Precision": "double"}
         context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform), precision)
         for step in STEPS:
             integrator.setStepSize(step)
@@ -140,7 +140,7 @@ def cases(draw: st.DrawFn, platform: str) -> Order:
     surroundings = SURROUNDINGS if platform == "Reference" else SURROUNDINGS[:-1]
     mixture = draw(mixtures(surroundings, least=2))
     if is_frozen(mixture):
-        mixture = replace(mixture, remover=False)
+        mixture = replace(mixture, remover=0)
     return Order(mixture, draw(st.sampled_from(list(CATALOGUE))), draw(st.sampled_from([None, 1, 2, 3])), platform)
 
 

@@ -400,12 +400,27 @@ def test_steps_in_the_window_are_refused():
     with silence():
         checked(0.999 * RESONANCE)
     with pytest.warns(UserWarning, match=r"is long for the bond .* more than twice in each period"):
-        checked(0.999 / (1 + share) / 2)
-    for step in (1.001 / (1 + share) / 2, 0.5, 0.999 / (1 - share) / 2, 1.001 * DESTROYED):
+        checked(0.999 * (1 - share) / 2)
+    for step in (1.001 * (1 - share) / 2, 0.5, 0.999 / (1 - share) / 2, 1.001 * DESTROYED):
         with pytest.raises(openmm.OpenMMException, match=r"is too long for the bond .*More inner steps do not help"):
             checked(step)
     # A warning, which is not given again.
     checked(1.001 / (1 - share) / 2)
+
+
+def test_a_bond_softer_than_its_surroundings_has_a_longest_step():
+    """Of ions that touch: their repulsion is several times as stiff as the bond."""
+    system = diatomic(strength=8000, masses=(12.0, 12.0))
+    charges = openmm.NonbondedForce()
+    for charge in (0.5, -0.5):
+        charges.addParticle(charge, 0.3, 0.5)
+    charges.setForceGroup(1)
+    system.addForce(charges)
+    check = StepCheck(system, RigidBodies.from_system(system))
+    period = 2 * math.pi / math.sqrt(8000 / 6)
+    method = IntegrationMethod(SIER4G, 0.4 * period, substeps=100, fast_groups=1)
+    with pytest.raises(openmm.OpenMMException, match=r"too long for the bond .*Take up to [1-9]\d\.\d fs"):
+        check(method, 3)
 
 
 def test_every_kind_of_warning_is_given_once(flexible):

@@ -157,7 +157,7 @@ def test_terms_are_the_atoms_that_openmm_lists(kind):
 
 @every_class_of_terms
 def test_strengths_are_the_parameters_without_which_a_term_has_no_energy(kind):
-    element, atoms, strengths = FORCES[kind].terms
+    element, atoms, strengths, _ = FORCES[kind].terms
     assert all(position >= len(atoms) for position in strengths)
     energies = []
     for zeros in [(), strengths, *(tuple(set(strengths) - {one}) for one in strengths)]:

@@ -12,15 +12,20 @@ PIVOT, SHIFT = 1e-9, 1e-12
 def joined(n: int, pairs: np.ndarray) -> np.ndarray:
     """Return the smallest index in the connected component of each of n nodes, (n,), for edges (c, 2)."""
     ends = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    if not len(ends):
-        return np.arange(n)
-    # Slow imports, which most systems do not need.
-    from scipy import sparse
-    from scipy.sparse.csgraph import connected_components
-
-    graph = sparse.coo_array((np.ones(len(ends), dtype=bool), ends.T), (n, n))
-    _, component = connected_components(graph, directed=False)
-    return np.unique(component, return_index=True)[1][component]
+    smallest = np.arange(n)
+    while True:
+        # Each component of more than one node has one of them, its root, as the smallest index of all its nodes. Those
+        # of joined components become that of a neighbour which is smaller: at least half of the roots vanish.
+        roots = smallest[ends]
+        apart = roots[roots[:, 0] != roots[:, 1]]
+        if not len(apart):
+            return smallest
+        np.minimum.at(smallest, apart.max(axis=1), apart.min(axis=1))
+        while True:
+            further = smallest[smallest]
+            if np.array_equal(further, smallest):
+                break
+            smallest = further
 
 
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:

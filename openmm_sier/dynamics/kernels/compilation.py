@@ -23,6 +23,7 @@ from typing import Any
 import numba
 from numba.core import event as events
 from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 #: Numba's settings, by the names of its environment variables.
 config: Any = numba.config
@@ -63,10 +64,15 @@ class _Cache(FunctionCache):
     Numba raises such errors from the call of a kernel, where they cannot be distinguished from errors of the kernel.
     """
 
-    def load_overload(self, *arguments: Any) -> Any:
-        """Return compiled code, or None; a damaged cache, as of a machine that stopped, is cleared."""
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return compiled code, or None; a damaged cache, as of a machine that stopped, is cleared.
+
+        Numba's method first registers all functions that Numba can compile, which takes half a second. Compiled code
+        needs only its memory manager.
+        """
         try:
-            return super().load_overload(*arguments)
+            rtsys.initialize(target)
+            return self._load_overload(signature, target)
         except Exception:
             with suppress(OSError):
                 self.flush()

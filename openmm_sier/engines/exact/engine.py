@@ -32,7 +32,7 @@ from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
 
 
@@ -82,9 +82,10 @@ class ExactEngine(PointVerbs):
         self._acts_between_steps = False
         self._last = None
 
+    @tables.read_once()
     def _new_motion(self) -> MotionOperators:
-        fast = self._groups & self.method.fast_groups
-        return MotionOperators(self._context, self.moving, self.forces.compute, self.method.rotation, fast, self.tally)
+        fast, rotation = self._fast_forces(), self.method.rotation
+        return MotionOperators(self._context, self.moving, self.forces.compute, rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -116,8 +117,6 @@ class ExactEngine(PointVerbs):
         # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
         is_placed = point is not None and self.forces.is_at(point.q, point.A)
         moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
-        if Changes.FORCES in self.changes:
-            self._bonds = None
         if moved:
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
@@ -125,7 +124,7 @@ class ExactEngine(PointVerbs):
             is_own = self._is_unstored and Changes.VARIABLES not in self.changes
             stored = point if is_own else stored_point(self._context, self._packing)
             point = self._reader.point(now, stored, point, moved)
-        if Changes.FORCES in self.changes:
+        if self._has_other_fast_forces():
             self.motion = self._new_motion()
         if point is not None:
             self.point = point
@@ -146,6 +145,17 @@ class ExactEngine(PointVerbs):
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
 
+    def _has_other_fast_forces(self) -> bool:
+        """Return whether the fast forces are not those of the operators any more."""
+        if Changes.FAST in self.changes:
+            return True
+        return Changes.FORCES in self.changes and self.motion.fast != self._fast_forces()
+
+    def _fast_forces(self) -> list[int]:
+        """Return the indices of the Forces in fast groups."""
+        fast = self._groups & self.method.fast_groups
+        return [i for i, force in enumerate(self._context.getSystem().getForces()) if fast >> force.getForceGroup() & 1]
+
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
         return self._keeps_numbers and np.array_equal(vectors, written)
@@ -163,7 +173,7 @@ class ExactEngine(PointVerbs):
         self.motion.follow(self._context)
 
     def select_groups(self) -> None:
-        self.changes |= Changes.FORCES
+        self.changes |= Changes.FORCES | Changes.FAST
 
     # --- steps ---
 

@@ -1,12 +1,13 @@
 """Fast forces, which are bonded, from a Context that has no other forces, so that they cost no pass over all pairs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
-from openmm_sier.system.bonded_terms import bonded_terms, with_working_terms, working_terms
+from openmm_sier.system.bonded_terms import with_working_terms, working_terms
 from openmm_sier.system.forces import FORCES, kind_of
 
 
@@ -14,26 +15,38 @@ class FastForceError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
 
 
-def copied_fast_forces(system: openmm.System, groups: Iterable[int], owner: np.ndarray, moving: np.ndarray) -> list:
-    """Return copies of the bonded Forces of some force groups, without terms that do no work.
+class WorkingForces(NamedTuple):
+    """Copies of bonded Forces with only the terms that do work.
+
+    Attributes:
+        forces: the copies; those without terms are left out.
+        particles: on which they act, each once, ascending.
+    """
+
+    forces: list[openmm.Force]
+    particles: np.ndarray
+
+
+def working_forces(forces: Iterable[openmm.Force], owner: np.ndarray, moving: np.ndarray) -> WorkingForces:
+    """Return copies of bonded Forces, without terms that do no work.
 
     Args:
-        system: openmm.System; it is not changed.
-        groups: force groups, each from 0 to 31.
+        forces: the Forces of a System that are fast.
         owner: for each particle the number of its body, (N,); terms within one body do no work.
         moving: for each particle whether it moves with a body, (N,).
 
     Raises:
-        FastForceError: a Force of the groups is not a bonded force, or one of its terms acts on a particle that moves
-            with no body.
+        FastForceError: a Force is not a bonded force, or one of its terms acts on a particle that moves with
+            no body.
     """
-    copies, chosen_groups = [], frozenset(groups)
-    for force in system.getForces():
-        if force.getForceGroup() in chosen_groups and kind_of(force).exerts_forces:
+    copies, particles = [], [np.empty(0, dtype=np.int64)]
+    for force in forces:
+        if kind_of(force).exerts_forces:
             terms = _checked_terms(force, owner, moving)
             if len(terms):
                 copies.append(with_working_terms(force, owner))
-    return copies
+                particles.append(terms.ravel())
+    return WorkingForces(copies, np.unique(np.concatenate(particles)))
 
 
 def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> np.ndarray:
@@ -62,11 +75,6 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     return terms
 
 
-def particles_of(forces: Sequence[openmm.Force]) -> np.ndarray:
-    """Return the particles on which bonded Forces act, each once."""
-    return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(bonded_terms(each).ravel() for each in forces)]))
-
-
 class FastForceContext:
     """Fast forces and torques on some bodies: a function of their centres and attitudes.
 
@@ -79,26 +87,26 @@ class FastForceContext:
 
     def __init__(
         self,
-        forces: Sequence[openmm.Force],
+        working: WorkingForces,
         bodies: BodySet,
         platform: openmm.Platform,
         properties: dict[str, str],
     ):
         """
         Args:
-            forces: what `copied_fast_forces` gave, for its own.
+            working: the Forces, which this takes for its own.
             bodies: those that the forces act on, with particles numbered as in the System.
             platform: openmm.Platform, usually that of the Context of all forces.
             properties: of the platform, {name: value}.
         """
         self.bodies = bodies
         # The other atoms of large bodies need not be placed.
-        self._sites = bodies.sites.at(particles_of(forces))
+        self._sites = bodies.sites.at(working.particles)
         system = openmm.System()
         # Solutes come before water most often, so that few particles are left.
         for _ in range(int(self._sites.atoms.max(initial=-1)) + 1):
             system.addParticle(1.0)
-        for force in forces:
+        for force in working.forces:
             system.addForce(force)
         self._integrator = openmm.VerletIntegrator(0.001)
         self._context = openmm.Context(system, self._integrator, platform, properties)

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.system import tables
 
 
 class BodyForces:
@@ -34,7 +35,7 @@ class BodyForces:
         self.bodies = bodies
         system = context.getSystem()
         n = system.getNumParticles()
-        self._has_virtual_sites = any(system.isVirtualSite(i) for i in range(n))
+        self._has_virtual_sites = tables.virtual_sites(system).size > 0
         sites = bodies.sites
         self._sites = sites.sets, sites.places, sites.atoms
         self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms

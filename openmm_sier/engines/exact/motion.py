@@ -1,6 +1,5 @@
 """Make the operators that move the bodies of one Context, with constraints, and fast forces in the drifts."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,8 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import Forces, Rotation, always
 from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, plan_step
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.exact.fast_force_context import FastForceContext, copied_fast_forces, particles_of
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, WorkingForces, working_forces
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import groups_of
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
@@ -25,7 +23,8 @@ class MotionOperators:
     """Operators of one Context's bodies.
 
     Attributes:
-        fast: the fast forces, of the bodies that they act on; None where there are none.
+        fast: indices of the Forces that act within drifts.
+        fast_context: these forces, of the bodies that they act on; None where there are none.
     """
 
     def __init__(
@@ -34,7 +33,7 @@ class MotionOperators:
         bodies: BodySet,
         forces: Forces,
         rotation: Rotation,
-        fast_groups: int,
+        fast: list[int],
         tally: Tally,
     ):
         """
@@ -43,7 +42,7 @@ class MotionOperators:
             bodies: its bodies.
             forces: forces on them in the kicks.
             rotation: free-rotation map.
-            fast_groups: bit mask of the force groups that act within drifts.
+            fast: indices of the Forces that act within drifts, in the System.
             tally: counts what a bath does.
 
         Raises:
@@ -51,20 +50,21 @@ class MotionOperators:
         """
         self._bodies = bodies
         self._tally = tally
+        self.fast = fast
         groups = _flexible_points(bodies)
-        fast = _fast_forces(context.getSystem(), bodies, fast_groups)
-        touched = _touched(bodies, fast)
-        self.fast = _fast_context(context, bodies.restricted(touched), fast) if fast else None
+        working = _working_forces(context.getSystem(), bodies, fast)
+        touched = _touched(bodies, working)
+        self.fast_context = _fast_context(context, bodies.restricted(touched), working) if working.forces else None
         self._table = _table(bodies, forces, rotation, groups)
-        if self.fast is not None:
-            within = _table(self.fast.bodies, self.fast, rotation, groups[touched])
+        if self.fast_context is not None:
+            within = _table(self.fast_context.bodies, self.fast_context, rotation, groups[touched])
             others = bodies.constraints.without(touched)
             drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
             self._table[Inner] = constrained.inner_drifts(drifts, touched, within)
 
     def plan(self, method: IntegrationMethod, inner_step: float, updates: bool) -> Plan:
         """Return the plan of a method, with inner steps of up to a length in ps."""
-        has_inner_steps = self.fast is not None and inner_step > 0
+        has_inner_steps = self.fast_context is not None and inner_step > 0
         longest_fraction = inner_step / method.step if has_inner_steps else None
         has_constraints = len(self._bodies.constraints.pairs) > 0
         return plan_step(method.scheme, longest_fraction, None, updates, projects=has_constraints)
@@ -77,8 +77,8 @@ class MotionOperators:
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
-        if self.fast is not None:
-            self.fast.follow(context)
+        if self.fast_context is not None:
+            self.fast_context.follow(context)
 
 
 def _table(bodies: BodySet, forces: Forces, rotation: Rotation, groups: np.ndarray) -> dict[type[Operation], Any]:
@@ -98,32 +98,30 @@ def _platform_of_fast_forces(context: openmm.Context, atoms: int) -> tuple[openm
     return platform, properties
 
 
-def _fast_forces(system: openmm.System, bodies: BodySet, groups: int) -> list[openmm.Force]:
-    """Return copies of the Forces of some groups, a bit mask, that move bodies.
+def _working_forces(system: openmm.System, bodies: BodySet, fast: list[int]) -> WorkingForces:
+    """Return copies of the Forces with some indices that move bodies.
 
     Forces that cannot be fast are refused even where there is nothing to move.
     """
-    if not groups:
-        return []
     owner, moving = bodies.owners.copy(), bodies.owners >= 0
     # Terms between frozen atoms do no work, like those inside one body.
     owner[tables.frozen_atoms(system)] = bodies.n
-    return copied_fast_forces(system, groups_of(groups), owner, moving)
+    return working_forces([system.getForce(i) for i in fast], owner, moving)
 
 
-def _touched(bodies: BodySet, forces: Sequence[openmm.Force]) -> np.ndarray:
+def _touched(bodies: BodySet, working: WorkingForces) -> np.ndarray:
     """Return the bodies on which forces act, and those that are constrained to one of them, ascending, (m,)."""
     touched = np.zeros(bodies.n, dtype=bool)
-    touched[bodies.owners[particles_of(forces)]] = True
+    touched[bodies.owners[working.particles]] = True
     groups = bodies.constraints.groups
     return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
 
 
-def _fast_context(context: openmm.Context, bodies: BodySet, forces: Sequence[openmm.Force]) -> FastForceContext:
+def _fast_context(context: openmm.Context, bodies: BodySet, working: WorkingForces) -> FastForceContext:
     """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
-    fast = FastForceContext(forces, bodies, *_platform_of_fast_forces(context, len(particles_of(forces))))
-    fast.follow(context)
-    return fast
+    fast_context = FastForceContext(working, bodies, *_platform_of_fast_forces(context, len(working.particles)))
+    fast_context.follow(context)
+    return fast_context
 
 
 def _flexible_points(bodies: BodySet) -> np.ndarray:

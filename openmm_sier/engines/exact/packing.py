@@ -25,6 +25,12 @@ class Packing:
                 columns = slice(self._runs.pop()[0].start, columns.stop)
             self._runs.append((columns, is_point))
 
+    @property
+    def variables(self) -> int:
+        """Number of vectors for each atom that are not zero for all."""
+        sizes = [(1 if is_point else 3) * 6 * (part.stop - part.start) for part, is_point in self._runs]
+        return -(-sum(sizes) // max(1, 3 * self.bodies.n_particles))
+
     def pack(self, state: BodyState) -> np.ndarray:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
         values = np.zeros((3, self.bodies.n_particles, 3))

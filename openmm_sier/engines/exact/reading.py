@@ -7,7 +7,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Rigi
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.variables import STATE_VARIABLES
+from openmm_sier.engines.variables import STATE_VARIABLES, per_atom_values
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import IF_CUT
 
@@ -17,9 +17,10 @@ FARTHEST = 0.05
 
 def stored_point(context: openmm.Context, packing: Packing) -> BodyState | None:
     """Return the phase point that the variables of a Context carry; None if they carry none."""
-    variable = context.getIntegrator().getPerDofVariableByName
-    # One after the other: OpenMM gives lists of objects, which take much memory.
-    values = np.stack([np.array(variable(name)) for name in STATE_VARIABLES])
+    # One after the other: OpenMM gives lists of objects, which take much memory. The last one is seldom needed.
+    values = np.zeros((len(STATE_VARIABLES), packing.bodies.n_particles, 3))
+    for row, name in zip(values, STATE_VARIABLES[: packing.variables], strict=False):
+        row[:] = per_atom_values(context.getIntegrator(), name)
     if not values.any() or not np.isfinite(values).all():
         return None
     return packing.unpack(values)

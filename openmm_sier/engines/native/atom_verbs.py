@@ -15,6 +15,7 @@ from openmm_sier.engines.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import Changes, RollbackState
 from openmm_sier.engines.snapshot import Environment, Snapshot
+from openmm_sier.engines.variables import per_atom_values
 from openmm_sier.system.tables import Constraints
 from openmm_sier.system.temperature import Temperatures
 
@@ -141,7 +142,7 @@ class AtomVerbs(Engine):
         """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
         has_followed = self._follows_bath and Changes.ATOMS not in self.changes
         if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
-            return np.array(self._integrator.getPerDofVariableByName(V0))
+            return per_atom_values(self._integrator, V0)
         return None
 
     def degrees_of_freedom(self, conserved: bool) -> float:
@@ -153,5 +154,5 @@ class AtomVerbs(Engine):
             return math.nan
         heat = self.tally.heat
         if WORK in self._program.vectors:
-            heat += float(np.sum(self._integrator.getPerDofVariableByName(WORK)))
+            heat += float(np.sum(per_atom_values(self._integrator, WORK)))
         return heat

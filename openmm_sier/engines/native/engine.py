@@ -21,7 +21,7 @@ from openmm_sier.engines.native.installation import set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.records import Changes, Clock, TrajectoryError
+from openmm_sier.engines.records import Changes, Clock, TrajectoryError, says_nan
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial
@@ -72,7 +72,7 @@ class NativeEngine(AtomVerbs):
         refusals.refuse_system(system, bodies)
         self.accept(method, self._groups)
         self._constraints = tables.constraints(system)
-        self._has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        self._has_sites = tables.virtual_sites(system).size > 0
         self.moving = refusals.points(system)
         self._reported = ReportedBodies(system, bodies, self.moving)
         self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)
@@ -122,7 +122,6 @@ class NativeEngine(AtomVerbs):
             openmm.Context.setVelocities(self._context, self._atoms.velocities)
             self._has_force = False
         if Changes.FORCES in changes:
-            self._bonds = None
             # OpenMM itself considers no force valid after that.
             self._potential = None
         if changes & (Changes.ATOMS | Changes.HISTORY):
@@ -207,7 +206,7 @@ class NativeEngine(AtomVerbs):
         except openmm.OpenMMException as error:
             # The next native step is the first part of a step.
             integrator.setGlobalVariableByName(PART, 0.0)
-            if "nan" in str(error).lower() and not isinstance(error, TrajectoryError):
+            if says_nan(error) and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
             raise
         finally:

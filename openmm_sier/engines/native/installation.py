@@ -24,7 +24,7 @@ from openmm_sier.engines.program import (
     Program,
     Statement,
 )
-from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
+from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES, per_atom_values
 
 #: Global variable without a use. Without it OpenMM would misread checkpoints of earlier versions.
 UNUSED = PREFIX + "exact_only"
@@ -195,7 +195,7 @@ def take_heat(integrator: openmm.CustomIntegrator) -> float:
     """Return the heat that a program has counted, kJ/mol, and set its count to zero."""
     if WORK not in vectors_of(integrator):
         return 0.0
-    work = np.array(integrator.getPerDofVariableByName(WORK))
+    work = per_atom_values(integrator, WORK)
     integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
     return float(work.sum())
 

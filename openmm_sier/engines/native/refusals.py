@@ -93,12 +93,12 @@ def refuse_fast_forces(system: openmm.System, groups: Collection[int], integrati
             f"The fast force group {idle[0]} is not among the integration force groups: add it with "
             "setIntegrationForceGroups, or leave it out of fastForceGroups"
         )
-    sites = [i for i in range(system.getNumParticles()) if system.isVirtualSite(i)] if groups else []
-    for force in system.getForces() if sites else []:
+    sites = tables.virtual_sites(system) if groups else np.empty(0, dtype=np.int64)
+    for force in system.getForces() if sites.size else []:
         kind = kind_of(force)
         if force.getForceGroup() not in groups or not kind.exerts_forces:
             continue
-        touched = np.intersect1d(bonded_terms(force), sites) if kind.terms is not None else np.array(sites)
+        touched = np.intersect1d(bonded_terms(force), sites) if kind.terms is not None else sites
         if touched.size:
             raise openmm.OpenMMException(
                 f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()} and "

@@ -15,7 +15,8 @@ from openmm_sier.engines.native import trial_variables
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.trial_variables import Numbers
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.records import Clock, TrajectoryError
+from openmm_sier.engines.records import Clock, TrajectoryError, says_nan
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.engines.trajectories import refuse_energy
 from openmm_sier.engines.trials import Outcome, Trial
 
@@ -41,11 +42,11 @@ class TrialEngine(NativeEngine):
         #: Whether the energy where the Context is was found finite.
         self._is_sample = False
         super().__init__(context, method, tally, bodies, program)
-        name = context.getPlatform().getName()
-        if self._has_sites and name in ("CPU", "Reference"):
+        platform = context.getPlatform()
+        if self._has_sites and is_on_host(platform):
             raise openmm.OpenMMException(
-                f"OpenMM took the {name} platform, and trials were written for another one. Virtual sites do not "
-                "follow their atoms within a trial there: name the platform when the Context is made"
+                f"OpenMM took the {platform.getName()} platform, and trials were written for another one. Virtual "
+                "sites do not follow their atoms within a trial there: name the platform when the Context is made"
             )
 
     def synchronize(self) -> None:
@@ -105,9 +106,9 @@ class TrialEngine(NativeEngine):
         try:
             numbers = trial_variables.execute(self._integrator, trial)
         except BaseException as error:
-            is_lost = isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
-            self._restore_start(reverse=is_lost)
-            if is_lost:
+            has_nan = says_nan(error)
+            self._restore_start(reverse=has_nan)
+            if has_nan:
                 raise TrajectoryError(str(error)) from error
             raise
         self._has_force = numbers.is_accepted

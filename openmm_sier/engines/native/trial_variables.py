@@ -8,7 +8,7 @@ import openmm
 from openmm_sier.engines.native.statements import THERMAL
 from openmm_sier.engines.program import TRIAL_VECTORS
 from openmm_sier.engines.trials import Trial
-from openmm_sier.engines.variables import PREFIX
+from openmm_sier.engines.variables import PREFIX, per_atom_values
 
 #: Global variables that the host sets beside `THERMAL`: steps to an end, extra chances, the share of momenta that is
 #: kept, the kinetic energy of the start, the largest error that is accepted, and the velocity that the centre of mass
@@ -82,5 +82,5 @@ def followed(steps: int) -> Trial:
 
 def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
     """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
-    positions, velocities = (np.array(integrator.getPerDofVariableByName(name)) for name in TRIAL_VECTORS)
+    positions, velocities = (per_atom_values(integrator, name) for name in TRIAL_VECTORS)
     return positions, velocities

@@ -52,7 +52,7 @@ def program_for(
         A program, or one without parts if OpenMM cannot execute the method.
     """
     slow = slow_groups(system, groups, method.fast_groups)
-    has_virtual_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    has_virtual_sites = tables.virtual_sites(system).size > 0
     in_trials = are_native(method, system, on_gpu, checks_positions)
     return _written(
         method,
@@ -153,7 +153,7 @@ def are_native(method: IntegrationMethod, system: openmm.System, places_sites: b
         checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
             computes forces of PME at positions that are not finite.
     """
-    has_sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    has_sites = tables.virtual_sites(system).size > 0
     return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
 
 
