@@ -84,7 +84,7 @@ class Mixture:
         parts = [molecule.parts() for molecule in self.molecules]
         plain = _particles(parts)
         positions = _satisfied(plain, _placed(parts, rng))
-        _add_bonded_forces(plain, parts, positions)
+        _add_bonded_forces(self, plain, parts, positions)
         _surround(self, plain, parts, positions)
         named = tuple(tuple(first + i for i in body) for first, each in _numbered(parts) for body in each.bodies)
         system = openmm.XmlSerializer.clone(plain)
@@ -248,7 +248,7 @@ def _rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
 # --- forces -----------------------------------------------------------------------------------------------------------
 
 
-def _add_bonded_forces(system: openmm.System, parts: list[Parts], x: np.ndarray) -> None:
+def _add_bonded_forces(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np.ndarray) -> None:
     """Add bonds, angles and torsions, a little away from their minimum."""
     bonds, angles, torsions = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce(), openmm.PeriodicTorsionForce()
     for first, each in _numbered(parts):
@@ -260,6 +260,8 @@ def _add_bonded_forces(system: openmm.System, parts: list[Parts], x: np.ndarray)
             angles.addAngle(first + i, first + j, first + k, math.pi if present > 3 else 0.98 * present, constant)
         for torsion in each.torsions:
             torsions.addTorsion(*(first + i for i in torsion), 3, 0.5, 5.0)
+    if mixture.form == "custom":
+        bonds = _with_parameter(bonds)
     for force, terms in (
         (bonds, bonds.getNumBonds),
         (angles, angles.getNumAngles),
@@ -267,6 +269,18 @@ def _add_bonded_forces(system: openmm.System, parts: list[Parts], x: np.ndarray)
     ):
         if terms():
             system.addForce(force)
+
+
+def _with_parameter(bonds: openmm.HarmonicBondForce) -> openmm.CustomBondForce:
+    """Return the same bonds, whose constants a global parameter multiplies."""
+    custom = openmm.CustomBondForce("hard*k*(r-length)^2/2")
+    custom.addGlobalParameter("hard", 1.0)
+    custom.addPerBondParameter("length")
+    custom.addPerBondParameter("k")
+    for k in range(bonds.getNumBonds()):
+        i, j, *parameters = bonds.getBondParameters(k)
+        custom.addBond(i, j, parameters)
+    return custom
 
 
 def _angle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:

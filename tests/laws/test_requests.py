@@ -194,6 +194,7 @@ EVERY_CHANGE = [
     SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
     SetBox(1.02),
     SetParameter("pull", 3.0),
+    SetParameter("hard", 1.2),
     UpdateParameters(0.2),
     Save("checkpoint"),
     Minimize(2),
@@ -202,7 +203,9 @@ EVERY_CHANGE = [
 ]
 WITH_BODIES = {
     "free": Mixture((Water("flexible"), Chain(3)), 0, "PME"),
-    "named": Mixture((Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"),
+    "named": Mixture(
+        (Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", "custom", prepared="yes"
+    ),
     "held": Mixture(
         (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
     ),
