@@ -85,6 +85,9 @@ class ExactEngine(Engine):
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
+        #: The phase point that they hold, and whether it must be read, since the platform rounded it.
+        self._stored: BodyState | None = None
+        self._rounds_stored = False
         #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
         self._calls: list[OperatorCall] = []
         self._calls_with_energy: list[OperatorCall] = []
@@ -172,8 +175,10 @@ class ExactEngine(Engine):
     def _point_of(self, now: Snapshot, point: BodyState | None, moved: bool) -> BodyState:
         """Return the phase point of bodies that moved, or whose velocities were changed, from the last one."""
         bodies = self.moving
+        if Changes.VARIABLES in self.changes or (self._rounds_stored and not self._is_unstored):
+            self._stored = stored_point(self._context, self._packing)
         is_own = self._is_unstored and Changes.VARIABLES not in self.changes
-        stored = point if is_own else stored_point(self._context, self._packing)
+        stored = point if is_own else self._stored
         agreed = None if stored is None else agreeing(bodies, stored, now, moved)
         if agreed is not None:
             return agreed
@@ -334,6 +339,8 @@ class ExactEngine(Engine):
         for name, values in zip(STATE_VARIABLES, self._packing.pack(self.point), strict=True):
             self._integrator.setPerDofVariableByName(name, values)
         self._is_unstored = False
+        self._stored = self.point
+        self._rounds_stored = self._context.getPlatform().getName() not in ("CPU", "Reference")
 
     # --- the phase point ---
 
