@@ -136,7 +136,7 @@ class ExactEngine(Engine):
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._point_of(now, point, moved)
-        if self._has_other_fast_forces():
+        if Changes.FAST in self.changes:
             self.motion = self._new_motion()
         if point is not None:
             self.point = point
@@ -157,16 +157,10 @@ class ExactEngine(Engine):
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
 
-    def _has_other_fast_forces(self) -> bool:
-        """Return whether the fast forces are not those of the operators any more."""
-        if Changes.FAST in self.changes:
-            return True
-        return Changes.FORCES in self.changes and self.motion.fast != self._fast_forces()
-
     def _fast_forces(self) -> list[int]:
         """Return the indices of the Forces in fast groups."""
         fast = self._groups & self.method.fast_groups
-        return [i for i, force in enumerate(self._context.getSystem().getForces()) if fast >> force.getForceGroup() & 1]
+        return [i for i, group in enumerate(self._force_groups.values()) if fast >> group & 1]
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
