@@ -13,7 +13,7 @@ consequences without them:
 - `LocalEnergyMinimizer.minimize`: keeps bodies rigid that have no constraints, or constraints that OpenMM's solvers
   cannot satisfy. *Without*: it tears these bodies apart.
 - `XmlSerializer._serializeIntegrator`, `_deserializeIntegrator` and `_cloneIntegrator`, which `serialize`,
-  `deserialize` and `clone` call for integrators: write an integrator that OpenMM can execute without this package, and
+  `deserialize` and `clone` call for integrators: write an integrator that fails where this package is not imported, and
   return the SIER integrator that was stored. *Without*: they write one without a program, and return a CustomIntegrator
   whose steps are not those of the scheme.
 """

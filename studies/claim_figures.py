@@ -20,11 +20,26 @@ OWN_BATH = f"SIER2, {IN_A_BATH:g} fs"
 OWN_ON_A_CPU, MIDDLE_ON_A_CPU = f"SIER2 in a bath, {IN_A_BATH:g} fs", "OpenMM LangevinMiddle"
 
 
-def gains_of_large_boxes(record: Record) -> Mapping[str, float]:
+def gains_of_whole_runs(record: Record) -> Mapping[str, float]:
+    """Of all liquids, sizes and lengths at the usual step."""
     gains = record.tables["gains"]
-    large = gains[(gains["time"] == 100) & (gains["step"] == USUAL) & (gains["molecules"] != 64)]["gain"]
-    # Rounded down, which claims no more than there is.
-    return {"least": int(large.min()), "most": int(large.max()), "count": len(large)}
+    usual = gains[gains["step"] == USUAL]["gain"]
+    # The largest is rounded down, which claims no more than there is.
+    return {"least": usual.min(), "most": int(usual.max()), "count": len(usual)}
+
+
+def price_at_constant_energy(record: Record) -> Mapping[str, float]:
+    """Speed of SIER4G at its usual step over that of Verlet at 2 fs, in all boxes."""
+    rows = record.tables["speeds"]
+    speeds = rows[rows["name"] == f"SIER4G, {USUAL:g} fs"]["over"]
+    return {"least": speeds.min(), "most": speeds.max()}
+
+
+def price_on_a_gpu(record: Record) -> Mapping[str, float]:
+    """Speed of SIER4G at its usual step over that of LangevinMiddle at 4 fs, in all boxes."""
+    rows = record.tables["speeds"]
+    speeds = rows[rows["method"] == f"SIER4G, {USUAL:g} fs"]["over"]
+    return {"least": speeds.min(), "most": speeds.max()}
 
 
 def gain(**conditions: object) -> Callable[[Record], Mapping[str, float]]:
@@ -95,20 +110,6 @@ def solutes_on_a_cpu(record: Record) -> Mapping[str, float]:
     return gains | {"rival": max(_over_middle(record, box, f"{MIDDLE_ON_A_CPU}, 5 fs") for box in gains)}
 
 
-def _on_a_gpu(record: Record, box: str, method: str) -> float:
-    return one(record.tables["speeds"], box=box, method=method)["over"]
-
-
-def solutes_on_a_gpu(record: Record) -> Mapping[str, float]:
-    """Of DHFR, and of eight copies of it."""
-    return {
-        "one": _on_a_gpu(record, "dhfr", OWN_BATH),
-        "eight": _on_a_gpu(record, "dhfr-8", OWN_BATH),
-        "rival": _on_a_gpu(record, "dhfr", "LangevinMiddle, 5 fs"),
-        "rival_eight": _on_a_gpu(record, "dhfr-8", "LangevinMiddle, 5 fs"),
-    }
-
-
 def water_on_a_cpu(record: Record) -> Mapping[str, float]:
     rows = record.tables["rows"]
     sier2, middle = (
@@ -117,49 +118,21 @@ def water_on_a_cpu(record: Record) -> Mapping[str, float]:
     return {"own": sier2["over"], "middle": middle["over"]}
 
 
-def longer_steps_in_water(record: Record) -> Mapping[str, float]:
-    """Of LangevinMiddle at 10 fs."""
-    return {"longer": _over_middle(record, "water-512", f"{MIDDLE_ON_A_CPU}, 10 fs")}
-
-
-def water_on_a_gpu(record: Record) -> Mapping[str, float]:
-    """Return the smaller gain of two boxes."""
-    gains = {"own": OWN_BATH, "middle": f"LangevinMiddle, {IN_A_BATH:g} fs, heavy hydrogens"}
-    boxes = ("water-4096", "water-32768")
-    return {name: min(_on_a_gpu(record, box, method) for box in boxes) for name, method in gains.items()}
+#: Boxes in which usual trials are compared with LangevinMiddle.
+BOXES_OF_TRIALS = ("tip3p-64", "spce-64", "tip4p2005-64", "peptide")
 
 
 def savings_of_trials(record: Record) -> Mapping[str, float]:
     """Forces that an independent energy saves by usual trials, in per cent of those of LangevinMiddle at 4 fs."""
-    costs = costs_of_trials(record)
-    return {"least": 100 * (1 - costs["most"]), "most": 100 * (1 - costs["least"])}
-
-
-def savings_of_long_steps(record: Record) -> Mapping[str, float]:
-    """The same of LangevinMiddle at 9 fs, at constant volume and at constant pressure."""
-    savings = []
-    for at in ("constant volume", "1 bar"):
-        long, usual = (
-            one(record.tables["rows"], box="tip3p-512", at=at, method=f"LangevinMiddle, {step} fs") for step in (9, 4)
-        )
-        savings.append(100 * (1 - long["cost"] / usual["cost"]))
-    return {"least": min(savings), "most": max(savings)}
-
-
-def trials_on_a_gpu(record: Record) -> Mapping[str, float]:
+    rows = record.tables["rows"]
+    usual = rows[(rows["method"] == trials.USUAL) & rows["box"].isin(BOXES_OF_TRIALS)].sort_values("relative")
+    best, worst = usual.iloc[0], usual.iloc[-1]
     return {
-        "water": _on_a_gpu(record, "water-4096", "SIER2V2 HMC, 9 fs x 8, 1/ps"),
-        "dhfr": _on_a_gpu(record, "dhfr", "SIER2V2 HMC, 8 fs x 4, 1/ps"),
+        "least": 100 * (1 - worst["relative"]),
+        "least_error": 100 * worst["relative_error"],
+        "most": 100 * (1 - best["relative"]),
+        "most_error": 100 * best["relative_error"],
     }
-
-
-def energies_on_a_gpu(record: Record) -> Mapping[str, float]:
-    """Energy errors of Verlet at 1 fs over those of SIER4G at 4 fs, and over those on a prepared System."""
-    errors = record.tables["energies"].set_index(["box", "method"])["percent"]
-    boxes = {"water": "water-4096", "protein": "dhfr"}
-    prepared = {name: errors[box, "Verlet, 1 fs, prepared"] for name, box in boxes.items()}
-    gains = [prepared[name] / errors[box, "SIER4G, 4 fs"] for name, box in boxes.items()]
-    return {"least": min(gains)} | {name: errors[box, "Verlet, 1 fs"] / prepared[name] for name, box in boxes.items()}
 
 
 def speeds_on_a_gpu(record: Record) -> Mapping[str, float]:
@@ -194,11 +167,8 @@ def peptide_in_a_bath(record: Record) -> Mapping[str, float]:
 
 
 def temperatures_in_a_bath(record: Record) -> Mapping[str, float]:
-    figures: dict[str, float] = {}
-    for name, method in (("own", OWN_BATH), ("middle", "LangevinMiddle, 4 fs")):
-        row = one(record.tables["rows"], box="peptide", at="constant volume", method=method)
-        figures |= {name: row["water"] - record.settings["temperature"], f"{name}_error": row["water_error"]}
-    return figures
+    row = one(record.tables["rows"], box="peptide", at="constant volume", method=OWN_BATH)
+    return {"own": row["water"] - record.settings["temperature"], "own_error": row["water_error"]}
 
 
 def light_hydrogens(record: Record) -> Mapping[str, float]:
@@ -297,23 +267,23 @@ def domains_in_a_bath(record: Record) -> Mapping[str, float]:
     return {"off": off, "over": rigid / usual, "longest": rigid / same}
 
 
+def patchy_particles_at_constant_energy(record: Record) -> Mapping[str, float]:
+    """Of SIER4G at its longest step, beside the shortest of Verlet: speed over it, and the energy errors of both."""
+    shortest = record.tables["energies"].query("key == 'patchy' and name == 'verlet'")["step"].min()
+    methods = {"rigid": ("SIER4G", 60.0), "springs": ("Verlet, springs", shortest)}
+    rows = {
+        name: (
+            one(record.tables["speeds"], key="patchy", method=method, step=step)["ns_a_day"],
+            one(record.tables["energies"], key="patchy", method=method, step=step)["percent"],
+        )
+        for name, (method, step) in methods.items()
+    }
+    (speed, error), (of_verlet, its_error) = rows["rigid"], rows["springs"]
+    return {"over": speed / of_verlet, "error": error, "verlet": shortest, "its_error": its_error}
+
+
 def patchy_particles(record: Record) -> Mapping[str, float]:
-    """Of SIER2 and of SIER4G at 60 fs; LangevinMiddle takes its longest step with right averages."""
+    """Of SIER2 at 60 fs; LangevinMiddle takes its longest step with right averages."""
     speed = one(record.tables["speeds"], key="patchy", method=RIGID, step=60.0)
     springs = record.tables["speeds"].query(f"key == 'patchy' and method == '{SPRINGS}'")
-    gain = one(record.tables["gains"], key="patchy", method="SIER4G", step=60.0)
-    return {"bath": speed["over"], "rival": springs["longest"].iloc[0], "energy": gain["gain"]}
-
-
-def chains(record: Record) -> Mapping[str, float]:
-    return {
-        "energy": domains_at_constant_energy(record)["gain"],
-        "bath": domains_in_a_bath(record)["longest"],
-    }
-
-
-def chains_on_a_gpu(record: Record) -> Mapping[str, float]:
-    """Speed of LangevinMiddle at 60 fs over that of SIER2 with frames."""
-    rows = record.tables["domains"]
-    springs, frames = (one(rows, method=method)["over"] for method in (f"{SPRINGS}, 60 fs", "SIER2, frames, 40 fs"))
-    return {"rival": springs / frames}
+    return {"bath": speed["over"], "rival": springs["longest"].iloc[0]}

@@ -1,12 +1,12 @@
 """Claims of README and the documentation about measurements, each with its record.
 
 A claim is a sentence with fields for its figures. They come from a record in studies/data, and have bounds, which the
-tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The table of
-README is in `studies.readme`. The page docs/measurements/trust.md lists all claims.
+tests assert, as they assert that README and the draft of the paper have the sentence with these figures. The uses that
+README lists are in `studies.readme`. The page docs/measurements/trust.md lists all claims.
 
     python -m studies.claims
 
-prints the table, and the sentences of README and of the draft.
+prints the sentences of README and of the draft.
 """
 
 from __future__ import annotations
@@ -17,26 +17,41 @@ from studies.trust import ANY, Claim
 
 CONSTANT_ENERGY = (
     Claim(
-        "Over 100 ps the energy error of SIER4G at 4 fs is {least:.0f} to {most:.0f} times smaller than that of "
-        "OpenMM's Verlet at 1.33 fs, which computes forces as often, in four models of water and around a peptide.",
+        "In {count:.0f} runs of 50 ps to 1 ns of five models of water and a peptide the energy error of SIER4G at 4 fs "
+        "is {least:.1f} to {most:.0f} times smaller than that of OpenMM's Verlet at 1.33 fs, which computes forces as "
+        "often, with one start each.",
         "whole-run.json",
-        figures.gains_of_large_boxes,
-        {"least": (10, ANY), "count": (5, 5)},
+        figures.gains_of_whole_runs,
+        {"least": (3, ANY), "most": (20, ANY), "count": (8, 8)},
         in_paper=True,
     ),
     Claim(
-        "In TIP5P it is {gain:.1f} times smaller.",
+        "The gain is least in TIP5P, {gain:.1f}.",
         "whole-run.json",
         figures.gain(liquid="TIP5P"),
         {"gain": (3, ANY)},
         in_paper=True,
     ),
     Claim(
-        "Over 1 ns of 64 molecules of TIP3P it is {gain:.0f} times smaller.",
+        "Over 1 ns of 64 molecules of TIP3P it is {gain:.1f}.",
         "whole-run.json",
         figures.gain(time=1000.0),
         {"gain": (8, ANY)},
         in_paper=True,
+    ),
+    Claim(
+        "On a CPU SIER4G at 4 fs simulates {least:.2f} to {most:.2f} times as much in a day as Verlet at 2 fs.",
+        "speed.json",
+        figures.price_at_constant_energy,
+        {"least": (0.6, 1), "most": (0.6, 1)},
+        in_paper=True,
+    ),
+    Claim(
+        "On a GPU (H200), with an earlier version of the native engine, it simulates {least:.1f} to {most:.1f} times "
+        "as much as LangevinMiddle at 4 fs.",
+        "gpu.json",
+        figures.price_on_a_gpu,
+        {"most": (0, 1)},
     ),
     Claim(
         "No drift is seen in these runs: none is more than {off:.1f} of its errors.",
@@ -111,15 +126,16 @@ IN_A_HEAT_BATH = (
         in_paper=True,
     ),
     Claim(
-        "Reports of temperature are off the bath by {own:+.1f} ± {own_error:.1f} K for the water around the peptide "
-        "with SIER2 at 9 fs, and by {middle:+.1f} ± {middle_error:.1f} K with LangevinMiddle at 4 fs.",
+        "With SIER2 at 9 fs reports of the temperature of the water around the peptide are off the bath by {own:+.1f} "
+        "± {own_error:.1f} K.",
         "heat-bath.json",
         figures.temperatures_in_a_bath,
         {"own": (-1, 1)},
     ),
     Claim(
-        "On a GPU (H200) SIER2 at 9 fs simulates {dhfr:.1f} times as much as LangevinMiddle at 4 fs around a protein, "
-        "and {water:.1f} times in water, where LangevinMiddle at 9 fs on the same System reaches {middle:.1f}.",
+        "On a GPU (H200), with an earlier version of the native engine, SIER2 at 9 fs simulates {dhfr:.1f} times as "
+        "much as LangevinMiddle at 4 fs around a protein, and {water:.1f} times in water, where LangevinMiddle at 9 fs "
+        "on the same System reaches {middle:.1f}.",
         "gpu.json",
         figures.speeds_on_a_gpu,
         {"water": (1.7, ANY), "dhfr": (1.3, ANY)},
@@ -130,7 +146,6 @@ IN_A_HEAT_BATH = (
         "heat-bath.json",
         figures.light_hydrogens,
         {"share": (80, 120)},
-        in_readme=True,
     ),
     Claim(
         "LangevinMiddle at 4 fs gives three models of water the energy that it has at 1 fs within {energy:.1f} %.",
@@ -240,10 +255,17 @@ RIGID_DOMAINS = (
         figures.domains_in_a_bath,
         {"off": (0, 3), "over": (2, ANY)},
     ),
+    Claim(
+        "Of patchy particles SIER4G at 60 fs simulates {over:.1f} times as much in a day as Verlet at {verlet:g} fs "
+        "with springs, with an energy error of {error:.3f} % beside {its_error:.2f} %, from one start.",
+        "domains.json",
+        figures.patchy_particles_at_constant_energy,
+        {"over": (4, ANY), "error": (0, 0.01)},
+    ),
 )
 
 TOPICS = {
-    "The table of README": tuple(readme.claims()),
+    "The uses that README lists": tuple(readme.claims()),
     "Constant energy": CONSTANT_ENERGY,
     "Averages in a heat bath": IN_A_HEAT_BATH,
     "Exact averages": EXACT_AVERAGES,
@@ -255,7 +277,7 @@ CLAIMS = tuple(claim for claims in TOPICS.values() for claim in claims)
 
 
 def main() -> None:
-    print(readme.table())
+    print(readme.uses())
     for claim in CLAIMS:
         if claim.in_readme or claim.in_paper:
             print(claim.sentence())

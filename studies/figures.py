@@ -33,30 +33,32 @@ BATH_BOX, EXACT = "peptide", " HMC"
 
 
 def bath(record: Record, path: Path) -> None:
-    """Draw errors of averages against speed, by integrator and step: temperature of water, and energy."""
+    """Draw the error of the potential energy against speed, by integrator and step."""
     rows = record.tables["rows"]
     rows = rows[rows["box"] == BATH_BOX].dropna(subset=["over"])
     # At constant volume or pressure: energies of one of them can be compared.
     rows = rows[rows["at"] == rows["at"].iloc[0]]
-    temperature_of_bath = record.settings["temperature"]
-    rows = rows.assign(warm=rows["water"] - temperature_of_bath, warm_error=rows["water_error"])
     exact = rows[rows["method"].str.contains(EXACT)]
-    with style.figure(path, 2, bath_title(rows)) as (picture, (temperature, energies)):
-        _against_speed(temperature, rows, "warm")
-        temperature.set(ylabel=f"temperature of water, less {temperature_of_bath:g} K")
-        off = rows["potential"] - exact["potential"].mean()
-        _against_speed(energies, rows.assign(off=off, off_error=rows["potential_error"]), "off")
+    off = rows["potential"] - exact["potential"].mean()
+    rows = rows.assign(off=off, off_error=rows["potential_error"])
+    with style.figure(path, 1, bath_title(rows, exact.iloc[0])) as (_, (energies,)):
+        _against_speed(energies, rows, "off")
         energies.set(ylabel="V, less that of hybrid Monte Carlo (kJ/mol)")
-        style.shared_legend(picture, temperature)
+        energies.legend(loc="lower left")
 
 
-def bath_title(rows: pd.DataFrame) -> str:
-    """Return the result at the usual step of SIER2 with heavy hydrogens, or at the nearest measured one."""
+def bath_title(rows: pd.DataFrame, exact: pd.Series) -> str:
+    """Return the result at the usual step of SIER2 with heavy hydrogens, or at the nearest measured one.
+
+    Args:
+        rows: of all methods.
+        exact: of hybrid Monte Carlo.
+    """
     ours = rows[rows["method"].str.startswith(f"{SIER2.name},") & ~rows["method"].str.endswith("light")]
     steps = ours["method"].str.extract(r"([\d.]+) fs")[0].astype(float)
     best = ours.loc[(steps - 1e3 * (SIER2.heavy_bath_step or 0)).abs().idxmin()]
-    warm = f"{best['warm']:+.1f} ± {best['warm_error']:.1f} K"
-    return f"{best['method']}: {best['over']:.1f} times the speed of LangevinMiddle at 4 fs, water off by {warm}"
+    off, error = records.percent_off(best, exact, "potential")
+    return f"{best['method']}: V is off by {off:+.2f} ± {error:.2f} %"
 
 
 def _against_speed(axes: Any, rows: pd.DataFrame, key: str) -> None:

@@ -5,11 +5,11 @@
     python -m studies.heat_bath systems/tip3p-512.pdb --time 100 --pressure 1
     python -m studies.heat_bath dhfr --methods "SIER2, 9 fs" --time 20
 
-Temperatures are those that OpenMM's StateDataReporter shows, of water and solute apart: of velocities at the end of
-steps, and with SIER2 of those just after the bath. Those of the translations and rotations of water tell how a bath is
-shared: a long step makes rotations warmer than translations, the more the weaker the bath. Hybrid Monte Carlo gives
-exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not repeated; runs with other seeds add
-to the same averages. Runs take turns on `--processes` processes of one thread each. Writes heat-bath.json.
+Temperatures are of water and solute apart: with SIER2 of velocities just after the bath, with OpenMM's integrators of
+those at the end of steps, without their components along constraints. Translations and rotations of water show how a
+bath is shared: a long step makes rotations warmer than translations, the more the weaker the bath. Hybrid Monte Carlo
+gives exact averages. Each run is kept in heat-bath.jsonl as soon as it is done and is not repeated; runs with other
+seeds add to the same averages. Runs take turns on `--processes` processes of one thread each. Writes heat-bath.json.
 
 The distributions of phi and psi are compared with those of hybrid Monte Carlo by Kolmogorov and Smirnov, with as many
 samples as are independent.
@@ -72,6 +72,9 @@ AVERAGED = {
     "helical": "share of phi, psi < 0",
 }
 
+#: Temperatures to which components of velocities along constraints contribute.
+OF_VELOCITIES = ("water", "rotation", "solute")
+
 #: Columns that tell a row.
 NAMES = text.columns("box", "method", "hydrogens", "time", "at")
 
@@ -84,15 +87,18 @@ AVERAGES = {
 
 COSTS = {
     **NAMES,
-    "forces an independent V": "{cost:.0f}",
-    "dipole": "{dipole_cost:.0f}",
-    "cos psi": "{psi_cost:.0f}",
+    "forces an independent V": "{cost:.0f} ± {cost_error:.0f}",
+    "dipole": "{dipole_cost:.0f} ± {dipole_cost_error:.0f}",
+    "cos psi": "{psi_cost:.0f} ± {psi_cost_error:.0f}",
     "accepted": "{accepted:.2f}",
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
 #: The dihedrals of the backbone, and the number of bins of their distributions.
 ANGLES, BINS = ("phi", "psi"), 72
+
+#: Forces for an independent sample, by the names of the columns.
+SAMPLED = ("cost", "dipole_cost", "psi_cost")
 
 #: Components of the box's dipole moment.
 DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
@@ -102,6 +108,9 @@ INTERVAL = 200.0
 
 #: 1/ps; rows of another friction say so.
 FRICTION = 5.0
+
+#: Relative tolerance of velocities along constraints.
+VELOCITY_TOLERANCE = 1e-6
 
 
 METHODS = {
@@ -179,10 +188,14 @@ class Observer:
         self._charges = charges(system)
 
     def __call__(self, context: openmm.Context) -> dict[str, float]:
-        """The values at the end of a step."""
+        """Return the values at the end of a step."""
+        integrator = context.getIntegrator()
+        if not isinstance(integrator, SIERIntegrator):
+            # OpenMM leaves components along constraints at the end of a step, and takes them away in the next one.
+            context.applyVelocityConstraints(VELOCITY_TOLERANCE)
         state = context.getState(positions=True, velocities=True, energy=True)
         positions = md(state.getPositions(asNumpy=True))
-        found = self._temperatures(context.getIntegrator(), md(state.getVelocities(asNumpy=True)))
+        found = self._temperatures(integrator, md(state.getVelocities(asNumpy=True)))
         found["potential"] = md(state.getPotentialEnergy())
         found["density"] = self._total / md(state.getPeriodicBoxVolume())
         for kind, alone in self._contexts.items():
@@ -246,7 +259,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
     if bath.pressure is not None and not isinstance(integrator, SIERIntegrator):
         box.system.addForce(openmm.MonteCarloBarostat(bath.pressure, bath.temperature))
     masses = "as they are" if method.hydrogens is None else f"{method.hydrogens:g} Da"
-    found: dict[str, Any] = {"hydrogens": masses, "broken": ""}
+    found: dict[str, Any] = {"hydrogens": masses, "broken": "", "projected": True}
     try:
         context = make_context(box.system, integrator, settings.platform)
         context.setPositions(box.positions)
@@ -351,10 +364,22 @@ def _row(runs: pd.DataFrame) -> dict[str, Any]:
     """Means over the runs of one method in one box."""
     row = runs.iloc[0][["box", "at", "method", "hydrogens"]].to_dict()
     row |= {"time": runs["time"].sum(), "broken": next((each for each in runs["broken"] if each), "")}
+    row["projected"] = bool(runs.get("projected", pd.Series(False)).eq(True).all())
     # What is not known of any run has no column.
-    known = runs.reindex(columns=["cost", "dipole_cost", "psi_cost", "accepted", "trials", "fs_per_second"])
+    known = runs.reindex(columns=["accepted", "trials", "fs_per_second"])
     row |= known.mean().rename({"fs_per_second": "speed"}).to_dict() | {"trials": known["trials"].sum()}
-    return row | records.pooled(runs, AVERAGED)
+    return row | records.pooled(runs, (*SAMPLED, *AVERAGED))
+
+
+def comparable(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of a record, without temperatures of velocities with components along constraints.
+
+    Runs are `projected` if these components were taken away; this package's integrators have none.
+    """
+    projected = rows.get("projected", pd.Series(False, rows.index)).eq(True)
+    raw = ~projected & rows["method"].str.contains("Langevin")
+    names = [name for key in OF_VELOCITIES for name in (key, f"{key}_error") if name in rows]
+    return rows.assign(**{name: rows[name].mask(raw) for name in names})
 
 
 def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:

@@ -14,13 +14,13 @@ from string import Formatter
 
 import pandas as pd
 
-from studies import records, trust
+from studies import readme, records, trust
 from studies.__main__ import modules, summary, times
 from studies.claims import TOPICS
 from studies.records import DATA
 from studies.text import UNKNOWN, cell, markdown, table
 
-__all__ = ["claims", "figure", "read", "show", "studies", "table", "value"]
+__all__ = ["claims", "figure", "read", "show", "studies", "table", "uses", "value"]
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -103,6 +103,11 @@ def studies() -> Markdown:
     """Return all studies: commands, results, and costs."""
     rows = [(f"`python -m {module}`", summary(module), times(module) or UNKNOWN) for module in modules()]
     return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it shows", "what it took"])))
+
+
+def uses() -> Markdown:
+    """Return the uses that README lists."""
+    return Markdown(readme.uses())
 
 
 def claims(topic: str) -> Markdown:

@@ -109,9 +109,9 @@ def of_independent(values: np.ndarray) -> Estimate:
     """Return the mean of independent values (n,), n > 1; the error is from their scatter.
 
     >>> print(of_independent(np.array([1.0, 2.0, 3.0])))
-    2.00 ± 0.58
+    2.00 ± ≥0.58
     """
-    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))))
+    return Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / math.sqrt(len(values))), len(values))
 
 
 def pooled(estimates: Sequence[Estimate]) -> Estimate:
@@ -141,7 +141,7 @@ def over_runs(values: Sequence[Estimate | float]) -> Estimate | float:
     mean = pooled(estimates)
     if math.isfinite(mean.error):
         return mean
-    return of_independent(np.array([estimate.value for estimate in estimates]))._replace(samples=len(values))
+    return of_independent(np.array([estimate.value for estimate in estimates]))
 
 
 def jackknife(estimate: Callable[[np.ndarray], float], n: int, groups: int = GROUPS) -> Estimate:

@@ -111,7 +111,8 @@ def run(
 
     Read coordinates with a force field or a topology, equilibrate them at a temperature and simulate them at
     constant energy, temperature or pressure. Writes a trajectory of the atoms that the coordinates list, a log (CSV)
-    and a checkpoint. From it --restart continues without a gap, and --start begins a new run, in another ensemble say.
+    and a checkpoint. From it --restart continues without a gap, and --start begins a new run, for example in another
+    ensemble.
     """
     _execute("run", options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 

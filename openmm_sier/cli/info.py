@@ -39,7 +39,8 @@ def execute(options: Mapping[str, Any]) -> None:
     rows = [_row(species, atoms) for species in bodies.species]
     table(f"{settings.box}, {' '.join(box.files)} ({box.reason})", COLUMNS, rows)
     points = int(np.count_nonzero(bodies.point_particles))
-    counts = f"{bodies.n - points} rigid bodies" if bodies.n > points else ""
+    rigid = bodies.n - points
+    counts = f"{rigid} rigid {'body' if rigid == 1 else 'bodies'}" if rigid else ""
     if points:
         counts += f"{', ' if counts else ''}{points} points (atoms that move by themselves)"
     counts += f", {bodies.n_particles} particles, {bodies.dof} degrees of freedom"

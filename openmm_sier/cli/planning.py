@@ -18,7 +18,6 @@ from openmm_sier.cli.settings import (
     CONTINUED,
     FILES,
     INPUTS,
-    LATER,
     NOTED,
     OF_THE_SYSTEM,
     OUTPUTS,
@@ -97,7 +96,7 @@ def noted_settings(checkpoint: Path, plan: Mapping[str, object]) -> RunSettings:
     Raises:
         RunError: a setting is unknown, missing or wrong; the message names the checkpoint and the setting.
     """
-    if absent := [name for name in NOTED if name not in (*plan, *LATER)]:
+    if absent := [name for name in NOTED if name not in plan]:
         raise RunError(f"{checkpoint} lacks the setting {absent[0]}: begin a new run")
     if unknown := set(plan) - set(NOTED):
         raise RunError(

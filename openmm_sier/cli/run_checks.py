@@ -8,7 +8,7 @@ import openmm
 
 from openmm_sier.cli.settings import RunSettings
 from openmm_sier.dynamics.bodies import NotFiniteError
-from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.stability.runaway import RunawayError, hottest
 from openmm_sier.system.temperature import DegreesOfFreedom
 

@@ -135,7 +135,7 @@ class RunSettings(BaseModel):
         "the same in steps", most=MOST_STEPS, follows=defaults.steps, otherwise="as --time says", restart="may change"
     )
     temperature: float = fields.number(
-        *("of start and heat bath", "K", 0, 3000, defaults.TEMPERATURE),
+        *("of the start and of the heat bath", "K", 0, 3000, defaults.TEMPERATURE),
         otherwise=f"{defaults.TEMPERATURE:g}, or that of the run of --start",
     )
     equilibrate: float | None = fields.number(
@@ -146,7 +146,7 @@ class RunSettings(BaseModel):
     minimize: bool | None = fields.switch(
         "minimize the energy first",
         None,
-        otherwise="if the start has forces that a liquid has not",
+        otherwise="if forces of the start are larger than in a liquid",
         restart="of the call",
     )
     seed: int = fields.whole("of velocities, equilibration and heat bath", 1)
@@ -304,9 +304,6 @@ SETTINGS = {name: fields.details_of(field) for name, field in RunSettings.model_
 #: Settings that a restart keeps, and all settings in a checkpoint.
 CONTINUED = tuple(name for name, details in SETTINGS.items() if details["restart"] == "keeps")
 NOTED = tuple(name for name, details in SETTINGS.items() if details["restart"] != "of the call")
-
-#: Settings that checkpoints of earlier versions lack. They had their defaults.
-LATER = ("thermostat",)
 
 #: Settings that name one file each. In a checkpoint they are relative to it.
 FILES = tuple(name for name in NOTED if SETTINGS[name]["expected"] == FILE)

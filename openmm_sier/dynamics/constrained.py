@@ -63,10 +63,8 @@ def constrained_operators(
         rotation: free-rotation map of the rigid bodies.
         groups: of `DisplacedForces`; None: one for each connected component of the constraints.
     """
-    kick = operators.kick(bodies, forces)
-    gradient_kick = constrained_gradient_kick(bodies, forces, constraints, groups)
     return {
-        Kick: lambda operation, step: gradient_kick if operation.shift else kick,
+        Kick: always(operators.kick(bodies, forces, DisplacedForces(constraints, groups))),
         Drift: constrained_drifts(operators.drift(bodies, rotation), constraints),
         Project: always(projection(constraints)),
     }
@@ -120,43 +118,13 @@ def bath_operator(bath: Thermostat, bodies: BodySet, tally: Tally) -> Operator:
     return constrained_bath(operator, constraints, tally) if len(constraints.pairs) else operator
 
 
-def constrained_gradient_kick(
-    bodies: BodySet, forces: Forces, constraints: Constraints, groups: ArrayLike | None = None
-) -> Operator:
-    """Return the gradient kick of bodies with constraints; see the module and `operators.kick`.
-
-    The operator raises ConstraintError if no positions near the displaced ones satisfy the constraints.
-    """
-    displaced = DisplacedForces(constraints, groups)
-    grouped = np.flatnonzero(displaced.grouped)
-    columns = constraints.members
-    inverses = bodies.inverse_masses, bodies.inverse_moments
-
-    def apply(state: BodyState, h: float, shift: float) -> BodyState:
-        cache = state.cache
-        if cache.forces is None:
-            cache.forces = forces(state.q, state.A)
-        F, tau = cache.forces
-        q, A = np.empty(state.q.shape), np.empty(state.A.shape)
-        kernels.bodies.displace(bodies.n, state.q, state.A, F, tau, shift, *inverses, q, A)
-        q[:, columns] = constraints.displaced(state.q, F, shift)[:, columns]
-        F, tau = forces(q, A)
-        F = displaced(state.q, q, F)
-        p, L = np.empty(state.p.shape), np.empty(state.L.shape)
-        kernels.bodies.kick(bodies.n, state.p, state.L, F, tau, h, state.q, q, p, L)
-        L[:, grouped] = state.L[:, grouped]
-        return BodyState(state.q, p, state.A, L, state.cache)
-
-    return apply
-
-
 class DisplacedForces:
     """Forces at displaced positions, which satisfy all constraints between members of a group of points.
 
     Where a group lies on a line or is a single point, errors of its torque are of second order in the displacement.
 
     Attributes:
-        grouped: which bodies are in a group, (n,). Torques act on the others about their centres.
+        without_torque: columns of the bodies that are in a group. Torques act on the others about their centres.
     """
 
     def __init__(self, constraints: Constraints, groups: ArrayLike | None):
@@ -170,11 +138,20 @@ class DisplacedForces:
         numbers, group, size = np.unique(groups, return_inverse=True, return_counts=True)
         columns = np.flatnonzero((numbers[group] >= 0) & (size[group] > 1))
         self._constraints = constraints
-        self.grouped = groups >= 0
+        self.without_torque = np.flatnonzero(groups >= 0)
         self._columns = columns[np.argsort(group[columns], kind="stable")]
         starts = np.flatnonzero(np.diff(group[self._columns], prepend=-1))
         self._edges = np.append(starts, len(self._columns))
         self._masses = constraints.masses[self._columns]
+
+    def satisfy(self, q: np.ndarray, F: np.ndarray, shift: float, displaced: np.ndarray) -> None:
+        """Bring displaced positions onto the constraints; see `operators.Displacement`.
+
+        Raises:
+            ConstraintError: no positions near the displaced ones satisfy the constraints.
+        """
+        columns = self._constraints.members
+        displaced[:, columns] = self._constraints.displaced(q, F, shift)[:, columns]
 
     def __call__(self, q: np.ndarray, at: np.ndarray, F: np.ndarray) -> np.ndarray:
         """Return the forces, (3, n), of the gradient kick on bodies at q with forces F, from displaced positions.

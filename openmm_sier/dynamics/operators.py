@@ -70,7 +70,27 @@ def body_operators(bodies: BodySet, forces: Forces, rotation: Rotation = exact) 
     return {Kick: always(kick(bodies, forces)), Drift: always(drift(bodies, rotation))}
 
 
-def kick(bodies: BodySet, forces: Forces) -> Operator:
+class Displacement(Protocol):
+    """Constraints of the displaced positions of gradient kicks."""
+
+    def satisfy(self, q: np.ndarray, F: np.ndarray, shift: float, displaced: np.ndarray) -> None:
+        """Bring displaced positions onto the constraints, in place.
+
+        Args:
+            q: positions, (3, n), nm.
+            F: forces there, (3, n).
+            shift: displacement per acceleration, ps^2.
+            displaced: displaced positions, (3, n), nm.
+        """
+
+    def __call__(self, q: np.ndarray, at: np.ndarray, F: np.ndarray) -> np.ndarray:
+        """Return the forces, (3, n), of the gradient kick at q from those at displaced positions."""
+
+    #: Columns of the bodies on which no torque acts about their centres.
+    without_torque: np.ndarray
+
+
+def kick(bodies: BodySet, forces: Forces, displacement: Displacement | None = None) -> Operator:
     """Return a kick: momenta change by forces at fixed positions (van Zon and Schofield 2007, Eq. 6 (U2)).
 
     With a shift s it is a gradient kick, by the forces of the potential V - (s/2) (F M^-1 F + tau I^-1 tau). Its force
@@ -82,6 +102,11 @@ def kick(bodies: BodySet, forces: Forces) -> Operator:
 
     The map is exactly reversible, and symplectic up to terms of the second order in s, h s^2 = O(h^5) a step.
     Sources: Chin, Phys. Lett. A 226, 344 (1997); Omelyan, J. Chem. Phys. 127, 044102 (2007) for rigid bodies.
+
+    Args:
+        bodies: all bodies.
+        forces: forces and torques on them.
+        displacement: constraints of displaced positions; None without constraints.
     """
     inverses = bodies.inverse_masses, bodies.inverse_moments
 
@@ -93,9 +118,16 @@ def kick(bodies: BodySet, forces: Forces) -> Operator:
         if shift:
             q, A = np.empty(state.q.shape), np.empty(state.A.shape)
             kernels.bodies.displace(bodies.n, state.q, state.A, F, tau, shift, *inverses, q, A)
+            if displacement is not None:
+                displacement.satisfy(state.q, F, shift, q)
             F, tau = forces(q, A)
+            if displacement is not None:
+                F = displacement(state.q, q, F)
         p, L = np.empty(state.p.shape), np.empty(state.L.shape)
         kernels.bodies.kick(bodies.n, state.p, state.L, F, tau, h, state.q, q, p, L)
+        if shift and displacement is not None:
+            columns = displacement.without_torque
+            L[:, columns] = state.L[:, columns]
         return BodyState(state.q, p, state.A, L, state.cache)
 
     return apply

@@ -2,8 +2,8 @@
 
 A `Scheme` has the order and the fractions of its stages. A plan adds all that a System needs: inner steps, by which
 fast forces move bodies within drifts, steps of RATTLE, and the place at which OpenMM's own updates act. Engines execute
-a plan by a table from the class of an operation to a function, or to statements of a program. They know of an operation
-only its attributes. `str(plan)` reads as the algorithm.
+a plan by a table from the class of an operation to a function, or to statements of a program. `str(plan)` reads as the
+algorithm.
 
 Let the step be h. Fractions of operations are those of h and, within `Inner`, those of the inner step e.
 """
@@ -303,10 +303,13 @@ class _Writer:
             Drift(each.fraction, weights) if each.flow == DRIFT else operation_of(each, FAST)
             for each in self.scheme.within_drifts.stages
         )
-        return Inner(stage.fraction, stage.fraction, number, (Repeat(number, step),) if number > 1 else step, drift)
+        return Inner(stage.fraction, stage.fraction, number, _repeated(number, step), drift)
 
     def _beside_bath(self, drift: Drift) -> Operation:
-        """Return the part of a drift on one side of a bath in its middle."""
+        """Return the part of a drift on one side of a bath in its middle: half a step, and whole ones.
+
+        On the side to the bath these are (kick e, drift e) n/2 times, kick e, drift e/2.
+        """
         kick: tuple[Operation, ...] = ()
         if self.longest is not None:
             number, kick = steps_with_bath(2 * drift.fraction, self.longest), (Kick(1.0, 0.0, FAST),)
@@ -317,10 +320,16 @@ class _Writer:
         half = Drift(0.5, (1.0,), drift.side)
         if number == 1 and not kick:
             return Drift(drift.fraction, (1.0,), drift.side)
-        steps = (*kick, Drift(1.0))
-        whole = steps if number == 3 else (Repeat(number // 2, steps),) if number > 3 else ()
+        whole = _repeated(number // 2, (*kick, Drift(1.0)))
         operations = (half, *whole) if drift.side == DRIFT_FROM_BATH else (*whole, *kick, half)
         return Inner(drift.fraction, 2 * drift.fraction, number, operations, drift)
+
+
+def _repeated(number: int, operations: tuple[Operation, ...]) -> tuple[Operation, ...]:
+    """Return operations that are repeated a number of times, which may be 0."""
+    if number < 2:
+        return operations * number
+    return (Repeat(number, operations),)
 
 
 def operation_of(stage: Stage, forces: str = SLOW) -> Operation:

@@ -88,7 +88,7 @@ class Scheme:
         """Whether the list reads the same backwards, which makes the step time-reversible."""
         return self.stages == self.stages[::-1]
 
-    @property
+    @cached_property
     def reuses_force(self) -> bool:
         """Whether the force at the end of a step is the one at the start of the next."""
         ends = [stage.flow for stage in self.stages if stage.flow in (DRIFT, KICK)]

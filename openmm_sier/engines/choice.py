@@ -15,19 +15,12 @@ from openmm_sier.engines.native.installation import vectors_of
 from openmm_sier.engines.native.trial_engine import TrialEngine
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.system.find_bodies import UnknownShapeError
 
 #: Engines by the names by which users ask for them.
 ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (ExactEngine, NativeEngine)}
-
-#: The platforms on which "auto" takes the exact engine, since their forces are in memory that Python can read.
-EXACT_PLATFORMS = ("CPU", "Reference")
-
-
-def is_on_host(platform: openmm.Platform) -> bool:
-    """Return whether Python can read the forces of a platform without a copy from a GPU."""
-    return platform.getName() in EXACT_PLATFORMS
 
 
 def usual_platform() -> openmm.Platform:
@@ -54,7 +47,7 @@ def make_engine(
     """Return an engine of a Context.
 
     Args:
-        name: one of `ENGINES`, or "auto": the exact one on `EXACT_PLATFORMS` where all shapes are known, otherwise the
+        name: one of `ENGINES`, or "auto": the exact one on `HOST_PLATFORMS` where all shapes are known, otherwise the
             native one.
         context: openmm.Context, which has the integrator.
         method: the scheme that will be executed.
@@ -73,4 +66,4 @@ def make_engine(
     if name in ("auto", NativeEngine.name):
         native = NativeEngine if program.trials is None else TrialEngine
         return native(context, method, tally, bodies, program)
-    raise ValueError(f"nothing here makes an engine '{name}'")
+    raise ValueError(f"unknown engine '{name}'")

@@ -14,8 +14,10 @@ Handler = Callable[[int, FrameType | None], Any]
 #: Handlers by the numbers of their signals.
 Handlers = dict[int, Handler]
 
-#: The numbers of all signals.
-NUMBERS = tuple(sorted(map(int, signal.valid_signals())))
+#: The numbers of signals that wait: all but those of real time, which are half of all and would make `defer` take twice
+#: as long. What their handlers find between two steps cannot be saved (`Session.refuse_between_steps`).
+_END = getattr(signal, "SIGRTMIN", 65)
+NUMBERS = tuple(sorted(number for number in map(int, signal.valid_signals()) if number < _END))
 
 #: Signals that came since they were deferred, in this order, each with its handler.
 pending: list[tuple[Handler, int, FrameType | None]] = []

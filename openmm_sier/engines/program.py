@@ -120,13 +120,10 @@ class Trials(NamedTuple):
 
     Attributes:
         stopped_mass: mass of the atoms whose centre is stopped after each trial, Da; 0 where it is not.
-        steps_alone: number of steps of each trial, where the program draws all random numbers itself and needs nothing
-            but OpenMM; 0 where the host decides.
         checks_constraints: whether ends at which constraints are not satisfied are rejected.
     """
 
     stopped_mass: float = 0.0
-    steps_alone: int = 0
     checks_constraints: bool = True
 
 
@@ -158,14 +155,9 @@ class Program(NamedTuple):
     trials: Trials | None = None
 
     @property
-    def native_steps(self) -> float:
-        """Return the number of native steps in a step of the scheme.
-
-        It is the fraction of a native step where that is a trial without a host, as long as all of its steps.
-        """
-        if self.trials is not None and self.trials.steps_alone:
-            return 1 / self.trials.steps_alone
-        return float(len(self.parts))
+    def native_steps(self) -> int:
+        """Return the number of native steps in a step of the scheme; a trial is one native step."""
+        return len(self.parts)
 
     @property
     def statements(self) -> list[Statement]:

@@ -14,12 +14,13 @@ import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines import interrupts
-from openmm_sier.engines.protocol import Changes, Engine
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Changes
 from openmm_sier.stability.runaway import RunawayWatch
 from openmm_sier.system import checks
 
-#: Makes the next block of up to so many steps of the integrator, at least one, and returns how many there were. A block
-#: that can end after each step does so once the collection is not empty: it has the signals that wait.
+#: Advances by at most so many steps of the integrator, at least one, and returns the number made. It stops early when
+#: the collection of pending signals becomes non-empty.
 Advance = Callable[[int, Collection[Any]], int]
 
 
@@ -136,7 +137,7 @@ class Session:
             try:
                 remaining = steps
                 while True:
-                    # In other threads, and within a block where signals wait, they are left to who defers them.
+                    # In other threads, and where signals wait already, they belong to the caller that deferred them.
                     signals = () if handlers is None else interrupts.pending
                     if engine.changes:
                         self._begin(engine, context)

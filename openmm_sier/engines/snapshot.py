@@ -10,6 +10,14 @@ import openmm
 
 from openmm_sier.system import tables
 
+#: Platforms whose forces are in memory that Python can read. Their virtual sites do not follow within a step.
+HOST_PLATFORMS = ("CPU", "Reference")
+
+
+def is_on_host(platform: openmm.Platform) -> bool:
+    """Return whether Python can read the forces of a platform without a copy from a GPU."""
+    return platform.getName() in HOST_PLATFORMS
+
 
 def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:
     """Return the periodic box vectors of a State, nm."""
@@ -28,8 +36,7 @@ def holds_doubles(context: openmm.Context) -> bool:
     GPU platforms may round them, and virtual sites are moved.
     """
     system = context.getSystem()
-    has_sites = tables.virtual_sites(system).size > 0
-    return context.getPlatform().getName() in ("CPU", "Reference") and not has_sites
+    return is_on_host(context.getPlatform()) and not tables.virtual_sites(system).size
 
 
 def precision_of(context: openmm.Context) -> str | None:

@@ -14,7 +14,7 @@ OVERLAP = 0.05
 
 
 def refuse_what_is_not_finite(now: Snapshot) -> None:
-    """Refuse positions or velocities that somebody set to infinity or to no numbers.
+    """Refuse positions or velocities that are infinite or NaN.
 
     Raises:
         openmm.OpenMMException: the message names the first such atom.
@@ -29,7 +29,7 @@ def refuse_what_is_not_finite(now: Snapshot) -> None:
 def refuse_hopeless_start(context: openmm.Context) -> None:
     """Refuse positions from which OpenMM's minimizer would never come back.
 
-    It goes on for ever where the energy is infinite or no number. Positions are as before in any case.
+    It never terminates if the energy is infinite or NaN. Positions are as before in any case.
 
     Raises:
         openmm.OpenMMException: positions are not finite, OpenMM cannot satisfy the constraints from there, or the

@@ -8,7 +8,8 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.plan import Operation
-from openmm_sier.engines.protocol import Clock, Engine, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Clock, TrajectoryError
 from openmm_sier.engines.trials import (
     TRIAL,
     Decide,
@@ -54,7 +55,7 @@ class Trajectory:
             BY_STEPS[type(operation)](self, operation)
 
     def _draw(self, operation: Draw) -> None:
-        if self._trial.kinetic:
+        if self._trial.kinetic_energy:
             draw_start(self._engine, self._trial)
         self._engine.tally.draws += 1
 
@@ -73,7 +74,7 @@ class Trajectory:
         engine, trial = self._engine, self._trial
         try:
             engine.propagate(trial.steps, wants_energy=True)
-            error = (engine.potential_energy() + engine.kinetic_energy() - self._energy) / trial.thermal
+            error = (engine.potential_energy() + engine.kinetic_energy() - self._energy) / trial.kT
         except TrajectoryError:
             error = math.inf
         self.errors.append(error if math.isfinite(error) else math.inf)
@@ -109,8 +110,8 @@ def draw_start(engine: Engine, trial: Trial) -> None:
     """Draw momenta with the kinetic energy of a trial."""
     if trial.centre.any():
         engine.shift_velocities(trial.centre)
-    engine.draw_momenta(trial.thermal, trial.share)
-    engine.scale_velocities(math.sqrt(trial.kinetic / engine.kinetic_energy()), np.zeros(3))
+    engine.draw_momenta(trial.kT, trial.kept)
+    engine.scale_velocities(math.sqrt(trial.kinetic_energy / engine.kinetic_energy()), np.zeros(3))
 
 
 def refuse_energy(energy: float, clock: Clock) -> None:

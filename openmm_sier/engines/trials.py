@@ -18,19 +18,18 @@ class Trial(NamedTuple):
     Attributes:
         steps: number of steps of the scheme to each end of the trajectory.
         chances: how many times the trajectory may go on where its end is rejected.
-        share: factor that momenta keep where they are drawn in part.
-        thermal: thermal energy kT, kJ/mol.
-        kinetic: kinetic energy at the start, after momenta were drawn, kJ/mol. It is 0 where nothing moves, or where a
-            program without this package draws it.
-        threshold: the largest energy error in kT at which an end is accepted. Such a program draws it too.
+        kept: fraction of the old momenta that is kept where they are refreshed in part.
+        kT: thermal energy, kJ/mol.
+        kinetic_energy: at the start, after momenta were drawn, kJ/mol. It is 0 where nothing moves.
+        threshold: the largest energy error in kT at which an end is accepted.
         centre: velocity that is given to the centre of mass before momenta are drawn, (3,), nm/ps.
     """
 
     steps: int
     chances: int
-    share: float
-    thermal: float
-    kinetic: float
+    kept: float
+    kT: float
+    kinetic_energy: float
     threshold: float
     centre: np.ndarray
 

@@ -13,9 +13,9 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove, MoveSize
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.engines.protocol import Engine, TrajectoryError
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.session import Advance
-from openmm_sier.engines.trials import Trial
 from openmm_sier.engines.variables import PREFIX
 from openmm_sier.system.arguments import quantity_to_float, whole_number
 
@@ -41,7 +41,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Rules for the time between the steps of a scheme: this base class adds nothing.
+    """Base class of ensembles, which act between the steps of a scheme. By itself it does nothing.
 
     A subclass has moves, which act between steps, another way to make steps, or another method, such as a bath within
     steps.
@@ -52,7 +52,6 @@ class Ensemble:
         is_random: whether it draws random numbers.
         counts: names of what it counts in the tally.
         steps: number of steps of the scheme in one step of the integrator.
-        needs_package: whether the program of the scheme alone would do less, as it does where there are moves.
         has_friction: whether it kicks each momentum by itself, so that the total momentum is not conserved.
     """
 
@@ -62,10 +61,6 @@ class Ensemble:
     @property
     def steps(self) -> int:
         return 1
-
-    @property
-    def needs_package(self) -> bool:
-        return bool(self.moves)
 
     @property
     def has_friction(self) -> bool:
@@ -82,10 +77,6 @@ class Ensemble:
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
         """Return the method with the bath of the ensemble, or whatever else it changes."""
         return method
-
-    def trial(self, method: IntegrationMethod) -> Trial | None:
-        """Return the numbers of each trial that a program makes without this package; None where it makes none."""
-        return None
 
     def check(self, system: openmm.System, engine: Engine) -> None:
         """Refuse a System or an engine that cannot have the ensemble.

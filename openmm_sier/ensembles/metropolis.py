@@ -13,7 +13,8 @@ from openmm_sier.dynamics.acceptance import largest_error, over_relaxed, usual_c
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.schemes import BATH, Scheme
-from openmm_sier.engines.protocol import Clock, Engine
+from openmm_sier.engines.protocol import Engine
+from openmm_sier.engines.records import Clock
 from openmm_sier.engines.session import Advance
 from openmm_sier.engines.trajectories import draw_start, refuse_energy, reversal_error
 from openmm_sier.engines.trials import ACCEPTED, ERROR, TRIALS, Trial
@@ -48,8 +49,8 @@ class Metropolis(ConstantTemperature):
         friction: momenta keep a factor exp(-friction t) in a trial of length t, 1/ps; None draws all of them anew. In
             either case their kinetic energy is over-relaxed, see `dynamics.acceptance`.
         steps_per_trial: number of steps of the scheme in a trial.
-        extra_chances: how many times a trajectory whose end is not accepted goes on by as many steps, and has its new
-            end accepted or not; None takes `usual_chances`.
+        extra_chances: how many times a trajectory whose end is rejected is extended by the same number of steps and
+            its new end tested; None takes `usual_chances`.
     """
 
     friction: float | None
@@ -102,19 +103,19 @@ class Metropolis(ConstantTemperature):
     def method(self, method: IntegrationMethod) -> IntegrationMethod:
         return replace(method, updates_context=False, trial_steps=self.steps_per_trial)
 
-    def trial(self, method: IntegrationMethod) -> Trial:
-        """Return the numbers of each trial; a program without this package draws its kinetic energy and decision."""
-        share, chances = self._share(method), self._chances(method)
+    def _trial(self, method: IntegrationMethod) -> Trial:
+        """Return the numbers that all trials share; nothing moves in this one."""
+        kept, chances = self._kept(method), self._chances(method)
         return Trial(
-            self.steps_per_trial, chances, share, self._thermal, kinetic=0.0, threshold=0.0, centre=np.zeros(3)
+            self.steps_per_trial, chances, kept, self._kT, kinetic_energy=0.0, threshold=0.0, centre=np.zeros(3)
         )
 
     @property
-    def _thermal(self) -> float:
+    def _kT(self) -> float:
         """Return kT in kJ/mol."""
         return GAS_CONSTANT * self.temperature
 
-    def _share(self, method: IntegrationMethod) -> float:
+    def _kept(self, method: IntegrationMethod) -> float:
         """Return the factor that momenta keep in a trial."""
         return 0.0 if self.friction is None else math.exp(-self.friction * self.steps_per_trial * method.step)
 
@@ -135,7 +136,7 @@ class Metropolis(ConstantTemperature):
         tally, length = engine.tally, self.steps_per_trial * engine.method.step
         self._check_reversal(engine)
         clock = engine.clock
-        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self.trial(engine.method))
+        outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._trial(engine.method))
         made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
         tally.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
@@ -144,7 +145,7 @@ class Metropolis(ConstantTemperature):
     # --- the choices of a trial ---
 
     def _chosen(self, engine: Engine) -> Trial:
-        """Choose the numbers of a trial, from those of the present draw.
+        """Draw the random numbers of a trial.
 
         Where the centre of mass was stopped after the last trial, it is given a velocity before momenta are drawn, in
         part or all of them, and the kinetic energy that is over-relaxed has that of the centre too.
@@ -152,13 +153,13 @@ class Metropolis(ConstantTemperature):
         tally, method = engine.tally, engine.method
         centre, mass = np.zeros(3), engine.moving.mass
         if engine.removes_momentum:
-            centre = math.sqrt(self._thermal / mass) * tally.noise(stream=3).standard_normal(3)
-        half = 0.5 * self._thermal
+            centre = math.sqrt(self._kT / mass) * tally.noise(stream=3).standard_normal(3)
+        half = 0.5 * self._kT
         before = (engine.kinetic_energy() + 0.5 * mass * float(centre @ centre)) / half
         freedoms = engine.degrees_of_freedom(conserved=False)
         kinetic = half * over_relaxed(before, freedoms, tally.noise(stream=5))
         threshold = largest_error(tally.seed, tally.draws + 1)
-        return self.trial(method)._replace(kinetic=kinetic, threshold=threshold, centre=centre)
+        return self._trial(method)._replace(kinetic_energy=kinetic, threshold=threshold, centre=centre)
 
     def _chances(self, method: IntegrationMethod) -> int:
         """Return how many times a trajectory may go on."""

@@ -21,6 +21,9 @@ class VelocityRescaling(ConstantTemperature):
 
     >>> integrator = SIERThermostatIntegrator(VelocityRescaling(300*kelvin, 1/picosecond), 4*femtoseconds)
 
+    One factor on all velocities leaves their ratios as they are. So bodies that exchange no energy, as in an ideal gas
+    or in separate wells, do not come to equilibrium with each other: use a Langevin bath for these.
+
     Between two scalings the motion is that at constant energy. So diffusion, viscosity and relaxation times are nearly
     those at constant energy, and a hot or cold start comes to the temperature within a few times 1/rate. Where the
     total momentum is conserved, the motion of the centre of mass stays as it is. With a rate of zero the trajectory is,

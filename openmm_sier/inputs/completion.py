@@ -113,7 +113,7 @@ def complete(
 
 def solvate(
     structure: Completed,
-    shape: str = "cube",
+    shape: str = "dodecahedron",
     padding: float = PADDING,
     salt: float = SALT,
     seed: int = 1,

@@ -7,7 +7,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from openmm_sier.engines.session import Session
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.persistence import load_checkpoint, set_state, store

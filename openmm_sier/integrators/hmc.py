@@ -46,8 +46,6 @@ class SIERHMCIntegrator(SIERThermostatIntegrator):
     the number. The native engine takes the directions of momenta from OpenMM's random numbers, which checkpoints
     contain. The total energy less the heat changes only by the energy errors of accepted ends.
 
-    XML of the integrator is a CustomIntegrator whose steps are trials, also without this package.
-
     With a CMMotionRemover in the System the motion of the centre of mass is removed after each trial. Barostats and
     AndersenThermostats in the System are refused.
 

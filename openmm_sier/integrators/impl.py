@@ -9,18 +9,19 @@ import openmm
 
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.choice import is_on_host, make_engine, usual_platform
+from openmm_sier.engines.choice import make_engine, usual_platform
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.session import Rules, Session
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.engines.variables import StoredTally
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
-from openmm_sier.system import checks, tables
+from openmm_sier.system import checks
 from openmm_sier.system.arguments import ForceGroups, group_mask
 
 
@@ -37,8 +38,6 @@ class IntegratorImpl:
         session: its steps, and the engine that makes them.
         program: the program of the native engine: a general one, and from `prepare` on that which OpenMM executes.
         stored: heat, random numbers and counts, in variables that checkpoints carry.
-        needs_sites: whether trials need virtual sites placed within them, which OpenMM alone does not do on every
-            platform.
         has_warned_of_noise: whether a warning was given that a State has no noise.
     """
 
@@ -52,7 +51,6 @@ class IntegratorImpl:
         self.settings = integrator_settings
         #: The fast force groups of a prepared System, a bit mask.
         self._prepared_groups = 0
-        self.needs_sites = False
         self.session = Session(self._rules(integrator_settings))
         self.program = self.general_program()
         self._computations = integrator.getNumComputations()
@@ -113,12 +111,18 @@ class IntegratorImpl:
         """Set the integration force groups.
 
         Raises:
+            ValueError: a group is not from 0 to 31.
+            TypeError: `groups` is neither a set of numbers nor a mask.
             openmm.OpenMMException: the engine of the Context cannot follow them. Nothing has been changed then.
         """
+        # getIntegrationForceGroups returns a mask with group 31 as a negative number.
+        if isinstance(groups, int) and -(2**31) <= groups < 0:
+            groups += 2**32
+        mask = group_mask("groups", groups)
         engine = self.session.engine_or_none
         if engine is not None:
-            engine.accept(self.method(), group_mask("groups", groups))
-        openmm.CustomIntegrator.setIntegrationForceGroups(self.integrator, groups)
+            engine.accept(self.method(), mask)
+        openmm.CustomIntegrator.setIntegrationForceGroups(self.integrator, mask)
         if engine is not None:
             engine.select_groups()
 
@@ -131,9 +135,11 @@ class IntegratorImpl:
         self.engine.step_check(self.method(), self.integrator.getIntegrationForceGroups())
 
     @property
-    def native_steps(self) -> float:
+    def native_steps(self) -> int:
         """Return the number of OpenMM steps in one step of the scheme."""
-        return self.program.native_steps or 1 if self._computations else 1
+        if not self._computations:
+            return 1
+        return self.program.native_steps or 1
 
     def _rules(self, given: settings.Settings) -> Rules:
         """Return what steps with settings follow."""
@@ -155,11 +161,7 @@ class IntegratorImpl:
 
     def set_program_variables(self) -> None:
         """Set the program's variables to the values that they must have, whatever was loaded."""
-        method, integrator = self.method(), self.integrator
-        # A State that was written on another platform may have those of another program.
-        integrator.setGlobalVariableByName(installation.PARTS, self.native_steps)
-        installation.set_bath(integrator, method.bath)
-        installation.set_trial(integrator, self.ensemble.trial(method))
+        installation.set_variables(self.integrator, self.native_steps, self.method().bath)
         self.session.changed()
 
     # --- a Context ---
@@ -193,8 +195,6 @@ class IntegratorImpl:
         if self.settings.fast_groups is None:
             self._prepared_groups = find_fast_groups(system, self.settings.bodies)
             self.session.rules = self._rules(self.settings)
-        has_sites = tables.virtual_sites(system).size > 0
-        self.needs_sites = has_sites and bool(self.method().trial_steps)
         self._write_program(system, platform)
         if self.settings.scheme.without_bath().order >= 4:
             warn_about_pme(system, self.settings.scheme.name)

@@ -10,7 +10,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.protocol import Changes
+from openmm_sier.engines.records import Changes
 from openmm_sier.ensembles.ensemble import ConstantEnergy, Ensemble
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.integrators.settings import Settings, place_of
@@ -189,7 +189,8 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """Advance by a number of steps.
 
         An interrupt leaves the Context at the last completed step. With the exact engine an error does the same. With
-        the native engine an error leaves the Context where it happened, as with OpenMM's integrators.
+        the native engine an error leaves the Context where it happened, as with OpenMM's integrators, except in trials
+        and in a step that follows a move of the volume or of velocities, which are undone.
 
         Raises:
             ValueError: `steps` is negative or not a whole number.
@@ -232,8 +233,31 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         self.impl.session.changed(Changes.FORCES | Changes.FAST | Changes.BONDS)
 
+    def setConstraintTolerance(self, tol: float) -> None:
+        """Set the relative error of constrained distances at which OpenMM's solvers stop.
+
+        Args:
+            tol: the error, above 0 and below 1.
+
+        Raises:
+            ValueError: it is not.
+        """
+        if not 0 < arguments.quantity_to_float("tol", tol, unit.dimensionless, "") < 1:
+            raise ValueError(f"tol, the relative error of constraints, must be above 0 and below 1, got {tol}")
+        super().setConstraintTolerance(tol)
+
     def setIntegrationForceGroups(self, groups: ForceGroups) -> None:
-        """Set the force groups that move the bodies, as a set or a bit mask; they take effect with the next step."""
+        """Set the force groups that move the bodies; they take effect with the next step.
+
+        Args:
+            groups: a set of groups from 0 to 31, or a bit mask, as `getIntegrationForceGroups` returns.
+
+        Raises:
+            ValueError: a group is not from 0 to 31.
+            TypeError: `groups` is neither a set of numbers nor a mask.
+            openmm.OpenMMException: the engine cannot follow them, since a fast force group is not among them. Nothing
+                has been changed then.
+        """
         self.impl.set_groups(groups)
 
     # --- copies ---

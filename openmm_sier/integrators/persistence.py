@@ -2,13 +2,9 @@
 
 from collections.abc import Callable
 
-import numpy as np
-
 from openmm_sier.dynamics.stages import BATH
 from openmm_sier.engines.native import installation
-from openmm_sier.engines.program import WORK
-from openmm_sier.engines.protocol import Changes
-from openmm_sier.engines.variables import per_atom_values
+from openmm_sier.engines.records import Changes
 from openmm_sier.integrators.impl import IntegratorImpl
 from openmm_sier.system.user_warnings import warn
 
@@ -33,11 +29,7 @@ def take_over(impl: IntegratorImpl) -> None:
     The program counts heat for each degree of freedom. Its sum is added to the total that both engines use.
     """
     impl.stored.load()
-    integrator = impl.integrator
-    if WORK in installation.vectors_of(integrator):
-        work = per_atom_values(integrator, WORK)
-        impl.stored.tally.heat += float(work.sum())
-        integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
+    impl.stored.tally.heat += installation.take_heat(impl.integrator)
     impl.set_program_variables()
     impl.session.changed(Changes.VARIABLES | Changes.ATOMS)
 

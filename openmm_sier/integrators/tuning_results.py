@@ -29,7 +29,7 @@ class SchemeFound(NamedTuple):
     Attributes:
         scheme: with which trials were made.
         step: the best one that was found, ps; NaN if there is none.
-        acceptance: that the spread of the energy errors lets expect at this step.
+        acceptance: predicted from the spread of the energy errors at this step.
         seconds: for a ps of trajectories that are accepted; infinite if there is no step.
         tried: the steps that were tried, in order.
         refused: the reason, if none can be taken.

@@ -17,7 +17,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
-from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 from openmm_sier.system.second_context import cloned

@@ -39,7 +39,8 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
     force = openmm.HarmonicBondForce()
     force.setName(NAME)
     add = tables.compiled(force, "addBond")
-    for one, other in pairs.tolist():
+    # Bodies are numbered by their masses, which a hydrogenMass changes.
+    for one, other in sorted(pairs.tolist()):
         add(force, one, other, 0.0, 0.0)
     system.addForce(force)
     return len(np.unique(owner[pairs[:, 0]]))

@@ -99,7 +99,7 @@ def prepare_system(
     with tables.read_once():
         refuse_sites_without_place(system)
         bodies = checked_bodies(bodies)
-        membership = bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
+        membership = _membership(system, bodies)
         forces = FastForces(system, membership)
         group = forces.free_group() if group is None else group
         _refuse_others_in(group, forces)
@@ -111,8 +111,11 @@ def prepare_system(
         sentences = _balance(system, constant_energy=heavy is None)
         for i in reversed(close_pairs.added_forces(system)):
             system.removeForce(i)
+    # Bodies that have masses already are refused above.
     if heavy is not None:
         sentences.append(set_hydrogen_masses(system, heavy))
+        # The kinds of bodies have the new masses.
+        membership = _membership(system, bodies)
     with tables.read_once():
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
@@ -120,6 +123,11 @@ def prepare_system(
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(sentences), limits)
+
+
+def _membership(system: openmm.System, bodies: Bodies) -> BodySet | BodyPlan:
+    """Return the bodies, or those that are named and form by constraints."""
+    return bodies if isinstance(bodies, BodySet) else BodyPlan(system, rigid=bodies)
 
 
 def _refuse_others_in(group: int, forces: FastForces) -> None:
@@ -136,7 +144,8 @@ def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
     """Balance the sums of PME, if there are any; return a description."""
     if not meshed_forces(system):
         return []
-    balance_pme(system, constant_energy)
+    if not balance_pme(system, constant_energy):
+        return ["The sums of PME stay as they are: the box is so empty that OpenMM's are more accurate."]
     return ["The sums of PME are balanced." if constant_energy else "The sums of PME are balanced for a heat bath."]
 
 

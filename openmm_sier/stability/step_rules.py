@@ -228,8 +228,7 @@ def _resonances(motions: Motions, conditions: Conditions) -> Limit | None:
     vibration = fastest(motions.vibrations, conditions.fast_groups)
     if vibration is None:
         return None
-    # The window of instability of a soft vibration begins earlier.
-    longest = min(RESONANCE, (1 - vibration.share) / 2) * vibration.period
+    longest = min(RESONANCE * vibration.period, _window(vibration))
 
     def verdict(h: float) -> Verdict:
         has_light_hydrogen = motions.remedies.has_hydrogen(vibration.atoms, advice.LIGHT)
@@ -337,7 +336,16 @@ def _is_resonant(h: float, vibration: Motion) -> bool:
     With x = omega h near pi, kicks of a share s of its stiffness, of either sign, leave the trace of a step
     within 2 and -2 outside of pi (1 - s) to pi/(1 - s), with any scheme.
     """
-    return h > (1 - vibration.share) * vibration.period / 2 and (1 - vibration.share) * h < vibration.period / 2
+    return h > _window(vibration) and (1 - vibration.share) * h < vibration.period / 2
+
+
+def _window(vibration: Motion) -> float:
+    """Return the step in ps from which on kicks may make a vibration within drifts unstable.
+
+    For a bond that is softer than its surroundings, s > 1, it is half of pi/(1 + s), up to where the trace of a step,
+    2 cos x - s x sin x, is above -2.
+    """
+    return max(1 - vibration.share, 0.5 / (1 + vibration.share)) * vibration.period / 2
 
 
 def _unstable_step(scheme: Scheme, period: float) -> float:

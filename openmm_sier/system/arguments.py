@@ -163,15 +163,13 @@ def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) 
     return int(value)
 
 
-def group_mask(name: str, groups: ForceGroups | None) -> int:
-    """Return force groups as a bit mask, from a set of numbers, a mask, or None for no group.
+def group_mask(name: str, groups: ForceGroups) -> int:
+    """Return force groups as a bit mask, from a set of numbers or a mask.
 
     Raises:
         ValueError: a group is not from 0 to 31.
         TypeError: `groups` is neither a set of numbers nor a mask.
     """
-    if groups is None:
-        return 0
     if isinstance(groups, int):
         if not 0 <= groups < 2**GROUPS:
             raise ValueError(f"{name} must be a set of force groups or a bit mask below 2^{GROUPS}, got {groups}")

@@ -13,7 +13,11 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
+from openmm_sier.system.links import Links
 from openmm_sier.system.user_warnings import warn
+
+#: nm. Sites of water are up to this from its oxygen, the lone pairs of TIP5P; covalent bonds are longer.
+LONGEST_TO_SITE = 0.072
 
 #: Number of atoms that constraints join in the smallest molecule with sites of its own.
 SMALLEST_WITH_SITES = 3
@@ -74,12 +78,14 @@ def refuse_sites_without_place(system: openmm.System) -> None:
     """Refuse massless particles that belong to a molecule with constraints but are no virtual sites of it.
 
     OpenMM would leave them where they are, while the molecule moves on. They are excluded from interacting with every
-    atom of that molecule. A frozen atom, or an anchor to which a molecule is bonded, interacts with some of its atoms.
+    atom of that molecule. So may be a frozen atom next to a methyl group, but it has a bond as long as those of atoms.
 
     Raises:
         ValueError: there is such a particle with a charge or Lennard-Jones forces.
     """
     frozen = set(tables.frozen_atoms(system).tolist())
+    if frozen:
+        frozen -= _bonded_as_atoms(system)
     pairs = tables.constraints(system).pairs
     if not frozen or not len(pairs):
         return
@@ -101,6 +107,12 @@ def refuse_sites_without_place(system: openmm.System) -> None:
                     "OpenMM's reader of AMBER files knows the sites of water by the names EP and LP, in residues WAT, "
                     f"HOH, TP4 and TP5: rename them, or call system.setVirtualSite({i}, …)"
                 )
+
+
+def _bonded_as_atoms(system: openmm.System) -> set[int]:
+    """Return the particles with a bond that is as long as those of atoms, or of unknown length."""
+    links = Links(system)
+    return set(np.concatenate([links.bonds[links.lengths > LONGEST_TO_SITE], links.custom]).ravel().tolist())
 
 
 def _excluded(force: openmm.NonbondedForce, chosen: set[int], molecule: np.ndarray) -> dict[int, Counter[int]]:

@@ -15,7 +15,7 @@ from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.prepare.pme import meshed_forces
 from openmm_sier.system.inner_forces import pme_parameters
-from tests.support.commands import SMALL, complaint, log, rewrite_notes, run
+from tests.support.commands import SMALL, complaint, log, run
 from tests.support.matrices import representatives
 
 PARTS = {
@@ -116,12 +116,3 @@ def test_pme_with_heavy_hydrogens_is_balanced_for_a_bath_if_there_is_one(box, en
     balanced = pme_parameters(pme)
     balance_pme(system, constantEnergy=ensemble == "nve")
     assert balanced == pme_parameters(pme)
-
-
-def test_a_checkpoint_from_before_there_were_thermostats_is_continued(box):
-    """Its bath was that of Langevin."""
-    short = ["--platform", "Reference", "--equilibrate", "0", "--ensemble", "nvt"]
-    run("run", box, *short, "--steps", "1", "--out", "old.dcd")
-    rewrite_notes("old.chk", lambda notes: notes["plan"].pop("thermostat"))
-    run("run", box, "--restart", "old.chk", "--steps", "2")
-    assert checkpoints.read_notes(Path("old.chk")).plan["thermostat"] == "langevin"

@@ -61,7 +61,6 @@ STATE = Input("openmm-state.xml", "openmm-system.xml")
 PDB = Input("structure.pdb", "openmm-system.xml")
 MMCIF = Input("structure.cif", "amber.prmtop")
 ALL = {"amber": AMBER, "gromacs": GROMACS, "charmm": CHARMM, "state": STATE, "pdb": PDB, "mmcif": MMCIF}
-EACH = pytest.mark.parametrize("given", ALL.values(), ids=ALL)
 
 
 @pytest.fixture(scope="module")

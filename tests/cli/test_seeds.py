@@ -21,7 +21,7 @@ from openmm_sier.cli.many.complete import is_complete
 from openmm_sier.cli.many.members import Member, command_of, run_many
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.dynamics.threads import cores
-from openmm_sier.engines import choice
+from openmm_sier.engines import snapshot
 from tests.support.commands import SMALL, complaint, contents, log, run, wait_for
 
 pytest.importorskip("distributed")
@@ -161,7 +161,7 @@ def test_each_member_has_tensors_of_its_own():
 
 def test_a_platform_that_does_not_work_is_not_the_usual_one(monkeypatch):
     """OpenMM takes another one, whose cores members share; here Reference stands for a GPU without its driver."""
-    monkeypatch.setattr(choice, "EXACT_PLATFORMS", ("CPU",))
+    monkeypatch.setattr(snapshot, "HOST_PLATFORMS", ("CPU",))
     monkeypatch.setattr(openmm.Platform, "getSpeed", lambda platform: 100 * (platform.getName() == "Reference"))
     assert _usual_workers(None) == cores()
     assert _usual_workers("Reference") == 1

@@ -43,7 +43,7 @@ def test_means_are_over_runs_and_errors_from_their_scatter(logs, capsys):
     output = capsys.readouterr().out
     assert "8 runs, 20 ps" in output
     assert "mean over 8 runs" in output
-    assert f"{Estimate(density['value'], density['error'])} g/ml" in output
+    assert f"{Estimate(density['value'], density['error'], 8)} g/ml" in output
     assert output.count("20 ps without a trend of energy, temperatures or density") == 1
     assert "wrote a.json" in output
 

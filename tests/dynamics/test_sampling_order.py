@@ -8,34 +8,25 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, Scheme
-from openmm_sier.dynamics.stages import BATH, DRIFT, KICK, Stage
+from openmm_sier.dynamics.stages import BATH, KICK, Stage
+from tests.laws.linear_maps import stage_map
 
 #: The frequency of 585/cm, that of a hard libration of water, and a friction, both in 1/ps.
 OMEGA = 2 * math.pi * 585 * 0.0299792458
 FRICTION = 20.0
 
 
-def stage_map(stage: Stage, h: float):
-    """The linear map of (q, p) of an oscillator of unit mass, and the covariance of what is added, at kT = 1."""
-    time, k = stage.fraction * h, OMEGA**2
-    if stage.flow == DRIFT:
-        return np.array([[1, time], [0, 1]]), np.zeros((2, 2))
-    if stage.operator == BATH:
-        damping = math.exp(-FRICTION * time)
-        return np.diag([1, damping]), np.diag([0, 1 - damping**2])
-    # The force of a gradient kick is that at q + shift h^2 (-k q).
-    force = -k * (1 - stage.shift * h * h * k)
-    return np.array([[1, 0], [time * force, 1]]), np.zeros((2, 2))
-
-
 def errors(scheme: Scheme, h: float) -> tuple[float, float]:
     """Relative errors of <q^2> and <p^2> at whole steps, exactly, from the discrete Lyapunov equation."""
     total, noise = np.eye(2), np.zeros((2, 2))
     for stage in scheme.stages:
-        one, added = stage_map(stage, h)
+        one, added = stage_map(stage, OMEGA * h), np.zeros((2, 2))
+        if stage.operator == BATH:
+            damping = math.exp(-FRICTION * stage.fraction * h)
+            one, added = np.diag([1, damping]), np.diag([0, 1 - damping**2])
         total, noise = one @ total, one @ noise @ one.T + added
     covariance = solve_discrete_lyapunov(total, noise)
-    return OMEGA**2 * covariance[0, 0] - 1, covariance[1, 1] - 1
+    return covariance[0, 0] - 1, covariance[1, 1] - 1
 
 
 def largest(scheme: Scheme, fs_per_force: float) -> float:

@@ -1,4 +1,4 @@
-"""Fast forces on rigid bodies, which turn in the inner steps: order, conservation, reversal, restarts, who takes part.
+"""Fast forces on rigid bodies, which turn in the inner steps: conservation, heat, who takes part.
 
 A chain with two rigid domains has bonds as fast as those of atoms, also between linkers and domains.
 """
@@ -10,21 +10,18 @@ from openmm import unit
 
 from openmm_sier import (
     SIER2,
-    SIER4,
     SIER4G,
     RigidBodies,
-    SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
     prepare_system,
     with_frames,
 )
-from openmm_sier.engines.exact.solute import SoluteForces, working_forces
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, working_forces
 from openmm_sier.system.links import linked
 from tests.support.domains import stiff_chain
 from tests.support.hydrogen_groups import hydrogen_groups
 from tests.support.peptides import capped_alanine_box, forcefield
-from tests.support.restarts import assert_restart_is_the_same, assert_same
 from tests.support.seeded import seeded
 from tests.support.silence import silence
 from tests.support.waters import array, phase_point, plain_context, platform
@@ -68,19 +65,6 @@ def end_of(chain, scheme, h, steps, **options):
 # --- the trajectory ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", [SIER4G, SIER4], ids=lambda scheme: scheme.name)
-def test_it_is_of_fourth_order(chain, scheme):
-    """Against short steps with everything in the kicks. Without the torques of fast forces there would be no order."""
-    time = 0.012
-    _, exact = end_of(chain, SIER4G, time / 96, 96, fastForceGroups=())
-    errors = []
-    for n in (3, 6):
-        _, context = end_of(chain, scheme, time / n, n, substeps=2)
-        errors.append(np.abs(phase_point(context)[0] - phase_point(exact)[0]).max())
-    # Of a bond of 30 fs the next term of the error is some (2 pi 2/30)^2 of it.
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.4)
-
-
 def test_momentum_and_angular_momentum_are_conserved(chain):
     _, bodies, _ = chain
     integrator, context = end_of(chain, SIER4G, 0.004, 0)
@@ -92,32 +76,6 @@ def test_momentum_and_angular_momentum_are_conserved(chain):
         # Rounding of some thousand kicks.
         assert np.abs(results - expected).max() < 1e-12 * size
     assert context.getStepCount() == 100
-
-
-def test_the_energy_is_that_of_short_steps(chain):
-    """Bonds of 30 fs that act in the kicks make the total energy swing by 20 times as much at 4 fs."""
-    errors = {}
-    for fast in ((), None):
-        integrator, context = end_of(chain, SIER4G, 0.004, 0, fastForceGroups=fast)
-        total = []
-        for _ in range(60):
-            integrator.step(1)
-            state = context.getState(energy=True)
-            total.append((state.getPotentialEnergy() + state.getKineticEnergy())._value)
-        errors[fast] = np.std(total)
-    # In 3 ps it was 0.0042 % of the fluctuation of the potential energy and 0.081 %.
-    assert errors[None] < errors[()] / 6
-
-
-def test_reversed_momenta_lead_back(chain):
-    _, _, point = chain
-    integrator, context = end_of(chain, SIER4G, 0.004, 50)
-    context.setVelocities(-phase_point(context)[1])
-    integrator.step(50)
-    back = phase_point(context)
-    # Rounding of 1e-16, which chaos makes larger within 0.4 ps.
-    assert np.abs(back[0] - point[0]).max() < 1e-9
-    assert np.abs(back[1] + point[1]).max() < 1e-6
 
 
 @pytest.mark.parametrize(("scheme", "substeps", "largest"), [(SIER2, 4, 3.0), (SIER4G, None, 0.5)], ids=["SIER2", "4G"])
@@ -141,42 +99,6 @@ def test_the_bath_counts_its_heat(chain, scheme, substeps, largest):
     assert np.ptp(conserved) < largest
 
 
-# --- restarts ---------------------------------------------------------------------------------------------------------
-
-
-ENSEMBLES = {
-    "SIER4G": lambda bodies: SIERIntegrator(0.004, SIER4G, bodies=bodies),
-    "SIER2": lambda bodies: SIERIntegrator(0.002, SIER2, bodies=bodies),
-    "Langevin": lambda bodies: SIERLangevinIntegrator(300, 5, 0.004, SIER2, bodies=bodies),
-    "Langevin, SIER4G": lambda bodies: SIERLangevinIntegrator(300, 5, 0.004, SIER4G, bodies=bodies),
-    "pressure": lambda bodies: SIERLangevinIntegrator(
-        300, 5, 0.004, SIER2, bodies=bodies, pressure=1.0, barostatInterval=2
-    ),
-    "trials": lambda bodies: SIERHMCIntegrator(300, 0.004, stepsPerTrial=4, bodies=bodies),
-}
-
-
-@pytest.mark.parametrize("name", ENSEMBLES)
-def test_restarts_are_bit_identical(name):
-    system, bodies, positions = stiff_chain(box=6.0)
-    prepare_system(system, bodies)
-    one, other = (seeded(ENSEMBLES[name](bodies), 5) for _ in range(2))
-    context = made(one, system)
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(100, 1)
-    with silence():
-        one.step(6)
-        assert_restart_is_the_same(system, context, other, 6)
-
-
-def test_calls_of_one_step_are_one_call(chain):
-    _, at_once = end_of(chain, SIER4G, 0.004, 12)
-    integrator, one_by_one = end_of(chain, SIER4G, 0.004, 0)
-    for _ in range(12):
-        integrator.step(1)
-    assert_same(phase_point(at_once), phase_point(one_by_one))
-
-
 # --- who takes part ---------------------------------------------------------------------------------------------------
 
 
@@ -184,14 +106,14 @@ def test_forces_and_torques_are_those_of_the_whole_system(chain):
     """Only atoms of the bodies on which terms act are placed."""
     system, bodies, point = chain
     known = linked(system, bodies)
-    fast = [force for force in system.getForces() if force.getForceGroup() == FAST]
-    working = working_forces(fast, known.owners, known.owners >= 0)
+    forces = [force for force in system.getForces() if force.getForceGroup() == FAST]
+    working = working_forces(forces, known.owners, known.owners >= 0)
     members = np.unique(known.owners[working.particles])
-    solute = SoluteForces(working, known.restricted(members), platform(), {})
+    fast = FastForceContext(working, known.restricted(members), platform(), {})
     q, A = known.fit(point[0])
     context = plain_context(system, known.place(q, A, point[0].copy()))
     expected = known.forces_and_torques(array(context.getState(forces=True, groups={FAST}).getForces()), A)
-    result = solute(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
+    result = fast(np.ascontiguousarray(q[:, members]), np.ascontiguousarray(A[:, :, members]))
     for mine, theirs in zip(result, expected, strict=True):
         # Those within bodies, which cancel, are there in the whole System alone.
         assert np.abs(mine - theirs[:, members]).max() < 1e-10 * np.abs(theirs).max()
@@ -216,7 +138,7 @@ def test_waters_are_not_slowed_down(grouped):
     context = made(integrator, system)
     context.setPositions(positions)
     integrator.step(1)
-    moved = integrator.impl.engine.motion.solute.bodies
+    moved = integrator.impl.engine.motion.fast_context.bodies
     # ACE-ALA-NME has ten heavy atoms, of which six have hydrogens.
     assert (moved.n, int(moved.moments.any(axis=0).sum())) == (10, 6)
 

@@ -6,16 +6,13 @@ from itertools import combinations
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import app
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import RigidBodies, RigidityError, SIERIntegrator, select_bodies
+from openmm_sier import RigidBodies, RigidityError, SIERIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.observe.openmm_integrators import shift_velocities
-from tests.support.flexible_systems import started
 from tests.support.molecules import CARBON_DIOXIDE, GEOMETRIES, METHANE, TETRAHEDRON
 from tests.support.seeded import seeded
-from tests.support.solutes import disulfide, ion, spc, system_of, water
 from tests.support.waters import context_at, energies, phase_point, platform
 
 #: With symmetric and spherical tops that OpenMM's constraints hold: it has none for atoms in a row or in a plane, and
@@ -80,63 +77,6 @@ class Gas:
     def bodies(self):
         """The molecules as bodies of their present shape."""
         return RigidBodies.from_system(self.system, rigid=self.clusters, positions=self.point[0])
-
-
-def ends_of(integrator, gas, steps):
-    return phase_point(context_at(gas.system, integrator, gas.point, steps=steps))
-
-
-@every_kind
-def test_named_by_atoms_or_by_residue_or_constrained_they_move_alike(kind):
-    gas = Gas(kind)
-    ends = [ends_of(SIERIntegrator(0.002, "SIER4", bodies=gas.bodies), gas, 25)]
-    residues = RigidBodies.from_system(
-        gas.system, gas.topology, select_bodies(gas.topology, kind), gas.point[0] * unit.nanometer
-    )
-    ends.append(ends_of(SIERIntegrator(0.002, "SIER4", bodies=residues), gas, 25))
-    # Constraints of atoms in a row are refused.
-    if kind != CARBON_DIOXIDE:
-        held = Gas(kind, pairs_of(kind))
-        molecules = RigidBodies.from_system(held.system, positions=held.point[0])
-        ends.append(ends_of(SIERIntegrator(0.002, "SIER4", bodies=molecules), held, 25))
-    for end in ends[1:]:
-        # The geometries differ by the rounding of coordinates; constraint lengths make them by an eigenvalue problem
-        # with their squares.
-        assert np.abs(end[0] - ends[0][0]).max() < 1e-11
-        assert np.abs(end[1] - ends[0][1]).max() < 1e-9
-
-
-def differences(system, point, time, steps, **bodies):
-    """From OpenMM's Verlet, for each number of steps. Both are second-order methods from one start: it is O(h^2)."""
-    for count in steps:
-        h = time / count
-        verlet = openmm.VerletIntegrator(h)
-        verlet.setConstraintTolerance(1e-10)
-        peer = context_at(system, verlet, point)
-        shift_velocities(peer, -0.5 * h)
-        verlet.step(count)
-        ours = context_at(system, SIERIntegrator(h, "SIER2", **bodies), point, steps=count)
-        yield np.abs(phase_point(ours)[0] - phase_point(peer)[0]).max()
-
-
-@pytest.mark.parametrize("kind", HELD)
-def test_they_move_as_in_openmm(kind):
-    gas = Gas(kind, pairs_of(kind))
-    first, second = differences(gas.system, gas.point, 0.04, (20, 40), bodies=gas.bodies)
-    # OpenMM's constraints hold to 1e-10, SETTLE's lengths, of single precision, to 5e-9 nm.
-    assert 1e-8 < second < 1e-4
-    assert 3.6 < first / second < 4.4
-
-
-def test_mixture_moves_as_in_openmm():
-    """Rigid water, ions, carbon dioxide with a virtual site, and molecules that are not rigid."""
-    system, positions = system_of([water(), ion("Na"), disulfide(), ion("Cl"), spc(), water()], dumbbells=1)
-    start = started(system, openmm.VerletIntegrator(0.001), positions, 297.0)
-    start.applyVelocityConstraints(1e-10)
-    first, second = differences(system, phase_point(start), 0.04, (40, 80))
-    # As above.
-    assert 1e-7 < second < 1e-4
-    assert 3.4 < first / second < 4.6
 
 
 @every_kind

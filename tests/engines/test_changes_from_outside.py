@@ -12,7 +12,7 @@ from openmm_sier.engines import trajectories
 from openmm_sier.ensembles import metropolis
 from openmm_sier.stability.runaway import RunawayError
 from tests.support.peptides import capped_alanine
-from tests.support.systems import assembled, field, with_forces
+from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
 
 both_engines = pytest.mark.parametrize("engine", ["exact", "native"])
@@ -42,10 +42,6 @@ def a_state_without_positions(context):
     context.setState(other.getState())
 
 
-def another_parameter(context):
-    context.setParameter("stiffness", 300.0)
-
-
 def other_charges(context):
     force = force_of(context.getSystem())
     for i in range(force.getNumParticles()):
@@ -54,7 +50,7 @@ def other_charges(context):
     force.updateParametersInContext(context)
 
 
-CHANGES = (stretched, sheared, a_state_without_positions, another_parameter, other_charges)
+CHANGES = (sheared, a_state_without_positions, other_charges)
 
 
 @both_engines
@@ -64,7 +60,7 @@ def test_a_change_acts_from_the_next_step_on(box, engine, change):
     _, plain, point = box
     ends = []
     for is_new in (False, True):
-        system = with_forces(plain, field("stiffness*z^2", [0, 30], stiffness=1.0))
+        system = openmm.XmlSerializer.clone(plain)
         context = context_at(system, SIERIntegrator(0.002, SIER2, engine=engine), point, steps=3)
         if is_new:
             context = context_at(system, SIERIntegrator(0.002, SIER2, engine=engine), phase_point(context))
@@ -101,9 +97,11 @@ def test_positions_and_velocities_must_be_finite(cluster, engine, which, value):
     vectors[which][4, 1] = value
     context.setPositions(vectors[0])
     context.setVelocities(vectors[1])
-    name = ("position", "velocit")[which]
-    with pytest.raises((openmm.OpenMMException, ValueError), match=rf"(?i){name}.*not finite"):
-        context.getIntegrator().step(1)
+    name = ("position", "velocit")[which] + (".* of the body of atoms" if engine == "exact" else "")
+    for _ in range(2):
+        with pytest.raises((openmm.OpenMMException, ValueError), match=rf"(?i){name}.*not finite"):
+            context.getIntegrator().step(1)
+    assert context.getStepCount() == 2
     # With others the run goes on.
     context.setPositions(point[0])
     context.setVelocities(point[1])

@@ -19,7 +19,6 @@ from openmm_sier import (
     SIERLangevinIntegrator,
 )
 from openmm_sier.dynamics import threads
-from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.engines.exact.engine import ExactEngine
 from tests.support.faults import Fault, lines_run
 from tests.support.restarts import assert_same, everything
@@ -99,23 +98,6 @@ def box():
     force_of(system).setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
     force_of(system).setCutoffDistance(0.4)
     return settled("box-27-cut-off", topology, positions, system)
-
-
-@pytest.mark.thorough
-def test_a_fault_at_any_line_at_constant_pressure(box, monkeypatch):
-    """The box is that of the completed step too, though each step changes it, or tries to.
-
-    Some small moves are accepted and no large ones, so that hundreds lead nowhere.
-    """
-    monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda move, _: abs(move.growth) < 0.02 < move.chance)
-
-    def make():
-        return seeded(langevin(pressure=1e3, barostatInterval=1), 1)
-
-    trajectory = Trajectory(box[1], make, box[2])
-    # Of the first moves some are accepted and some are not.
-    assert len({trajectory[step][2].tobytes() for step in range(11)}) in range(2, 11)
-    interrupt_at_any_line(box, make, Fault)
 
 
 @pytest.mark.thorough
@@ -211,35 +193,6 @@ def test_force_that_is_not_finite(cluster, name):
     context.setParameter("k", 1.0)
     integrator.step(6)
     assert assert_at(context, trajectory) == 10
-
-
-@pytest.mark.parametrize(
-    ("what", "error"),
-    [("positions", RigidityError), ("velocities", openmm.OpenMMException)],
-)
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_positions_and_velocities_that_are_not_finite(cluster, what, error, value):
-    _, system, point = cluster
-    integrator = SIERIntegrator(0.001, "SIER2")
-    context = context_at(system, integrator, point, steps=2)
-    good = phase_point(context)
-    wrong = {"positions": good[0].copy(), "velocities": good[1].copy()}
-    wrong[what][5, 1] = value
-    getattr(context, f"set{what.capitalize()}")(wrong[what])
-    for _ in range(2):
-        with (
-            np.errstate(invalid="ignore"),
-            pytest.raises(error, match=f"{what[:5]}.* of the body of atoms 4, 5, 6.* not finite"),
-        ):
-            integrator.step(1)
-    assert context.getStepCount() == 2
-    context.setPositions(good[0])
-    context.setVelocities(good[1])
-    integrator.step(1)
-    undisturbed = SIERIntegrator(0.001, "SIER2")
-    reference = context_at(system, undisturbed, point, steps=3)
-    # The bodies were read anew from the atoms, which costs their rounding.
-    assert np.abs(phase_point(context)[0] - phase_point(reference)[0]).max() < 1e-14
 
 
 def test_position_that_is_not_finite_is_not_written(cluster, monkeypatch):

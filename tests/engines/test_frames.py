@@ -56,35 +56,6 @@ def exact(start):
     return phase_point(context)
 
 
-def test_native_engine_has_the_trajectory_of_the_exact_one(start, exact):
-    """Both are of fourth order. The native engine's constraints are good to 1e-9 at each substep, 1e4 of them."""
-    _, _, framed, positions, velocities = start
-    integrator = SIERIntegrator(0.001, SIER4G, engine="native")
-    context = context_of(
-        framed.system, integrator, framed.addFramePositions(positions), frame_velocities(framed, positions, velocities)
-    )
-    integrator.step(1000)
-    state = context.getState(positions=True, velocities=True)
-    moved_by = np.abs(exact[0] - positions).max()
-    assert moved_by > 0.1
-    assert np.abs(framed.getAtomPositions(state) - exact[0]).max() < 1e-7
-    assert np.abs(atom_velocities(framed, state) - exact[1]).max() < 1e-6
-
-
-def test_the_exact_engine_moves_frames_as_rigid_bodies(start, exact):
-    """The same scheme with the same moments, so to rounding, which 1 ps hardly increases."""
-    _, _, framed, positions, velocities = start
-    bodies = RigidBodies.from_system(framed.system, positions=framed.positions)
-    integrator = SIERIntegrator(0.001, SIER4G, bodies=bodies, engine="exact")
-    context = context_of(
-        framed.system, integrator, framed.addFramePositions(positions), frame_velocities(framed, positions, velocities)
-    )
-    assert [len(species.atoms) for species in integrator.bodies.species if species.sites.any()]
-    integrator.step(1000)
-    state = context.getState(positions=True)
-    assert np.abs(framed.getAtomPositions(state) - exact[0]).max() < 1e-9
-
-
 def verlet(start, name, h, time=1.0):
     """Positions of atoms after a time in ps by OpenMM's Verlet, whose velocities are those half a step before."""
     _, _, framed, positions, velocities = start

@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import app
 
 from openmm_sier import (
     RigidBodies,
@@ -11,20 +11,17 @@ from openmm_sier import (
     SIERIntegrator,
     SIERLangevinIntegrator,
     SIERThermostatIntegrator,
-    prepare_system,
 )
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.ensembles import VelocityRescaling
 from openmm_sier.inputs.equilibration import stop_centre_of_mass
-from openmm_sier.observe.openmm_integrators import shift_velocities
 from openmm_sier.observe.reporters import BodyStateReporter, ConservationReporter
-from tests.support.peptides import capped_alanine, capped_alanine_box, forcefield
+from tests.support.peptides import capped_alanine, capped_alanine_box
 from tests.support.restarts import simulation_of
 from tests.support.seeded import seeded
 from tests.support.silence import silence
 from tests.support.waters import (
-    array,
     cluster_system,
     context_at,
     energies,
@@ -72,23 +69,6 @@ def frozen(request):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_others_move_as_with_verlet_at_a_tiny_step(frozen, engine):
-    system, point, atoms = frozen
-    integrator = SIERIntegrator(0.0005, engine=engine)
-    context = context_at(system, integrator, point, steps=20)
-    tiny = openmm.VerletIntegrator(1e-5)
-    tiny.setConstraintTolerance(1e-10)
-    peer = context_at(system, tiny, point)
-    shift_velocities(peer, -0.5e-5)
-    tiny.step(1000)
-    results, expected = phase_point(context)[0], phase_point(peer)[0]
-    # Accelerations of 1e4 nm/ps^2 give Verlet an error of 1e4 (1e-5 ps)^2 in each period of 0.01 ps, 1e-6 nm. Bonds
-    # without constraints, whose periods are 20 fs, add as much to a step of 0.5 fs. The atoms move by 1e-2 nm.
-    assert np.abs(results - expected).max() < 5e-6
-    assert np.array_equal(results[atoms], point[0][atoms])
-
-
-@pytest.mark.parametrize("engine", ENGINES)
 def test_frozen_atoms_hold_no_heat(frozen, engine):
     system, point, atoms = frozen
     integrator = SIERIntegrator(0.0005, engine=engine)
@@ -117,27 +97,6 @@ def test_baths_trials_and_minimizer_leave_them(engine):
         openmm.LocalEnergyMinimizer.minimize(context, maxIterations=5)
         assert np.array_equal(phase_point(context)[0][atoms], point[0][atoms])
         assert np.abs(phase_point(context)[0] - point[0]).max() > 1e-3
-
-
-def test_fast_forces_ignore_terms_between_frozen_atoms():
-    """Two peptides in one System, the first frozen: the bonds of the second are fast."""
-    topology, positions = capped_alanine_box(0)
-    both = app.Modeller(topology, positions * unit.nanometer)
-    both.add(topology, (positions + np.array([2.0, 0, 0])) * unit.nanometer)
-    single, _ = capped_alanine(0)
-    system = forcefield().createSystem(both.topology, constraints=app.HBonds, removeCMMotion=False)
-    atoms = freeze(system, range(single.getNumParticles()))
-    _, _, point = settled("two-peptides", both.topology, array(both.positions), system, steps=100)
-    prepared = prepare_system(system)
-    assert prepared.fastForceGroups
-    ends = []
-    for groups in (prepared.fastForceGroups, None):
-        integrator = SIERIntegrator(0.0005, fastForceGroups=groups)
-        context = context_at(system, integrator, point, steps=20)
-        ends.append(phase_point(context)[0])
-    assert np.array_equal(ends[0][atoms], point[0][atoms])
-    # Both follow bonds with periods of 20 fs, of which a step of 0.5 fs is a fortieth.
-    assert np.abs(ends[0] - ends[1]).max() < 5e-6
 
 
 def test_a_constraint_between_a_frozen_atom_and_another_is_refused_as_by_openmm():

@@ -2,8 +2,6 @@
 
 import _signal
 import signal
-import threading
-from functools import partial
 
 import numpy as np
 import openmm
@@ -106,43 +104,6 @@ SETTINGS = loop.InterruptSettings()
 
 
 @pytest.mark.parametrize("engine", loop.ENGINES)
-@pytest.mark.parametrize("run", loop.RUNS)
-def test_handlers_find_a_completed_step(run, engine, start, at_moments, handle):
-    """Signals of all kinds come in the middle of steps, and each handler saves a checkpoint.
-
-    It holds a step of the run without signals, bit for bit, and so does the end.
-    """
-    context, sent, found = loop.begun(run, engine, start, SETTINGS), [], []
-
-    def look(number, _frame):
-        context.createCheckpoint()
-        found.append((number, context.getStepCount(), loop.place(context)))
-        interrupt()
-
-    def send(kind):
-        sent.append(kind)
-        signal.raise_signal(kind)
-
-    def interrupt():
-        at_moments(partial(send, KINDS[len(sent) % len(KINDS)]))
-
-    handle(look)
-    interrupt()
-    for number in (1, 2, 5, 10):
-        context.getIntegrator().step(number)
-    assert [number for number, *_ in found] == sent
-    assert len(set(sent)) == len(KINDS)
-    handle(signal.SIG_IGN)
-    end = loop.place(context)
-    undisturbed = loop.begun(run, engine, start, SETTINGS)
-    for _, steps, place in found:
-        undisturbed.getIntegrator().step(steps - undisturbed.getStepCount())
-        assert np.array_equal(loop.place(undisturbed), place)
-    undisturbed.getIntegrator().step(19 - undisturbed.getStepCount())
-    assert np.array_equal(loop.place(undisturbed), end)
-
-
-@pytest.mark.parametrize("engine", loop.ENGINES)
 def test_handlers_that_raise_take_no_signal_from_others(engine, start, at_moments, handle):
     """The Context is at a completed step, and the run goes on as if there had been none."""
     context, found = loop.begun("langevin", engine, start, SETTINGS), []
@@ -163,24 +124,6 @@ def test_handlers_that_raise_take_no_signal_from_others(engine, start, at_moment
     undisturbed = loop.begun("langevin", engine, start, SETTINGS)
     undisturbed.getIntegrator().step(20)
     assert np.array_equal(loop.place(context), loop.place(undisturbed))
-
-
-@pytest.mark.parametrize("engine", loop.ENGINES)
-def test_handlers_are_called_by_the_main_thread(engine, start, at_moments, handle):
-    """Another thread completes steps of its own Context while a signal waits for those of the main thread."""
-    context, other = (loop.begun("langevin", engine, start, SETTINGS) for _ in range(2))
-    found = []
-    handle(lambda *_: found.append((threading.current_thread(), context.getStepCount(), other.getStepCount())))
-
-    def step_other():
-        signal.raise_signal(signal.SIGINT)
-        thread = threading.Thread(target=other.getIntegrator().step, args=(3,))
-        thread.start()
-        thread.join()
-
-    at_moments(step_other)
-    context.getIntegrator().step(20)
-    assert [(thread, 1 < steps < 21, others) for thread, steps, others in found] == [(threading.main_thread(), True, 4)]
 
 
 def test_nothing_is_saved_between_two_steps(start, at_moments):

@@ -1,4 +1,4 @@
-"""Molecules that are not rigid, in the exact engine: conservation, restarts and refusals."""
+"""Molecules that are not rigid, in the exact engine: conservation, temperatures and refusals."""
 
 import gc
 import math
@@ -10,7 +10,6 @@ import openmm
 import pytest
 
 from openmm_sier import (
-    SIER4G,
     RigidBodies,
     RigidityError,
     SIERIntegrator,
@@ -19,10 +18,9 @@ from openmm_sier import (
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.engines.exact import motion
-from openmm_sier.engines.exact.solute import SoluteError
-from tests.support.flexible import cage, chains, residual, ring, rotor
+from openmm_sier.engines.exact.fast_force_context import FastForceError
+from tests.support.flexible import chains, residual, rotor
 from tests.support.flexible_systems import FAST, started, system_of, total_energy
-from tests.support.matrices import representatives
 from tests.support.methanols import GEOMETRY, positions_of
 from tests.support.methanols import system_of as methanols_of
 from tests.support.peptides import capped_alanine
@@ -54,41 +52,6 @@ def test_an_isolated_cluster_keeps_momentum_and_angular_momentum(nested, constra
     # 40 steps with some twenty roundings of all momenta, of 30 dalton nm/ps, each.
     assert np.abs(totals() - before).max() < 1e-10
     assert np.abs(before).max() > 10
-
-
-CASES = {
-    "none": lambda: system_of(chains(constrained=False), waters=1),
-    "bonds of hydrogen": lambda: system_of(chains(), waters=1),
-    "all bonds": lambda: system_of(ring(), waters=1),
-    "redundant": lambda: system_of(cage(), waters=1),
-    "ions alone": lambda: system_of(rotor(0), ions=3),
-}
-
-
-@pytest.mark.parametrize("bath", [False, True], ids=["NVE", "NVT"])
-@pytest.mark.parametrize("case", representatives(CASES, "all bonds", "redundant"))
-def test_runs_conserves_and_restarts(case, bath):
-    system, positions = CASES[case]()
-    # Unconstrained C-H in the model has 11 fs.
-    h = 0.001 if case == "none" else 0.002
-
-    def integrator():
-        if not bath:
-            return SIERIntegrator(h, fastForceGroups={FAST})
-        return seeded(SIERLangevinIntegrator(300, 10, h, SIER4G, fastForceGroups={FAST}))
-
-    one = integrator()
-    context = started(system, one, positions, steps=0)
-    start, result = total_energy(context), []
-    for _ in range(10):
-        one.step(5)
-        result.append(total_energy(context) - (one.getHeat()._value if bath else 0) - start)
-    # Fourth order at a fiftieth to a hundredth of the period of the fastest motion: 1e-3 of thermal energies of up to
-    # 70 kJ/mol.
-    assert np.abs(result).max() < 0.15
-    state = one.getBodyState()
-    assert residual(one.bodies.constraints, state.q) < 1e-13
-    assert_restart_is_the_same(system, context, integrator(), 7)
 
 
 # --- temperatures and degrees of freedom ---
@@ -147,7 +110,7 @@ def test_parameters_of_fast_forces_that_are_changed_take_effect(early):
 def test_forces_that_cannot_be_fast_are_refused():
     system, _ = system_of(chains(), waters=1)
     system.getForce(2).setForceGroup(FAST)
-    with pytest.raises(SoluteError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
+    with pytest.raises(FastForceError, match=r"CustomNonbondedForce .* another group than 1 with setForceGroup"):
         openmm.Context(system, SIERIntegrator(0.002, fastForceGroups={FAST}), platform())
 
 
@@ -264,7 +227,7 @@ def test_constant_pressure(own):
 @pytest.mark.parametrize("small", [0, 1000])
 def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeypatch, threads, small):
     """Of a peptide, on the CPU platform or on Reference, by the number of threads and of atoms."""
-    monkeypatch.setattr(motion, "SMALL_SOLUTE", small)
+    monkeypatch.setattr(motion, "FEW_ATOMS", small)
     system, positions = capped_alanine(waters=4)
     prepare_system(system)
     integrator = SIERIntegrator(0.002)
@@ -276,7 +239,7 @@ def test_fast_forces_are_those_of_the_context_wherever_they_are_computed(monkeyp
     atoms = [int(integrator.bodies.atoms_of(body)[0]) for body in members]
     expected = context.getState(forces=True, groups={FAST}).getForces(asNumpy=True)._value[atoms].T
     A = np.repeat(np.eye(3)[:, :, None], len(members), axis=2)
-    results, _ = integrator.impl.engine.motion.solute(q[:, members].copy(), A)
+    results, _ = integrator.impl.engine.motion.fast_context(q[:, members].copy(), A)
     # Forces of the CPU platform pass through single precision where they are summed.
     assert np.abs(results - expected).max() < 1e-5 * np.abs(expected).max()
 

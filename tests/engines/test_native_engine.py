@@ -1,7 +1,6 @@
 """The native engine: OpenMM executes the integrator's program, with SETTLE and SHAKE in place of the exact rotation."""
 
 import copy
-from itertools import product
 
 import numpy as np
 import openmm
@@ -9,18 +8,12 @@ import pytest
 
 from openmm_sier import SIER2, SIER2V2, SIER4, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.rotation import mrdl
-from openmm_sier.dynamics.schemes import CATALOGUE
-from tests.support.matrices import representatives
-from tests.support.openmm_alone import fails_in_openmm_alone, run_by_openmm_alone
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
 from tests.support.systems import assembled, with_forces
-from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, settled
+from tests.support.waters import cluster_system, context_at, periodic_system, phase_point, settled
 
 MODELS = ["tip3p", "tip4pew"]
-
-#: Schemes with virtual sites, which are placed anew before forces and force gradients.
-VIRTUAL = [("tip4pew", "sier2"), ("tip4pew", "sier4g")]
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -28,40 +21,15 @@ def cluster(request):
     return settled(f"cluster-3-{request.param}", *cluster_system(3, request.param))[1:]
 
 
-def trajectory(system, point, steps=6, h=0.004, **settings):
-    integrator = SIERIntegrator(h, **settings)
-    context = context_at(system, integrator, point, steps=steps)
-    return phase_point(context)[0]
-
-
-@pytest.mark.parametrize(
-    ("cluster", "name"),
-    representatives([*product(["tip3p"], CATALOGUE), *VIRTUAL], *product(["tip3p"], ["sier2", "sier4g"]), *VIRTUAL),
-    indirect=["cluster"],
-)
-def test_approaches_the_exact_engine_as_substeps_grow(name, cluster):
-    scheme = CATALOGUE[name]
-    system, point = cluster
-    exact = trajectory(system, point, scheme=scheme, engine="exact")
-    errors = {}
-    for k in (1, 2, 5):
-        frames = trajectory(system, point, scheme=scheme, engine="native", substeps=k)
-        errors[k] = np.abs(frames - exact).max()
-    # Equal steps are of second order: a factor of 4 +- 1 %. Virtual sites that are not moved within a step, or a
-    # coefficient that is wrong, leave an error that does not fall. Five are 1e3 times as good as one, down to what
-    # SETTLE's lengths of single precision leave, 5e-9 nm a substep.
-    assert errors[1] / errors[2] == pytest.approx(4, abs=0.2)
-    assert errors[5] < 1e-7 + errors[1] / 1000
-
-
-def test_barostat_and_motion_remover_count_whole_steps():
+@pytest.mark.parametrize("engine", ["exact", "native"])
+def test_barostat_and_motion_remover_count_whole_steps(engine):
     _, system, point = settled("box-59", *periodic_system())
     for force in system.getForces():
         if isinstance(force, openmm.CMMotionRemover):
             force.setFrequency(4)
     # At 10^5 bar each move to a smaller box is accepted. The integrator's seed starts all random numbers of Reference.
     system.addForce(openmm.MonteCarloBarostat(1e5, 297.0, 3))
-    context = context_at(system, integrator := seeded(SIERIntegrator(0.001, SIER2, engine="native")), point)
+    context = context_at(system, integrator := seeded(SIERIntegrator(0.001, SIER2, engine=engine)), point)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
     def drift():
@@ -114,20 +82,6 @@ def test_step_of_a_bath_is_that_of_langevin_middle(cluster, counts_heat):
     assert np.abs(results[0] - expected[0]).max() < 1e-12
 
 
-def test_langevin_brings_the_temperature():
-    _, system, point = settled("cluster-8", *cluster_system(8))
-    integrator = seeded(SIERLangevinIntegrator(400, 50, 0.002, SIER2, engine="native"), 11)
-    _context = context_at(system, integrator, point, steps=300)
-    warmest = []
-    for _ in range(240):
-        integrator.step(5)
-        warmest.append(integrator.computeSystemTemperature()._value)
-    # 8 molecules have 48 degrees of freedom, and 1 ps^-1 times 3 ps at 50/ps gives 100 independent samples or more:
-    # 400 sqrt(2/48/100) = 8 K, and 60 K are more than seven of them. Noise that is not projected, or the friction of
-    # half a step, is off by a third.
-    assert np.mean(warmest) == pytest.approx(400, abs=60)
-
-
 def test_cold_bath_slows_bodies_exactly():
     """Without forces the velocities of bodies decay as exp(-friction t), the noise of 0 K being zero."""
     _topology, positions, system = cluster_system(2)
@@ -144,30 +98,6 @@ def test_cold_bath_slows_bodies_exactly():
     assert phase_point(context)[1] == pytest.approx(before, rel=2e-5)
 
 
-# --- what XML carries ---
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("cluster", ["tip4pew"], indirect=True)
-@pytest.mark.parametrize("bound", ["not bound", "exact", "native"])
-def test_xml_runs_without_this_package(cluster, tmp_path, bound):
-    system, point = cluster
-    integrator = SIERIntegrator(0.003, SIER4G, engine="native")
-    context = context_at(system, integrator, point)
-    state = context.getState(positions=True, velocities=True)
-    given = SIERIntegrator(0.003, SIER4G, engine="auto" if bound == "not bound" else bound)
-    if bound != "not bound":
-        _bound = context_at(system, given, point, steps=2)
-    results, time, _ = run_by_openmm_alone(tmp_path, system, given, state)
-    expected = []
-    for _ in range(4):
-        integrator.step(1)
-        expected.append(energies(context))
-    # One program on one platform: the same but for the constraints that the first step renews.
-    assert np.array(results) == pytest.approx(np.array(expected), rel=1e-7)
-    assert time == pytest.approx(4 * 0.003, abs=1e-15)
-
-
 @pytest.mark.parametrize(
     ("settings", "remedy"),
     [
@@ -176,7 +106,7 @@ def test_xml_runs_without_this_package(cluster, tmp_path, bound):
         ({"rotationalFriction": 5}, "leave out `rotationalFriction`"),
     ],
 )
-def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings, remedy, tmp_path):
+def test_what_only_the_exact_engine_has_is_refused(settings, remedy):
     _, _, waters = cluster_system(1)
     constrained = [waters.getConstraintParameters(i) for i in range(waters.getNumConstraints())]
     system = assembled((16.0, 1.0, 1.0, 30.0, 40.0), constraints=constrained)
@@ -186,11 +116,8 @@ def test_what_only_the_exact_engine_has_is_refused_and_fails_elsewhere(settings,
     langevin = "rotationalFriction" in settings
     arguments = (300, 1, 0.002) if langevin else (0.002,)
     integrator = (SIERLangevinIntegrator if langevin else SIERIntegrator)(*arguments, **settings, engine="native")
-    xml = openmm.XmlSerializer.serialize(integrator)
     with pytest.raises(openmm.OpenMMException, match=remedy + ".*engine='exact'"):
         openmm.Context(system, integrator)
-    # Elsewhere it must not run as if it had been asked for less.
-    assert fails_in_openmm_alone(tmp_path, openmm.XmlSerializer.deserialize(xml))
 
 
 def test_named_bodies_that_constraints_hold_are_taken(cluster):

@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIER4P, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER4G, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.engines.native import program as native_program
 from openmm_sier.engines.native.refusals import refuse_fast_forces as refuse
 from tests.support.flexible import Points, chains
@@ -24,23 +24,6 @@ def end_of(system, start, h, steps, engine, scheme=SIER4G, groups=(FAST,)):
     integrator = SIERIntegrator(h, scheme, engine=engine, fastForceGroups=groups, substeps=1)
     integrator.setConstraintTolerance(1e-12)
     return phase_point(context_at(system, integrator, start, steps=steps))[0]
-
-
-@both_engines
-@pytest.mark.parametrize("constrained", [True, False], ids=["C-H constrained", "C-H by springs"])
-@pytest.mark.parametrize(("scheme", "order"), [(SIER4G, 4), (SIER4P, 4), (SIER2, 2)], ids=["SIER4G", "SIER4P", "SIER2"])
-def test_schemes_with_fast_forces_have_their_order(engine, constrained, scheme, order):
-    """Against DOP853, which knows nothing of kicks, drifts and groups."""
-    points = chains(constrained)
-    state, start = start_of(points)
-    exact = points.exact_flow(state, 0.016).q.T
-    system, _ = system_of(points)
-    # The stiffest springs have a period of 10 fs.
-    counts = (8, 16) if order == 4 else (32, 64)
-    errors = [np.abs(end_of(system, start, 0.016 / n, n, engine, scheme) - exact).max() for n in counts]
-    # The next term of the error shifts the slope by up to a fifth. Forces that are in both drift and kick, or in
-    # neither, leave an error that does not fall at all.
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
 
 
 @both_engines

@@ -1,10 +1,12 @@
 """The program that a scheme becomes: as data, and executed on particles without constraints."""
 
+import re
+
 import numpy as np
 import openmm
 import pytest
 
-from openmm_sier import SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.dynamics.stages import DRIFT, KICK
 from openmm_sier.engines.native import program as native_program
@@ -115,3 +117,32 @@ def test_program_knows_its_longest_inner_step(scheme):
     lengths = [d for group in nested.parts for line in group for d in line.lengths]
     assert nested.inner_fraction == pytest.approx(max(map(abs, lengths)), rel=1e-14)
     assert nested.inner_fraction <= 0.2
+
+
+def programs():
+    """All that the native engine executes with fast forces, for Systems that may have virtual sites."""
+    for scheme in CATALOGUE.values():
+        for slow_group in (None, 0):
+            yield native_program.write(scheme, fast_groups={1, 3}, slow_group=slow_group)
+    for scheme in (SIER2, SIER4G):
+        method = SIERLangevinIntegrator(300, 1, 0.002, scheme=scheme).impl.method()
+        for counts_heat in (True, False):
+            yield native_program.write(
+                method.scheme, fast_groups={1}, bath=method.bath, slow_group=0, counts_heat=counts_heat
+            )
+
+
+def test_no_native_step_uses_slow_forces_after_it_moved_atoms():
+    """Virtual sites are placed at its end. Which forces a statement uses is read from its expression here."""
+    count = 0
+    for program in programs():
+        for part in program.parts:
+            has_moved = False
+            for statement in (statement for line in part for statement, _ in line.executed()):
+                forces = set(re.findall(r"\bf\d*(?=/m)", statement.expression))
+                assert forces == ({statement.force.name} if statement.force is not None else set())
+                uses_slow = bool(forces & {"f", "f0"})
+                assert not (uses_slow and has_moved)
+                has_moved = has_moved or statement.moves
+                count += uses_slow
+    assert count > 50

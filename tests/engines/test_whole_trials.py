@@ -1,4 +1,4 @@
-"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions, failures, and exact averages."""
+"""Trials of hybrid Monte Carlo that OpenMM makes as a whole: decisions and failures."""
 
 import math
 
@@ -7,10 +7,9 @@ import openmm
 import pytest
 
 from openmm_sier import SIER2, SIER2V2, SIERHMCIntegrator
-from openmm_sier.engines.native import trials
+from openmm_sier.engines.native import trial_variables
 from openmm_sier.ensembles import metropolis
 from tests.support import anharmonic, spinning
-from tests.support.openmm_alone import samples_of_openmm_alone
 from tests.support.samplers import counted, sampler
 from tests.support.seeded import seeded
 from tests.support.systems import assembled, field
@@ -59,7 +58,7 @@ def test_each_end_is_decided_by_the_same_number_on_its_own_energy(monkeypatch, a
         errors = []
         for chances in range(3):
             assert outcome(-1e300, chances) == (0, chances + 1)
-            errors.append(integrator.getGlobalVariableByName(trials.END_ERROR))
+            errors.append(integrator.getGlobalVariableByName(trial_variables.END_ERROR))
             assert integrator.lastEnergyError == errors[0]
             assert np.array_equal(phase_point(context)[0], start[0])
             # A rejection adds nothing to the energy less heat.
@@ -174,52 +173,6 @@ def test_a_force_that_fails_in_mid_trial_leaves_the_last_sample():
     assert conserved(context) == pytest.approx(energy, abs=1e-9)
     integrator.step(2)
     assert integrator.trials == 5
-
-
-# --- exact averages ---
-
-
-@pytest.mark.parametrize("well_group", [0, 1])
-def test_averages_are_exact(well_group):
-    """Half of the first ends are rejected. With the wells in the drifts energies are those of two groups."""
-    context = anharmonic_context(well_group)
-    integrator = context.getIntegrator()
-    rows = []
-    integrator.resetStatistics()
-    for _ in range(4000):
-        integrator.step(1)
-        rows.append(anharmonic.observed(*phase_point(context)))
-    assert 0.4 < integrator.acceptanceRate < (1.0 if well_group else 0.6)
-    # Standard errors of 25 blocks: five right means exceed the limit with a probability of 1e-4, for one seed. Momenta
-    # that are not reversed make the last one 7.5, energies of the step's beginning make it 11 or 20.
-    assert (np.abs(anharmonic.distances(rows)) < 4.5).all()
-
-
-def test_stored_xml_samples_exactly_without_this_package(tmp_path):
-    """Every step is a trial, with OpenMM's random numbers; the second end is tried where the first is rejected."""
-    x = anharmonic.positions()
-    integrator = SIERHMCIntegrator(anharmonic.TEMPERATURE, 0.02, SIER2V2, 2, 2.0, extraChances=1)
-    system = anharmonic.system()
-    plain = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x))
-    state = plain.getState(positions=True)
-    rows, (result, accepted), time = samples_of_openmm_alone(tmp_path, system, integrator, state, 4000)
-    assert result == 4020
-    # 0.7, which scatters by 0.03 between displaced starts.
-    assert 0.5 < accepted / result < 0.9
-    # Sums of 4000 numbers.
-    assert time == pytest.approx(4020 * 2 * 0.02, rel=1e-10)
-    assert (np.abs(anharmonic.distances([anharmonic.observed(*row) for row in rows])) < 4.5).all()
-
-
-def test_stored_xml_rejects_ends_with_broken_constraints(tmp_path):
-    """Of which some have a lower energy than their start."""
-    integrator = SIERHMCIntegrator(300, spinning.STEP, SIER2, 1, None, extraChances=0)
-    x, system = spinning.POSITIONS, spinning.system()
-    state = context_at(system, openmm.VerletIntegrator(0.001), (x, 0 * x)).getState(positions=True)
-    rows, (made, accepted), _ = samples_of_openmm_alone(tmp_path, system, integrator, state, 300)
-    # Some two thirds, with a standard deviation of 0.03 between seeds.
-    assert 0.1 < accepted / made < 0.9
-    assert max(spinning.broken(positions) for positions, _ in rows) < 1e-6
 
 
 # --- trials that fail ---

@@ -1,12 +1,9 @@
-"""Constant pressure: the distribution of the volume, moves, restarts and refusals."""
-
-from functools import partial
+"""Constant pressure: moves and their size, restarts and refusals."""
 
 import numpy as np
 import openmm
 import pytest
 from openmm import unit
-from scipy import stats
 
 from openmm_sier import SIER2, RigidBodies, SIERLangevinIntegrator, SIERThermostatIntegrator, select_bodies
 from openmm_sier.dynamics.barostat import (
@@ -19,7 +16,7 @@ from openmm_sier.dynamics.barostat import (
 )
 from openmm_sier.dynamics.constants import BAR
 from openmm_sier.ensembles import VelocityRescaling
-from openmm_sier.ensembles.ensemble import MOVES, SIZE
+from openmm_sier.ensembles.ensemble import SIZE
 from tests.support.domains import descriptions, domain_system, folded, topology_of
 from tests.support.restarts import after_ten_steps, assert_same, everything, simulation_of
 from tests.support.seeded import seeded
@@ -32,12 +29,6 @@ TEMPERATURE, PRESSURE = 300.0, 100 * BAR
 def integrator(pressure=1e3, interval=4, seed=3, **options):
     moves = {"pressure": pressure, "barostatInterval": interval}
     return seeded(SIERLangevinIntegrator(297.0, 2.0, 0.001, scheme=SIER2, **moves, **options), seed)
-
-
-def rescaled(engine):
-    """Whose thermostat, too, acts every few steps."""
-    bath = VelocityRescaling(297.0, 5.0, 4, pressure=1000 * unit.bar, interval=3)
-    return seeded(SIERThermostatIntegrator(bath, 0.001, SIER2, engine=engine), 7)
 
 
 def nitrogen(n=60, edge=1.65):
@@ -123,25 +114,6 @@ def test_the_size_changes_ever_more_rarely_and_not_for_ever(accepted, factor):
     assert changed == list(JUDGED) or result[-1] == LARGEST_SIZE
 
 
-def test_the_volume_of_a_gas_has_its_distribution():
-    """Its moves are nearly all accepted at first, so that their size grows; the volume in units of kT/P is gamma.
-
-    Of 60,000 moves every 30th is taken. The correlation of ln V decays within some ten moves, so that these are
-    independent; a right sampler fails for one seed in a thousand.
-    """
-    molecules, volume, result = 20, 21.0, []
-    size = MoveSize(1e-3)
-    for draw in range(62000):
-        move = MonteCarloVolumeMove.drawn(5, draw, molecules, size.largest)
-        probability = move.probability(0.0, 1.0, volume, 1.0)
-        if move.is_accepted(probability):
-            volume *= move.factor**3
-        size = size.after(probability)
-        result.append(volume)
-    assert size.largest == LARGEST_SIZE
-    assert stats.kstest(result[2000::30], stats.gamma(molecules + 1).cdf).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("energy", [np.nan, np.inf])
 def test_a_move_to_an_energy_that_is_no_number_is_rejected(energy):
     move = MonteCarloVolumeMove.drawn(1, 1, 10, 0.1)
@@ -216,28 +188,6 @@ def test_a_restart_continues_with_the_size_of_moves(tmp_path, monkeypatch, engin
 
 
 @both_engines
-def test_a_move_before_a_step_that_fails_is_not_counted(engine):
-    system, positions = network()
-    integrator = moved_every_step(engine)
-    context = context_at(system, integrator, (positions, 0 * positions))
-    context.setVelocitiesToTemperature(297.0, 1)
-    integrator.step(9)
-    before, propagate = everything(context), integrator.impl.engine.propagate
-
-    def failing(*_):
-        raise KeyboardInterrupt
-
-    integrator.impl.engine.propagate = failing
-    integrator.impl.session.changed()
-    with pytest.raises(KeyboardInterrupt):
-        integrator.step(1)
-    assert_same(everything(context), before)
-    integrator.impl.engine.propagate = propagate
-    integrator.step(1)
-    assert integrator.impl.stored.tally.counts[MOVES] == 10
-
-
-@both_engines
 def test_a_move_scales_centres_of_molecules_and_leaves_their_shapes(monkeypatch, engine):
     """Of springs at rest in a bath at 0 K, so that nothing else moves the atoms."""
     monkeypatch.setattr(MonteCarloVolumeMove, "is_accepted", lambda *_: True)
@@ -262,30 +212,6 @@ def test_a_move_scales_centres_of_molecules_and_leaves_their_shapes(monkeypatch,
 
 
 # --- in a Context -----------------------------------------------------------------------------------------------------
-
-
-MAKERS = {
-    "langevin": partial(integrator, interval=2),
-    **{f"rescaled, {engine}": partial(rescaled, engine) for engine in ("exact", "native")},
-}
-
-
-@pytest.mark.thorough
-@pytest.mark.usefixtures("coin")
-@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_chunks_of_steps_do_not_matter(box, make):
-    _, system, point = box
-    ends = []
-    for chunks in ([24], [1] * 24, [5, 7, 12]):
-        result = make()
-        context = context_at(system, result, point)
-        volume = context.getState().getPeriodicBoxVolume()
-        for steps in chunks:
-            result.step(steps)
-        assert context.getState().getPeriodicBoxVolume() != volume
-        ends.append(everything(context))
-    assert_same(ends[0], ends[1])
-    assert_same(ends[0], ends[2])
 
 
 @pytest.mark.usefixtures("coin")

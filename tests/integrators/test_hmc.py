@@ -8,13 +8,9 @@ import pytest
 from openmm import app, unit
 from scipy import stats
 
-from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2V2, SIER4G, Scheme, SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, TRIAL_LENGTH, usual_chances
-from openmm_sier.dynamics.rotation import mrdl
 from openmm_sier.ensembles import metropolis
-from tests.support.matrices import representatives
-from tests.support.methanols import positions_of, system_of
-from tests.support.openmm_alone import fails_in_openmm_alone
 from tests.support.samplers import KT, counted, sampler, states_asked
 from tests.support.systems import assembled, field, rotors, with_forces
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
@@ -197,28 +193,6 @@ def test_long_trials_do_not_continue():
         SIERHMCIntegrator(300, 0.009, extraChances=-1)
 
 
-@ENGINES
-@pytest.mark.parametrize(("at_rest", "chances"), representatives([(True, 2), (False, 0)], (True, 2)))
-def test_wells_are_sampled_exactly(engine, at_rest, chances):
-    """Four particles in harmonic wells, at a step so long that half of the first ends are rejected.
-
-    The motion of the centre of mass is removed after a trial; positions are sampled as without that.
-    """
-    k, removers = 1000.0, [openmm.CMMotionRemover()] if at_rest else []
-    system = assembled(4 * [10.0], field("500*(x^2+y^2+z^2)", range(4)), *removers)
-    integrator = sampler(0.13, 3, frictionCoeff=3.0, extraChances=chances, **engine)
-    context = context_at(system, integrator, (np.zeros((4, 3)), np.zeros((4, 3))), steps=20)
-    integrator.resetStatistics()
-    rows = []
-    for _ in range(1500):
-        integrator.step(1)
-        x, v = phase_point(context)
-        rows.append([k * (x**2).mean() / KT, 10 * (v**2).mean() / KT, 100 * (x * v).mean() / KT])
-    assert 0.3 < integrator.acceptanceRate < (0.95 if chances else 0.7)
-    # Momenta that are not reversed make the last one 0.05; without a rule the first one is 1.8.
-    assert_means(rows, [1, 0.75 if at_rest else 1, 0], [0.03] * 3)
-
-
 @pytest.mark.parametrize(("engine", "kept", "at_rest"), [("exact", True, True), ("native", False, False)])
 def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_rest):
     """Without forces the kinetic energy of a trial is as it was drawn, and its rank is opposite to the one before.
@@ -245,54 +219,6 @@ def test_kinetic_energies_of_trials_are_canonical_and_opposite(engine, kept, at_
     else:
         # Those of `test_acceptance.py`.
         assert opposite == pytest.approx(-14 / 17, abs=4 * (1 - (14 / 17) ** 2) / 1000**0.5)
-
-
-def assert_means(rows, expected, errors):
-    """Assert that means of rows are within four standard errors, from 25 blocks, of their expected values."""
-    blocks = np.array(rows)[: len(rows) // 25 * 25].reshape(25, -1, len(expected)).mean(axis=1)
-    result = blocks.std(axis=0, ddof=1) / 5
-    # An error of more than this would let a wrong rule pass.
-    assert (result < 2 * np.array(errors)).all()
-    assert (np.abs(blocks.mean(axis=0) - expected) < 4 * result).all()
-
-
-@pytest.mark.thorough
-def test_dipoles_in_a_field_at_constant_pressure():
-    """Langevin function and its derivative for the orientation, and the volume of an ideal gas."""
-    n, x = 12, 10.0
-    sites = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-0.02, 0.09, 0.0]])
-    nothing = openmm.NonbondedForce()
-    nothing.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
-    nothing.setCutoffDistance(0.1)
-    for _ in range(3 * n):
-        nothing.addParticle(0, 1, 0)
-    bonds, pull, constraints = openmm.HarmonicBondForce(), openmm.CustomExternalForce("pull*z"), []
-    pull.addPerParticleParameter("pull")
-    for first in range(0, 3 * n, 3):
-        for a, b in ((0, 1), (1, 2), (0, 2)):
-            constraints.append((first + a, first + b, np.linalg.norm(sites[a] - sites[b])))
-        bonds.addBond(first, first + 1, 0.1, 0.0)
-        bonds.addBond(first, first + 2, 0.1, 0.0)
-        pull.addParticle(first, [x * KT / 0.1])
-        pull.addParticle(first + 1, [-x * KT / 0.1])
-    system = assembled(n * (16.0, 1.0, 2.0), nothing, bonds, pull, constraints=constraints)
-    system.setDefaultPeriodicBoxVectors(*((n + 1) ** (1 / 3) * np.eye(3)))
-    # One kT for each nm^3, which gives the volume a gamma distribution of n + 1 degrees.
-    pressure = KT * unit.kilojoule_per_mole / unit.nanometer**3 / unit.AVOGADRO_CONSTANT_NA
-    integrator = sampler(0.058, 2, SIER4G, pressure=pressure.in_units_of(unit.bar), rotation=mrdl)
-    along = np.roll(sites, 2, axis=1)
-    points = np.concatenate([along + np.array([0.2 * i, 0, 0]) for i in range(n)])
-    context = context_at(system, integrator, (points, 0 * points))
-    rows = []
-    for _ in range(2500):
-        integrator.step(1)
-        dipoles = phase_point(context)[0].reshape(n, 3, 3)
-        tilt = 1 - (dipoles[:, 1, 2] - dipoles[:, 0, 2]) / 0.1
-        rows.append([tilt.mean(), (tilt**2).mean(), context.getState().getPeriodicBoxVolume()._value])
-    assert 0.25 < integrator.acceptanceRate < 0.75
-    mean = 1 - (1 / math.tanh(x) - 1 / x)
-    square = 1 / x**2 - 1 / math.sinh(x) ** 2 + mean**2
-    assert_means(rows[100:], [mean, square, n + 1], [0.01, 0.003, 1.5])
 
 
 @ENGINES
@@ -393,25 +319,6 @@ def test_the_energy_of_an_end_comes_with_its_force(cluster, monkeypatch):
 
 
 @ENGINES
-def test_constrained_molecules(engine):
-    """Where momenta are canonical and trajectories keep the volume of phase space, exp(-error) has the mean 1."""
-    positions = positions_of(2)
-    system = system_of(2, [(0, 1), (0, 2), (0, 3), (4, 5)], positions)
-    integrator = sampler(0.003, 3, **{**engine, "substeps": None})
-    _context = context_at(system, integrator, (positions, np.zeros_like(positions)), steps=20)
-    results = []
-    for _ in range(300):
-        integrator.step(1)
-        results.append((math.exp(-integrator.lastEnergyError), integrator.computeSystemTemperature()._value))
-    weight, temperature = np.mean(results, axis=0)
-    # Weights scatter by 0.3, and temperatures of 28 degrees of freedom by a quarter: more than six standard errors.
-    assert weight == pytest.approx(1, abs=0.12)
-    assert temperature == pytest.approx(297, rel=0.1)
-    # The exact engine solves constraints to rounding, and so trajectories reverse to it; OpenMM to 1e-9.
-    assert integrator.reversalError < (1e-7 if engine else 1e-10)
-
-
-@ENGINES
 def test_a_trajectory_that_does_not_come_back_is_refused(cluster, monkeypatch, engine):
     integrator = sampler(**engine)
     context = context_at(cluster[0], integrator, cluster[1], steps=1)
@@ -473,20 +380,6 @@ def test_only_trajectories_of_schemes_that_are_no_palindromes_miss_their_start(c
     # Rounding of 1e-16 nm in twenty steps, which water hardly magnifies in 0.04 ps.
     assert results[SIER4G.name] < 1e-11
     assert results[CROOKED.name] > metropolis.REVERSIBLE
-
-
-@pytest.mark.parametrize("engine", ["exact", "native"])
-@pytest.mark.parametrize("kind", ["virtual sites", "pressure"])
-def test_fails_without_this_package(tmp_path, kind, engine):
-    """OpenMM alone would keep the volume, and leave virtual sites behind in a trial on some platforms."""
-    _, positions, system = cluster_system(1, "tip4pew")
-    integrator = sampler(engine=engine)
-    if kind == "pressure":
-        _, positions, system = periodic_system()
-        integrator = SIERLangevinIntegrator(300, 1, 0.001, pressure=1, engine=engine)
-    point = positions, np.zeros_like(positions)
-    _context = context_at(system, integrator, point, steps=1)
-    assert fails_in_openmm_alone(tmp_path, integrator)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ import pytest
 from openmm_sier import SIER2, SIER2V2, SIER4G, SIERHMCIntegrator, SIERIntegrator, tune
 from openmm_sier.dynamics.acceptance import acceptance_at, best_acceptance, spread_at, usual_steps
 from openmm_sier.ensembles import metropolis
-from openmm_sier.integrators import tuning
-from openmm_sier.integrators.tuning import LengthFound, StepFound
+from openmm_sier.integrators import tuning, tuning_measurements
+from openmm_sier.integrators.tuning_results import LengthFound, StepFound
 from tests.support.matrices import representatives
 from tests.support.seeded import seeded
 from tests.support.silence import silence
@@ -37,7 +37,7 @@ def wells(h=0.004, n=10, scheme=SIER2, seed=3, particles=20, **options):
 )
 def test_the_acceptance_that_was_asked_for(monkeypatch, h, scheme):
     """From steps that are too short and too long, the wells being unstable from 0.032 ps on."""
-    monkeypatch.setattr(tuning, "_seconds", forces_made)
+    monkeypatch.setattr(tuning_measurements, "_seconds", forces_made)
     context = wells(h, 4, scheme)
     integrator = context.getIntegrator()
     integrator.step(2)
@@ -62,7 +62,7 @@ def forces_made(context):
 
 @pytest.mark.thorough
 def test_equal_seeds_tune_alike(monkeypatch):
-    monkeypatch.setattr(tuning, "_seconds", forces_made)
+    monkeypatch.setattr(tuning_measurements, "_seconds", forces_made)
     one, other, third = (tune(wells(n=3, seed=seed), trials=10, samples=10) for seed in (3, 3, 4))
     assert str(one) == str(other)
     assert one.schemeStepSize == other.schemeStepSize
@@ -78,7 +78,7 @@ def test_the_cheapest_length_is_taken(monkeypatch):
         # Forces do not decide.
         return LengthFound(steps, 0.9, 100.0 / steps, costs[steps], seconds=0.01)
 
-    monkeypatch.setattr(tuning, "_try_length", known)
+    monkeypatch.setattr(tuning, "try_length", known)
     tuned = tune(wells(), trials=10, lengths=[5, 3, 3, 2], schemes=["SIER2"])
     assert [each.steps for each in tuned.lengths] == [2, 3, 5]
     # With its error the first is dearer, and the last is not known.
@@ -135,7 +135,7 @@ def test_steps_stay_where_kicks_do_not_resonate_with_fast_forces():
 @pytest.mark.parametrize(("own", "is_set"), [(SIER2V2, True), (SIER2, False)])
 def test_the_cheapest_scheme_is_chosen(monkeypatch, own, is_set):
     """In springs a force of SIER2V2 carries a longer time than one of SIER2 does, for equal energy errors."""
-    monkeypatch.setattr(tuning, "_seconds", forces_made)
+    monkeypatch.setattr(tuning_measurements, "_seconds", forces_made)
     context = wells(n=4, scheme=own)
     integrator = context.getIntegrator()
     tuned = tune(context, trials=20, samples=20, schemes=["SIER2", "sier2v2", SIER2])
@@ -158,8 +158,8 @@ def test_a_scheme_that_cannot_be_tried_is_left_out(monkeypatch):
             raise openmm.OpenMMException("no step")
         return find_step(context, first, time, wanted, trials)
 
-    find_step = tuning._find_step
-    monkeypatch.setattr(tuning, "_find_step", refused)
+    find_step = tuning.find_step
+    monkeypatch.setattr(tuning, "find_step", refused)
     tuned = tune(wells(n=4), trials=10, samples=10, schemes=[SIER4G, SIER2])
     assert (tuned.scheme, tuned.schemes[0].refused) == (SIER2, "no step")
     assert "SIER4G  no step" in str(tuned)
@@ -188,7 +188,7 @@ def known_steps(monkeypatch):
         tried.append(number)
         return [StepFound(first, spread_at(wanted), wanted, (9.0, 3.0, 1.0, 2.0)[number])], first
 
-    monkeypatch.setattr(tuning, "_find_step", find_step)
+    monkeypatch.setattr(tuning, "find_step", find_step)
     return tried
 
 
@@ -233,7 +233,7 @@ def test_usual_trials_are_as_long_for_every_step():
 @pytest.mark.parametrize("after", [5, 60])
 def test_an_interrupt_restores_step_and_length(monkeypatch, after):
     context = wells(n=4)
-    integrator, trial, count = context.getIntegrator(), tuning._trial, []
+    integrator, trial, count = context.getIntegrator(), tuning_measurements.make_trial, []
 
     def interrupted(*arguments):
         count.append(1)
@@ -242,7 +242,7 @@ def test_an_interrupt_restores_step_and_length(monkeypatch, after):
             raise KeyboardInterrupt
         return trial(*arguments)
 
-    monkeypatch.setattr(tuning, "_trial", interrupted)
+    monkeypatch.setattr(tuning_measurements, "make_trial", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tune(context, trials=10, samples=10)
     assert (integrator.getSchemeStepSize()._value, integrator.getStepsPerTrial()) == (0.004, 4)

@@ -18,6 +18,7 @@ import warnings
 from tests.laws import (
     test_averages,
     test_completed_steps,
+    test_energies,
     test_future,
     test_order,
     test_preparing,
@@ -35,6 +36,7 @@ MODULES = (
     test_requests,
     test_future,
     test_completed_steps,
+    test_energies,
     test_averages,
     test_readers,
     test_refusals,

@@ -9,6 +9,7 @@ from tests.laws.actions import (
     ApplyConstraints,
     ApplyVelocityConstraints,
     DrawVelocities,
+    InterruptedStep,
     Load,
     Minimize,
     Reinitialize,
@@ -70,6 +71,13 @@ def changes(kind):
         st.builds(Reinitialize, st.booleans()),
         setters_of(kind),
     )
+
+
+@functools.cache
+def pasts(kind):
+    """Return a strategy of what was done before, steps that were interrupted among it."""
+    interrupted = st.builds(InterruptedStep, st.integers(1, 2), st.integers(1, 200))
+    return st.lists(st.one_of(changes(kind), changes(kind), changes(kind), interrupted), max_size=3).map(tuple)
 
 
 @functools.cache

@@ -13,6 +13,7 @@ from scipy.special import gammaincinv
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.runs import update_shares
+from tests.support.faults import lines_run
 
 #: Chance of a kinetic energy outside of the bounds for a temperature, on either side: that of 6.1 standard errors.
 CHANCE = 5e-10
@@ -57,6 +58,20 @@ class Step(Action):
         frozen[[i for i in range(len(frozen)) if run.system.isVirtualSite(i)]] = False
         assert np.array_equal(after.positions[frozen], before.positions[frozen]), "frozen atoms moved"
         assert after.parameters == before.parameters
+
+
+@dataclass(frozen=True)
+class InterruptedStep(Action):
+    """Make steps, with a KeyboardInterrupt at a line of the package. OpenMM's own steps are left where one occurs."""
+
+    count: int
+    line: int
+
+    def applies(self, run):
+        return run.method.engine == "exact"
+
+    def act(self, run):
+        lines_run(lambda: run.integrator.step(self.count), self.line, KeyboardInterrupt)
 
 
 # --- atoms ------------------------------------------------------------------------------------------------------------

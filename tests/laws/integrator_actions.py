@@ -10,6 +10,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.actions import Action
 from tests.laws.runs import names
 
@@ -21,14 +22,14 @@ VALUES = {
     "setStepSize": [0.0005, 0.001],
     "setSchemeStepSize": [0.0005, 0.001],
     "setTemperature": [280.0, 300.0, 320.0],
-    "setFriction": [1.0, 5.0, 0.0],
+    "setFriction": [2.0, 5.0, 0.0],
     "setRotationalFriction": [20.0, 5.0, 0.0],
     "setPressure": [1e3, 1.0],
     "setStepsPerTrial": [3, 1, 2],
     "setExtraChances": [0, 1, None],
     "setRandomNumberSeed": [3, 11],
     "setConstraintTolerance": [1e-9, 1e-8],
-    "setIntegrationForceGroups": [{0, 30, 31}, 2**32 - 1],
+    "setIntegrationForceGroups": [{0, 30, 31}, 2**32 - 1, -1],
 }
 USUAL_VALUES = [1, 2, 0.5]
 WRONG_VALUES = [-1, math.nan, "none"]
@@ -118,10 +119,42 @@ class Ask(Action):
             QUESTIONS[self.name](run)
         else:
             answer = getattr(run.integrator, self.name)
-            str(answer() if callable(answer) and self.name != "rotation" else answer)
+            answer = answer() if callable(answer) and self.name != "rotation" else answer
+            str(answer)
+            if self.name in ANSWERS:
+                ANSWERS[self.name](run, answer)
 
     def shows(self, run, before, after):
         after.assert_near(before, 0)
+
+
+def _temperature_is_right(run, temperature):
+    """Compare the temperature with that of the allowed velocities and their number."""
+    if run.integrator.scheme.bath_divides_drift:
+        # It is that just after the bath.
+        return
+    view = run.view()
+    removed = any(isinstance(force, openmm.CMMotionRemover) for force in run.system.getForces())
+    # The force of `Run` pulls at the centre, so that only a remover leaves it without heat.
+    freedoms = run.freedoms(view) - 3 * removed
+    if freedoms <= 0:
+        assert math.isnan(temperature._value), f"{temperature} for no freedoms"
+        return
+    energy = run.kinetic_energy_of(run.projected(view), removed)
+    expected = 2 * energy / (freedoms * GAS_CONSTANT)
+    assert math.isclose(temperature._value, expected, rel_tol=TEMPERATURES, abs_tol=1e-6), (
+        f"{temperature} in place of {expected}, that of {freedoms} freedoms"
+    )
+
+
+#: Relative error of temperatures: constraints leave velocities known to 1e-5.
+TEMPERATURES = 1e-4
+
+#: Answers to questions, by name.
+ANSWERS = {
+    "computeSystemTemperature": _temperature_is_right,
+    "computeTemperatures": lambda run, temperatures: _temperature_is_right(run, temperatures.total),
+}
 
 
 def _copied(run, copied):
@@ -181,5 +214,6 @@ WRONG = {
     "an unknown parameter": lambda run: run.context.setParameter("unknown", 1.0),
     "no checkpoint": lambda run: run.context.loadCheckpoint(b"no checkpoint"),
     "a flat box": lambda run: run.context.setPeriodicBoxVectors((1, 0, 0), (0, 1, 0), (0.9, 0, 0.1)),
+    "a group that does not exist": lambda run: run.integrator.setIntegrationForceGroups({40}),
     "a step that is no time": lambda run: run.integrator.setStepSize(300 * unit.kelvin),
 }

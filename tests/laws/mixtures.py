@@ -1,4 +1,4 @@
-"""Random Systems: mixtures of molecules in vacuum or in a box, prepared or not, and the strategy that draws them."""
+"""Systems of mixtures of molecules, in vacuum or in a box, prepared or not."""
 
 from __future__ import annotations
 
@@ -8,34 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import openmm
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from openmm_sier import Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system.find_bodies import UnknownShapeError
-from tests.laws.molecules import (
-    HELD_BY_CONSTRAINTS,
-    SHAPES,
-    SITES,
-    Body,
-    Chain,
-    Ion,
-    Jointed,
-    Molecule,
-    Parts,
-    Ring,
-    Star,
-    Tethered,
-    Water,
-    WithSite,
-)
+from tests.laws.molecules import Molecule
+from tests.laws.parts import Parts
 
 #: nm: between molecules at least; radius of the cut-off.
 GAP, CUTOFF = 0.25, 0.7
-
-#: Most particles of a mixture.
-PARTICLES = 40
 
 #: K, and dalton: of velocities and of the hydrogens of "heavy".
 TEMPERATURE, HEAVY = 300.0, 4.0
@@ -85,7 +67,7 @@ class Mixture:
         seed: of places and velocities.
         surroundings: "vacuum", or a box with "cut-off", "PME" or "triclinic PME".
         form: "plain", "switched", "custom" (Lennard-Jones by a CustomNonbondedForce) or "none" (no nonbonded forces).
-        remover: whether there is a CMMotionRemover.
+        remover: number of steps between two acts of a CMMotionRemover; 0 without one.
         prepared: "no", "yes" or "heavy" (with a hydrogenMass).
     """
 
@@ -93,7 +75,7 @@ class Mixture:
     seed: int = 0
     surroundings: str = "vacuum"
     form: str = "plain"
-    remover: bool = False
+    remover: int = 0
     prepared: str = "no"
 
     def build(self) -> Built:
@@ -145,6 +127,12 @@ def masses_of(system: openmm.System) -> np.ndarray:
     return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
 
+def is_frozen(mixture: Mixture) -> bool:
+    """Return whether a mixture has atoms without mass that are no virtual sites, so that momentum is not conserved."""
+    parts = [molecule.parts() for molecule in mixture.molecules]
+    return any(not mass and i not in each.sites for each in parts for i, mass in enumerate(each.masses))
+
+
 # --- particles and places ---------------------------------------------------------------------------------------------
 
 
@@ -176,7 +164,8 @@ def _placed(parts: list[Parts], rng: np.random.Generator) -> np.ndarray:
         while len(placed) and np.linalg.norm(placed[:, None] - (shape + away * direction), axis=2).min() < GAP:
             away += 0.04
         placed = np.concatenate([placed, shape + away * direction])
-    return placed
+    # PME of the Reference platform misplaces an atom whose coordinate is below zero by rounding.
+    return placed + 0.01
 
 
 def constrained_pairs(system: openmm.System) -> tuple[np.ndarray, np.ndarray]:
@@ -303,7 +292,7 @@ def _surround(mixture: Mixture, system: openmm.System, parts: list[Parts], x: np
     if mixture.surroundings != "vacuum":
         system.setDefaultPeriodicBoxVectors(*_box(mixture, x))
     if mixture.remover:
-        system.addForce(openmm.CMMotionRemover(1))
+        system.addForce(openmm.CMMotionRemover(mixture.remover))
 
 
 def _set_method(mixture: Mixture, force: openmm.NonbondedForce) -> None:
@@ -342,78 +331,3 @@ def _box(mixture: Mixture, x: np.ndarray) -> np.ndarray:
         return np.diag(extent * room)
     shape = TRICLINIC[mixture.seed % 2]
     return extent.max() / shape.diagonal().min() * room[0] * shape
-
-
-# --- strategies -------------------------------------------------------------------------------------------------------
-
-
-def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
-    """Draw a molecule of any kind, the simplest first, with or without named bodies."""
-    ions = st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans())
-    waters = st.builds(Water, st.sampled_from(["rigid", "hydrogens", "flexible"]))
-    held = st.sampled_from(["nothing", "hydrogens", "bonds"])
-    chains = st.builds(Chain, st.integers(2, 6), st.integers(0, 2), held, st.booleans())
-    lines = st.builds(Chain, st.integers(3, 5), st.just(0), st.just("bonds"), st.booleans(), st.just(True))
-    stars = st.builds(Star, st.integers(1, 4), st.sampled_from(["none", "bond", "constraint"]), st.booleans())
-    stars = stars.filter(lambda star: star.leaves < 4 or star.stem == "none")
-    rings = st.builds(Ring, st.integers(3, 6), st.booleans(), st.booleans())
-    held_bodies = st.builds(Body, st.sampled_from(HELD_BY_CONSTRAINTS), st.just(False))
-    plain = [waters, chains, stars, rings, held_bodies, lines]
-    if named:
-        shapes = st.sampled_from(list(SHAPES))
-        others = st.sampled_from(["none", *SHAPES])
-        jointed = st.builds(Jointed, shapes, st.integers(0, 3), others, st.booleans(), st.booleans())
-        plain += [st.builds(Body, shapes), jointed]
-    with_sites = st.builds(WithSite, st.one_of(plain), st.sampled_from(list(SITES)), *3 * [st.booleans()]).filter(
-        _has_parents
-    )
-    tethered = st.builds(Tethered, st.one_of(*plain, with_sites), st.sampled_from([0.0, 0.5]), st.booleans())
-    return st.one_of(ions, *plain, with_sites, tethered)
-
-
-def _has_parents(molecule: WithSite) -> bool:
-    """Whether a molecule has as many atoms as the site depends on, not in line where the site needs a plane."""
-    places = np.array(molecule.molecule.parts().places)
-    count = max(SITES[molecule.site][0], 2 if molecule.angle else 1)
-    if len(places) < count:
-        return False
-    # A site on the line through two atoms makes no angle that can bend smoothly.
-    if molecule.angle and molecule.site in ("two", "shifted"):
-        return False
-    if count < 3:
-        return True
-    return bool(np.linalg.norm(np.cross(places[1] - places[0], places[2] - places[0])) > 1e-3)
-
-
-def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
-    """Return the first molecules, with `PARTICLES` at most."""
-    totals = np.cumsum([len(molecule.parts().masses) for molecule in drawn])
-    return tuple(drawn[: max(1, int((totals <= PARTICLES).sum()))])
-
-
-def mixtures(
-    surroundings: tuple[str, ...] = SURROUNDINGS,
-    prepared: tuple[str, ...] = PREPARATIONS,
-    named: bool = True,
-    least: int = 1,
-) -> st.SearchStrategy[Mixture]:
-    """Draw a Mixture of `least` molecules or more, in which something moves."""
-    return st.builds(
-        Mixture,
-        st.lists(molecules(named), min_size=least, max_size=5).map(_few).filter(_moves),
-        st.integers(0, 2**16),
-        st.sampled_from(surroundings),
-        st.sampled_from(FORMS),
-        st.booleans(),
-        st.sampled_from(prepared),
-    )
-
-
-def _moves(drawn: tuple[Molecule, ...]) -> bool:
-    return any(mass > 0 for molecule in drawn for mass in molecule.parts().masses)
-
-
-def is_frozen(mixture: Mixture) -> bool:
-    """Return whether a mixture has atoms without mass that are no virtual sites, so that momentum is not conserved."""
-    parts = [molecule.parts() for molecule in mixture.molecules]
-    return any(not mass and i not in each.sites for each in parts for i, mass in enumerate(each.masses))

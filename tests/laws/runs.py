@@ -242,7 +242,12 @@ class Run:
         return self.allowed(view.positions).shape[1]
 
     def kinetic_energy(self, view):
-        return 0.5 * float(np.sum(self.masses[:, None] * view.velocities**2))
+        return self.kinetic_energy_of(view.velocities)
+
+    def kinetic_energy_of(self, velocities, without_centre=False):
+        """Return the kinetic energy of velocities, perhaps without that of the centre of mass, kJ/mol."""
+        centre = self.masses @ velocities / self.masses.sum() if without_centre else np.zeros(3)
+        return 0.5 * float(np.sum(self.masses[:, None] * (velocities - centre) ** 2))
 
     def potential_energy(self):
         """Return the potential energy at the positions, as OpenMM computes it in another Context, kJ/mol."""

@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import openmm
+import pytest
 from hypothesis import reject
 from hypothesis import strategies as st
 
 from tests.laws.law import Law
-from tests.laws.methods import Method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.methods import Method, method, methods
+from tests.laws.mixture_strategies import mixtures, moved
+from tests.laws.mixtures import Mixture
+from tests.laws.molecules import Body, Water
 from tests.laws.runs import REFUSALS, SAME, Run, View, assert_alike, end, started
 from tests.support.faults import Fault, lines_run
 
@@ -225,6 +228,48 @@ class Threads:
         assert not found, f"the handler was called by {found}"
 
 
+@dataclass(frozen=True)
+class Rejection:
+    """A force that is not finite within a trial, and an energy that is not finite where one begins.
+
+    The first rejects the trial, at a sample. The second is an error that changes nothing.
+
+    Attributes:
+        force: number of the force evaluation, from 1, after a first trial.
+    """
+
+    mixture: Mixture
+    method: Method
+    force: int
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        method = started(self.mixture, self.method, self.platform).method
+        run, probe = probed(self.mixture, method, self.platform)
+        # A volume move may end a run where the box becomes too small.
+        if end(run, 1):
+            reject()
+        lost = np.full((count(self.mixture), 3), np.nan)
+        with probe.armed(self.force, lambda: lost):
+            if end(run, 2):
+                # Forces are computed at the start too, after a change.
+                reject()
+        view = run.view()
+        assert view.steps == run.integrator.trials == 3, f"{run.integrator.trials} trials in {view.steps} steps"
+        assert np.isfinite(run.potential_energy())
+        run.assert_rigid(view, 1e-6)
+        if self.mixture.remover:
+            momentum = run.masses @ view.velocities / run.masses.sum()
+            assert np.abs(momentum).max() < 1e-9, f"the centre of mass moves with {momentum} nm/ps"
+        before = run.everything()
+        run.context.setParameter("pull", np.nan)
+        assert end(run, 1), "a trial began where the energy is not finite"
+        run.context.setParameter("pull", view.parameters["pull"])
+        # The error of the rejected trial is infinite.
+        changed = [k for k, pair in enumerate(zip(run.everything(), before, strict=True)) if not np.array_equal(*pair)]
+        assert not changed, f"numbers {changed} of all changed in a trial that was refused"
+
+
 # --- strategies -------------------------------------------------------------------------------------------------------
 
 forces = st.integers(1, 12)
@@ -234,14 +279,15 @@ faults = st.builds(Event, st.sampled_from(["error", "nan"]), forces)
 
 @st.composite
 def interruptions(draw: st.DrawFn, platform: str) -> Interruption:
-    method, event = draw(methods()), draw(st.one_of(signals, faults))
+    mixture, method = draw(moved(methods()))
+    event = draw(st.one_of(signals, faults))
     if event.what not in SIGNALS:
         # OpenMM's own steps are left where an error occurred.
         method = dataclasses.replace(method, engine="exact")
     if event.what == "nan" and method.kind == "SIERHMCIntegrator":
         # The trial is rejected, and the run is another one.
         event = dataclasses.replace(event, what="error")
-    return Interruption(draw(mixtures()), method, event, platform)
+    return Interruption(mixture, method, event, platform)
 
 
 def interrupts(platform: str) -> st.SearchStrategy[Interrupt]:
@@ -254,14 +300,43 @@ def of_threads(platform: str) -> st.SearchStrategy[Threads]:
     return st.builds(Threads, mixtures(), methods(), signals, st.just(platform))
 
 
+def rejections(platform: str) -> st.SearchStrategy[Rejection]:
+    rest = st.integers(1, 6), st.just(platform)
+    trials = moved(methods(("SIERHMCIntegrator",)))
+    return trials.flatmap(lambda drawn: st.builds(Rejection, *map(st.just, drawn), *rest))
+
+
+#: Methods whose forces come after a bath, a move or a draw in each step.
+WAYS = [
+    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=5.0, scheme="SIER4G", stepSize=0.001),
+    method("SIERHMCIntegrator", temperature=300.0, scheme="SIER4G", schemeStepSize=0.001, stepsPerTrial=1),
+    method(
+        "SIERThermostatIntegrator",
+        temperature=300.0,
+        rate=50.0,
+        every=1,
+        pressure=1e3,
+        barostatInterval=1,
+        scheme="SIER4G",
+        stepSize=0.001,
+    ),
+]
+
 INTERRUPTIONS = Law("interruptions", interruptions, few=15)
 INTERRUPTS = Law("interrupts", interrupts, few=6)
 THREADS = Law("threads", of_threads, few=4)
+REJECTIONS = Law("rejections", rejections, few=8)
 
 
 @INTERRUPTIONS.numbers()
 def test_whoever_looks_sees_a_completed_step(examples):
     INTERRUPTIONS.hold(examples)
+
+
+@pytest.mark.parametrize("number", [2, 5])
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.kind)
+def test_an_error_leaves_a_completed_step(way, number):
+    Interruption(Mixture((Water(), Body("bent")), surroundings="cut-off"), way, Event("error", number)).check()
 
 
 @INTERRUPTS.numbers()
@@ -272,3 +347,8 @@ def test_an_interrupt_at_any_line_leaves_a_completed_step(examples):
 @THREADS.numbers()
 def test_handlers_are_called_by_the_main_thread(examples):
     THREADS.hold(examples)
+
+
+@REJECTIONS.numbers()
+def test_what_is_not_finite_rejects_a_trial_or_is_refused(examples):
+    REJECTIONS.hold(examples)

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import openmm
+import pytest
 from hypothesis import strategies as st
 
-from tests.laws.action_strategies import changes
-from tests.laws.actions import Action, Step
+from tests.laws.action_strategies import changes, pasts
+from tests.laws.actions import (
+    Action,
+    Load,
+    Save,
+    Step,
+)
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
-from tests.laws.mixtures import Mixture, mixtures
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import Mixture
 from tests.laws.runs import REFUSALS, ROUNDING, Run, assert_alike, started
+from tests.laws.test_requests import EVERY_CHANGE, SIMPLE, WITH_BODIES
 
 
 @dataclass(frozen=True)
@@ -113,7 +121,7 @@ def followed(run: Run, action: Action) -> str | None:
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(some), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
 
 
 @st.composite
@@ -121,7 +129,7 @@ def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
     some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
-    past = tuple(action for action in draw(some) if getattr(action, "name", "") != "setRandomNumberSeed")
+    past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
     return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
 
@@ -133,6 +141,20 @@ RESTARTS = Law("restarts", restarts, few=15)
 @FUTURES.numbers()
 def test_the_future_depends_on_what_is_visible(examples):
     FUTURES.hold(examples)
+
+
+@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("native", "held")])
+def test_the_future_depends_on_what_is_visible_after_each_change(engine, bodies):
+    for change in EVERY_CHANGE:
+        if not isinstance(change, (Save, Load)):
+            Future(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), (Step(2), change), ()).check()
+
+
+@pytest.mark.parametrize("way", ["checkpoint", "State", "XML"])
+@pytest.mark.parametrize("simple", [SIMPLE[1], SIMPLE[3], SIMPLE[4]], ids=lambda simple: simple.kind)
+def test_a_restart_of_each_kind_goes_on_the_same(simple, way):
+    method = simple.having(pressure=1e3, barostatInterval=1)
+    Restart(WITH_BODIES["named"], method, (Step(3),), way, "settings", False, ()).check()
 
 
 @RESTARTS.numbers()

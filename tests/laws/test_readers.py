@@ -22,9 +22,10 @@ from tests.laws.mixtures import Built, Mixture
 from tests.laws.molecules import Chain, Ion, Molecule, Water, WithSite
 from tests.laws.test_preparing import clusters, evaluated
 
-#: Energies, kJ/mol, of charges and positions that AMBER rounds to 1e-8 of some 10^3 kJ/mol; a term that is lost or a
-#: charge in another place changes it by more than 1.
-ROUNDING = 1e-3
+#: kJ/mol. AMBER rounds charges and positions to 1e-8 of some 10^3 kJ/mol. Bonds of waters to their sites, which GROMACS
+#: does not have, are a percent longer than 0.02 nm, 0.004 kJ/mol each in five waters at most. A term that is lost or a
+#: charge in another place changes the energy by more than 1.
+ROUNDING = 0.03
 
 #: Kelvins: masses and velocities are the same, and lengths differ by 1e-8 nm.
 KELVINS = 1e-3

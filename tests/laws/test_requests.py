@@ -5,16 +5,34 @@ from __future__ import annotations
 import inspect
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 from hypothesis import strategies as st
 
 from tests.laws.action_strategies import actions, setters_of
-from tests.laws.actions import Action, Step
-from tests.laws.integrator_actions import Set, setters, values_of
+from tests.laws.actions import (
+    Action,
+    ApplyConstraints,
+    ApplyVelocityConstraints,
+    DrawVelocities,
+    Load,
+    Minimize,
+    Reinitialize,
+    Save,
+    SetBoth,
+    SetBox,
+    SetParameter,
+    SetPositions,
+    SetVelocities,
+    Step,
+    UpdateParameters,
+)
+from tests.laws.integrator_actions import Ask, Set, questions, setters, values_of
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
-from tests.laws.mixtures import Mixture, mixtures
-from tests.laws.molecules import Water
+from tests.laws.mixture_strategies import mixtures, moved
+from tests.laws.mixtures import Mixture
+from tests.laws.molecules import Body, Chain, Water, WithSite
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -89,6 +107,13 @@ class Setting:
             if found is not None:
                 assert_alike(found, expected, *SAME[other.engine])
 
+    def check_effect(self) -> None:
+        """Assert that a setter that is accepted changes a run."""
+        run = started(self.mixture, self.method, self.platform)
+        if tried(run, self.setting):
+            found, unchanged = outcome(run), outcome(run.twin(()))
+            assert not np.array_equal(found[0], unchanged[0]), f"{self.setting} changes no positions"
+
     def others(self, method: Method) -> list[tuple[Method, list]]:
         """Return methods and earlier settings that give the same integrator."""
         # A seed is for the next Context.
@@ -122,9 +147,9 @@ def requests(draw: st.DrawFn, platform: str) -> Requests:
 
 
 def settings(platform: str) -> st.SearchStrategy[Setting]:
-    return methods().flatmap(
-        lambda method: st.builds(
-            Setting, mixtures(), st.just(method), setters_of(method.kind), st.booleans(), st.just(platform)
+    return moved(methods()).flatmap(
+        lambda drawn: st.builds(
+            Setting, *map(st.just, drawn), setters_of(drawn[1].kind), st.booleans(), st.just(platform)
         )
     )
 
@@ -139,6 +164,50 @@ SIMPLE = [
 ]
 
 
+#: Setters that change a short run of a molecule of water only where they happen to: noise of the next Context, another
+#: rounding, groups without forces, and chances of a trial that is accepted.
+WITHOUT_EFFECT = (
+    "setRandomNumberSeed",
+    "setConstraintTolerance",
+    "setIntegrationForceGroups",
+    "setExtraChances",
+    "setBarostatInterval",
+)
+
+#: Methods and arguments without setters, which change a run of `WITH_BODIES`.
+ARGUMENTS = [
+    (SIMPLE[0], {"scheme": "SIER2"}),
+    (SIMPLE[0], {"substeps": 3}),
+    (SIMPLE[2], {"rotationalFriction": 20.0}),
+    (SIMPLE[4], {"rate": 50.0}),
+    (SIMPLE[4], {"every": 2}),
+    (SIMPLE[4], {"pressure": 1e3, "barostatInterval": 1}),
+]
+
+#: Actions that change something, and mixtures in which bodies are named or held by constraints.
+EVERY_CHANGE = [
+    DrawVelocities(300.0, 1),
+    SetVelocities(1),
+    ApplyVelocityConstraints(),
+    SetPositions(0, 1, 1e-5),
+    ApplyConstraints(),
+    SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
+    SetBox(1.02),
+    SetParameter("pull", 3.0),
+    UpdateParameters(0.2),
+    Save("checkpoint"),
+    Minimize(2),
+    Load(0),
+    Reinitialize(True),
+]
+WITH_BODIES = {
+    "named": Mixture((Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"),
+    "held": Mixture(
+        (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
+    ),
+}
+
+
 REQUESTS = Law("requests", requests, few=15)
 SETTINGS = Law("settings", settings, few=5)
 
@@ -148,12 +217,27 @@ def test_what_is_asked_for_is_there(examples):
     REQUESTS.hold(examples)
 
 
+@pytest.mark.parametrize(("engine", "bodies"), [("exact", "named"), ("exact", "held"), ("native", "held")])
+def test_every_change_shows_between_steps(engine, bodies):
+    asked = tuple(action for change in EVERY_CHANGE for action in (Step(2), change))
+    asked += tuple(Ask(name) for name in questions(SIMPLE[0].cls))
+    Requests(WITH_BODIES[bodies], replace(SIMPLE[0], engine=engine), asked).check()
+
+
 @pytest.mark.parametrize("engine", ["exact", "native"])
 @pytest.mark.parametrize("simple", SIMPLE, ids=lambda simple: simple.kind)
 def test_every_setter_does_what_the_argument_does(simple, engine):
     for name in setters(simple.cls):
-        setting = Set(name, values_of(name)[0])
-        Setting(Mixture((Water(),)), replace(simple, engine=engine), setting).check()
+        setting = Setting(Mixture((Water(),)), replace(simple, engine=engine), Set(name, values_of(name)[0]), True)
+        setting.check()
+        if name not in WITHOUT_EFFECT:
+            setting.check_effect()
+
+
+@pytest.mark.parametrize(("plain", "arguments"), ARGUMENTS, ids=lambda each: str(each)[:24])
+def test_every_argument_changes_a_run(plain, arguments):
+    runs = [outcome(Run(WITH_BODIES["named"], each)) for each in (plain, plain.having(**arguments))]
+    assert not np.array_equal(runs[0][0], runs[1][0])
 
 
 @SETTINGS.numbers()

@@ -355,7 +355,7 @@ def test_inner_steps_are_as_many_as_the_fastest_bond_needs(flexible, make, h, in
 
 
 def is_bounded(scheme, angle, share):
-    """Whether a harmonic mode stays bounded that moves by an angle a step within drifts, and that weak forces kick.
+    """Whether a harmonic mode stays bounded that moves by an angle a step within drifts, and that other forces kick.
 
     The share is the stiffness of the forces in the kicks over that of the fast ones, negative if they weaken the mode.
     """
@@ -371,13 +371,14 @@ def is_bounded(scheme, angle, share):
 
 
 @pytest.mark.parametrize("scheme", CATALOGUE.values(), ids=CATALOGUE)
-@pytest.mark.parametrize("share", [0.02, 0.08, -0.08])
+@pytest.mark.parametrize("share", [0.02, 0.08, -0.08, 0.5, 1.0, 4.0])
 def test_kicks_twice_a_period_are_unstable_in_a_window(scheme, share):
     """All steps outside of the window of SIER2, which is the widest, are stable, and some in it are not."""
-    first, last = (1 - abs(share)) * math.pi, math.pi / (1 - abs(share))
-    outside = [*np.linspace(0.5 * math.pi, first, 100), *np.linspace(last, 1.5 * math.pi, 100)]
-    assert all(is_bounded(scheme, angle, share) for angle in outside)
+    first, last = math.pi / (1 + abs(share)), math.pi / max(1 - abs(share), 0.5)
+    assert all(is_bounded(scheme, angle, share) for angle in np.linspace(0.01 * math.pi, first, 200))
     assert not all(is_bounded(scheme, angle, share) for angle in np.linspace(first, last, 1000))
+    if abs(share) < 0.1:
+        assert all(is_bounded(scheme, angle, share) for angle in np.linspace(last, 1.5 * math.pi, 100))
 
 
 def test_steps_in_the_window_are_refused():
@@ -405,6 +406,21 @@ def test_steps_in_the_window_are_refused():
             checked(step)
     # A warning, which is not given again.
     checked(1.001 / (1 - share) / 2)
+
+
+def test_a_bond_softer_than_its_surroundings_has_a_longest_step():
+    """Of ions that touch: their repulsion is several times as stiff as the bond."""
+    system = diatomic(strength=8000, masses=(12.0, 12.0))
+    charges = openmm.NonbondedForce()
+    for charge in (0.5, -0.5):
+        charges.addParticle(charge, 0.3, 0.5)
+    charges.setForceGroup(1)
+    system.addForce(charges)
+    check = StepCheck(system, RigidBodies.from_system(system))
+    period = 2 * math.pi / math.sqrt(8000 / 6)
+    method = IntegrationMethod(SIER4G, 0.4 * period, substeps=100, fast_groups=1)
+    with pytest.raises(openmm.OpenMMException, match=r"too long for the bond .*Take up to [1-9]\d\.\d fs"):
+        check(method, 3)
 
 
 def test_every_kind_of_warning_is_given_once(flexible):

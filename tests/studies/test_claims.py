@@ -65,13 +65,13 @@ def test_a_text_has_its_claims_with_the_figures_of_the_records(text, claimed_by)
     assert not missing, "\n".join([f"{text} should have:", *missing])
 
 
-def test_readme_has_the_table_with_the_figures_of_the_records():
-    assert readme.table() in (ROOT / "README.md").read_text(), f"README.md should have:\n{readme.table()}"
+def test_readme_has_the_list_of_uses():
+    assert readme.uses() in (ROOT / "README.md").read_text(), f"README.md should have:\n{readme.uses()}"
 
 
 def test_readme_has_no_figure_of_its_own():
     """Neither in sentences nor in tables."""
-    text = (ROOT / "README.md").read_text().replace(readme.table(), "")
+    text = (ROOT / "README.md").read_text()
     text = words(re.sub(r"```.*?```|^ {4}.*?$", "", text, flags=re.DOTALL | re.MULTILINE))
     for claim in claims.CLAIMS:
         if claim.in_readme:

@@ -16,7 +16,7 @@ from openmm_sier.cli.settings import RunSettings
 from openmm_sier.cli.simulated_system import check_platform
 from openmm_sier.cli.stopping import Stopped, StopRequests
 from openmm_sier.dynamics.threads import cores
-from openmm_sier.engines.choice import is_on_host
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.inputs.equilibration import platform_for
 
 #: Words of a warning that the table of means repeats.

@@ -5,7 +5,6 @@ Context computes (`forces`), and publishes the atoms again. Per-atom variables o
 checkpoints (`packing`).
 """
 
-import math
 from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
@@ -15,44 +14,36 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
-from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.constrained import bath_operator
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import OperatorCall, always, calls
 from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
-from openmm_sier.engines.exact.forces import BodyForces, blown_up
+from openmm_sier.engines.exact.forces import BodyForces, step_error
 from openmm_sier.engines.exact.motion import MotionOperators
 from openmm_sier.engines.exact.packing import Packing
-from openmm_sier.engines.exact.reading import Fitting, agreeing, stored_point, with_velocities
+from openmm_sier.engines.exact.point_verbs import PointVerbs
+from openmm_sier.engines.exact.reading import AtomReader, stored_point, with_velocities
 from openmm_sier.engines.exact.updates import SystemUpdates
-from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
-from openmm_sier.engines.snapshot import Environment, Snapshot, box_of, holds_doubles
+from openmm_sier.engines.records import Changes, Clock
+from openmm_sier.engines.snapshot import Snapshot, holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
 from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
-from openmm_sier.system.temperature import Temperatures, degrees_of_freedom, temperatures
 
 
-class ExactEngine(Engine):
+class ExactEngine(PointVerbs):
     """An engine as a Python layer over the Context.
 
-    Attributes:
-        forces: forces and torques on the bodies, and energies, computed by the Context.
-        motion: the operators that move the bodies.
-        updates: Forces of the System that act between steps, such as barostats.
-        point: the phase point of the last completed step; there is none before the first `synchronize`.
+    It makes the steps; `PointVerbs` has the questions and moves of ensembles and users.
     """
 
     name = "exact"
     repeats_noise = True
-    point: BodyState
     _has_point = False
 
     def __init__(self, context: openmm.Context, method: IntegrationMethod, tally: Tally, bodies: BodySet | None):
@@ -76,12 +67,11 @@ class ExactEngine(Engine):
         self.forces = BodyForces(context, self.moving)
         self.motion = self._new_motion()
         self._packing = Packing(self.moving)
-        self._fitting = Fitting()
+        self._reader = AtomReader(self.moving)
         self._remembers_list = neighbour_list.is_remembered(context)
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
-        #: Box and parameters for which forces were computed.
-        self._environment: Environment | None = None
+        self._environment = None
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
@@ -93,8 +83,7 @@ class ExactEngine(Engine):
         self._calls_with_energy: list[OperatorCall] = []
         #: Whether Forces of the System act before each step.
         self._acts_between_steps = False
-        #: The end of the last step, and the phase point just after the bath within it.
-        self._last: tuple[BodyState, BodyState] | None = None
+        self._last = None
 
     @tables.read_once()
     def _new_motion(self) -> MotionOperators:
@@ -135,7 +124,7 @@ class ExactEngine(Engine):
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
-            point = self._point_of(now, point, moved)
+            point = self._reader.point(now, self._stored_point(point), point, moved)
         if Changes.FAST in self.changes:
             self.motion = self._new_motion()
         if point is not None:
@@ -166,20 +155,12 @@ class ExactEngine(Engine):
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
         return self._keeps_numbers and np.array_equal(vectors, written)
 
-    def _point_of(self, now: Snapshot, point: BodyState | None, moved: bool) -> BodyState:
-        """Return the phase point of bodies that moved, or whose velocities were changed, from the last one."""
-        bodies = self.moving
+    def _stored_point(self, point: BodyState | None) -> BodyState | None:
+        """Return the phase point that the variables hold; the last one if they hold an older one, None if none."""
         if Changes.VARIABLES in self.changes or (self._rounds_stored and not self._is_unstored):
             self._stored = stored_point(self._context, self._packing)
         is_own = self._is_unstored and Changes.VARIABLES not in self.changes
-        stored = point if is_own else self._stored
-        agreed = None if stored is None else agreeing(bodies, stored, now, moved)
-        if agreed is not None:
-            return agreed
-        if point is None or moved:
-            q, A = self._fitting(bodies, now)
-            point = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
-        return with_velocities(bodies, point, now)
+        return point if is_own else self._stored
 
     def _take_environment(self, now: Snapshot) -> None:
         """Take over box and parameters of a Context where they differ."""
@@ -244,13 +225,8 @@ class ExactEngine(Engine):
             self.point = start
             self.clock = Clock(time, steps)
             tally.restore(mark)
-            if isinstance(error, NotFiniteError):
-                raise blown_up(error, steps + 1) from None
-            if isinstance(error, ConstraintError):
-                raise TrajectoryError(
-                    f"Step {steps + 1} failed: {error}. Is the step size too long, or a force too stiff for it? The "
-                    "Context is left at the last completed step."
-                ) from error
+            if isinstance(error, NotFiniteError | ConstraintError):
+                raise step_error(error, steps + 1) from error
             raise
         self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
 
@@ -276,7 +252,7 @@ class ExactEngine(Engine):
         openmm.Context.setTime(self._context, self.clock.time + self.method.step)
         bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
         moved = not np.array_equal(now.positions, before.positions)
-        q, A = self._fitting(bodies, now, point) if moved else (point.q, point.A)
+        q, A = self._reader.fit(now, point) if moved else (point.q, point.A)
         updated = BodyState(q, bodies.constraints.project(q, point.p), A, point.L, None if moved else point.cache)
         if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
             updated = with_velocities(bodies, updated, now)
@@ -296,7 +272,7 @@ class ExactEngine(Engine):
         if self._box() == before:
             return point
         now = Snapshot.of(self._context)
-        q, A = self._fitting(bodies, now, point)
+        q, A = self._reader.fit(now, point)
         self.forces.take_positions(now)
         self._forget_forces()
         self._environment = now.environment
@@ -335,88 +311,3 @@ class ExactEngine(Engine):
         self._is_unstored = False
         self._stored = self.point
         self._rounds_stored = self._context.getPlatform().getName() not in ("CPU", "Reference")
-
-    # --- the phase point ---
-
-    def save(self) -> RollbackState:
-        # OpenMM's barostats also move atoms of no body.
-        atoms = self.forces.positions.copy() if self.updates.acts else None
-        tally = self.tally
-        return RollbackState(self.point, self.clock, self._box(), tally.mark(), dict(tally.counts), atoms)
-
-    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
-        if saved.more is not None:
-            self.forces.positions[:] = saved.more
-            self.forces.forget_place()
-        if saved.box != self._box():
-            self._set_box(saved.box)
-        point = saved.point
-        self.point = BodyState(point.q, -point.p, point.A, -point.L, point.cache) if reverse else point
-        self.clock = saved.clock
-        self.tally.restore(saved.mark)
-
-    def _box(self) -> Any:
-        """Return the periodic box vectors, nm."""
-        return box_of(openmm.Context.getState(self._context))
-
-    def _set_box(self, box: Any) -> None:
-        openmm.Context.setPeriodicBoxVectors(self._context, *box)
-        if self._environment is not None:
-            self._environment = self._environment._replace(box=self._box())
-        self.motion.follow(self._context)
-
-    # --- moves of ensembles ---
-
-    def positions(self) -> np.ndarray:
-        """Return the positions of all atoms of bodies, (N, 3), nm; zero for other particles."""
-        point = self.point
-        return self.moving.place(point.q, point.A, np.zeros((self.moving.n_particles, 3)))
-
-    def potential_energy(self) -> float:
-        if self.changes:
-            self.synchronize()
-        return self.forces.energy(self.point)
-
-    def kinetic_energy(self) -> float:
-        return sum(self.moving.kinetic_energies(self.point))
-
-    def centre_velocity(self) -> np.ndarray:
-        return self.moving.centre_velocity(self.point.p)
-
-    def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
-        point = self.point
-        scaled = BodyState(point.q, factor * point.p, point.A, factor * point.L, point.cache)
-        self.point = self.moving.shifted(scaled, shift)
-
-    def draw_momenta(self, thermal: float, share: float) -> None:
-        friction = -math.log(share) if share else math.inf
-        bath = OrnsteinUhlenbeck(thermal / GAS_CONSTANT, friction, friction)
-        self.point = bath_operator(bath, self.moving, self.tally)(self.point, 1.0)
-
-    def scale(self, factor: float) -> None:
-        self._set_box([factor * edge for edge in self._box()])
-        point = self.point
-        self.point = replace(point, q=point.q + (factor - 1) * self.molecule_centres(point.q))
-
-    # --- questions of users ---
-
-    @property
-    def momentum_lag(self) -> float:
-        return self.method.scheme.momentum_lag
-
-    def state(self) -> BodyState:
-        if self.changes:
-            self.synchronize()
-        return self.point
-
-    def temperatures(self, conserved: bool) -> Temperatures:
-        state = self.state()
-        if self._last is not None and self._last[0].p is state.p:
-            state = self._last[1]
-        return temperatures(self.moving, state, conserved)
-
-    def degrees_of_freedom(self, conserved: bool) -> float:
-        return sum(degrees_of_freedom(self.moving, conserved))
-
-    def heat(self) -> float:
-        return self.tally.heat

@@ -1,4 +1,4 @@
-"""Where the bodies of a Context are placed as atoms, and the forces on them and energies that it computes there."""
+"""Writer of bodies to a Context as atoms, and reader of forces and energies."""
 
 import weakref
 
@@ -8,7 +8,8 @@ from openmm import unit
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair, PlaceCache
-from openmm_sier.engines.protocol import TrajectoryError
+from openmm_sier.dynamics.constraints import ConstraintError
+from openmm_sier.engines.records import TrajectoryError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 
@@ -63,7 +64,7 @@ class BodyForces:
         if self._placed[0] is q and self._placed[1] is A:
             return
         if kernels.atoms.place(self.bodies.n, q, A, *self._sites, self.positions):
-            raise self._blown_up("position of", q, A)
+            raise self._not_finite("position of", q, A)
         openmm.Context.setPositions(self._context, self.positions)
         if self._has_virtual_sites:
             self._context.computeVirtualSites()
@@ -103,7 +104,7 @@ class BodyForces:
         state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         F, tau = np.empty(q.shape), np.empty(q.shape)
         if kernels.atoms.collect(self.bodies.n, self._vectors, A, *self._weighted_sites, F, tau):
-            raise self._blown_up("force on", F, tau)
+            raise self._not_finite("force on", F, tau)
         return F, tau
 
     def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> Pair:
@@ -129,17 +130,21 @@ class BodyForces:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
         return _potential(openmm.Context.getState(self._context, energy=True, groups=groups))
 
-    def _blown_up(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:
+    def _not_finite(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:
         """Return the error of a step in which vectors of bodies are not finite."""
         rows = np.concatenate([array.reshape(-1, self.bodies.n) for array in vectors])
-        return blown_up(NotFiniteError(quantity, rows, self.bodies), self.step)
+        return step_error(NotFiniteError(quantity, rows, self.bodies), self.step)
 
 
-def blown_up(error: NotFiniteError, step: int) -> TrajectoryError:
-    """Return the error of a step, by its number, in which something is not finite."""
+def step_error(error: NotFiniteError | ConstraintError, step: int) -> TrajectoryError:
+    """Return the error of a step, by its number, with numbers that are not finite or constraints that fail."""
+    left = "The Context is left at the last completed step."
+    if isinstance(error, NotFiniteError):
+        return TrajectoryError(
+            f"The {error.what} is not finite in step {step}. Is the step size too long, or do atoms overlap? {left}"
+        )
     return TrajectoryError(
-        f"The {error.what} is not finite in step {step}. Is the step size too long, or do atoms overlap? The Context "
-        "is left at the last completed step."
+        f"Step {step} failed: {error}. Is the step size too long, or a force too stiff for it? {left}"
     )
 
 

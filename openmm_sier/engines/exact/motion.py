@@ -11,19 +11,19 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.operators import Forces, Rotation, always
 from openmm_sier.dynamics.plan import Bath, Inner, Operation, Plan, plan_step
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.exact.solute import SoluteForces, WorkingForces, working_forces
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, WorkingForces, working_forces
 from openmm_sier.system import tables
 
 #: Number of atoms below which the threads of the CPU platform cost more than they save. With one thread Reference is
 #: faster than CPU for bonded forces at any size (78 and 176 us for 90 atoms of a peptide, 0.73 and 1.01 ms for 816).
-SMALL_SOLUTE = 200
+FEW_ATOMS = 200
 
 
 class MotionOperators:
     """Operators of one Context's bodies.
 
     Attributes:
-        solute: the fast forces, of the bodies that they act on; None where there are none.
+        fast_context: the fast forces, of the bodies that they act on; None where there are none.
     """
 
     def __init__(
@@ -45,24 +45,24 @@ class MotionOperators:
             tally: counts what a bath does.
 
         Raises:
-            SoluteError: a fast force is not a bonded force, or one of its terms acts on something that is in no body.
+            FastForceError: a fast force is not a bonded force, or has a term on a particle that is in no body.
         """
         self._bodies = bodies
         self._tally = tally
         groups = _flexible_points(bodies)
         working = _working_forces(context.getSystem(), bodies, fast)
         touched = _touched(bodies, working)
-        self.solute = _solute(context, bodies.restricted(touched), working) if working.forces else None
+        self.fast_context = _fast_context(context, bodies.restricted(touched), working) if working.forces else None
         self._table = _table(bodies, forces, rotation, groups)
-        if self.solute is not None:
-            within = _table(self.solute.bodies, self.solute, rotation, groups[touched])
+        if self.fast_context is not None:
+            within = _table(self.fast_context.bodies, self.fast_context, rotation, groups[touched])
             others = bodies.constraints.without(touched)
             drifts = constrained.constrained_drifts(operators.drift(bodies, rotation), others)
             self._table[Inner] = constrained.inner_drifts(drifts, touched, within)
 
     def plan(self, method: IntegrationMethod, inner_step: float, updates: bool) -> Plan:
         """Return the plan of a method, with inner steps of up to a length in ps."""
-        has_inner_steps = self.solute is not None and inner_step > 0
+        has_inner_steps = self.fast_context is not None and inner_step > 0
         longest_fraction = inner_step / method.step if has_inner_steps else None
         has_constraints = len(self._bodies.constraints.pairs) > 0
         return plan_step(method.scheme, longest_fraction, None, updates, projects=has_constraints)
@@ -75,8 +75,8 @@ class MotionOperators:
 
     def follow(self, context: openmm.Context) -> None:
         """Take over parameters and box of the Context for the fast forces."""
-        if self.solute is not None:
-            self.solute.follow(context)
+        if self.fast_context is not None:
+            self.fast_context.follow(context)
 
 
 def _table(bodies: BodySet, forces: Forces, rotation: Rotation, groups: np.ndarray) -> dict[type[Operation], Any]:
@@ -86,12 +86,12 @@ def _table(bodies: BodySet, forces: Forces, rotation: Rotation, groups: np.ndarr
     return operators.body_operators(bodies, forces, rotation)
 
 
-def _platform_of_solute(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
+def _platform_of_fast_forces(context: openmm.Context, atoms: int) -> tuple[openmm.Platform, dict[str, str]]:
     """Return the platform for the bonded forces of some atoms: that of the Context, or Reference if that is faster."""
     platform = context.getPlatform()
     kept = set(platform.getPropertyNames()) & {"Threads", "DeterministicForces", "Precision", "DeviceIndex"}
     properties = {name: platform.getPropertyValue(context, name) for name in kept}
-    if platform.getName() == "CPU" and (properties["Threads"] == "1" or atoms < SMALL_SOLUTE):
+    if platform.getName() == "CPU" and (properties["Threads"] == "1" or atoms < FEW_ATOMS):
         return openmm.Platform.getPlatformByName("Reference"), {}
     return platform, properties
 
@@ -115,11 +115,11 @@ def _touched(bodies: BodySet, working: WorkingForces) -> np.ndarray:
     return np.flatnonzero(touched | (np.isin(groups, groups[touched]) & (groups >= 0)))
 
 
-def _solute(context: openmm.Context, bodies: BodySet, working: WorkingForces) -> SoluteForces:
+def _fast_context(context: openmm.Context, bodies: BodySet, working: WorkingForces) -> FastForceContext:
     """Return an object that computes fast forces on bodies with the parameters and the box of a Context."""
-    solute = SoluteForces(working, bodies, *_platform_of_solute(context, len(working.particles)))
-    solute.follow(context)
-    return solute
+    fast_context = FastForceContext(working, bodies, *_platform_of_fast_forces(context, len(working.particles)))
+    fast_context.follow(context)
+    return fast_context
 
 
 def _flexible_points(bodies: BodySet) -> np.ndarray:

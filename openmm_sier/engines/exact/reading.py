@@ -60,25 +60,48 @@ def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodySta
     return BodyState(state.q, bodies.constraints.project(state.q, p), state.A, L, state.cache)
 
 
-class Fitting:
-    """Fit of bodies to atoms, which warns once of bodies that are moved onto their constraints."""
+class AtomReader:
+    """Reader of the phase point of bodies from atoms, which warns once of bodies that are moved onto their constraints.
 
-    def __init__(self) -> None:
+    Attributes:
+        bodies: the bodies.
+    """
+
+    def __init__(self, bodies: BodySet) -> None:
+        self.bodies = bodies
         self._has_warned_of_misfit = False
 
-    def __call__(
-        self, bodies: BodySet, now: Snapshot, previous: BodyState | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def point(self, now: Snapshot, stored: BodyState | None, last: BodyState | None, moved: bool) -> BodyState:
+        """Return the phase point of atoms: a stored one that agrees with them, the last one, or a fit.
+
+        Args:
+            now: what the Context holds.
+            stored: phase point that was stored for its atoms; None without one.
+            last: the last phase point; None without one.
+            moved: whether positions differ from those before. Velocities differ in any case.
+
+        Raises:
+            RigidityError: the positions do not form the bodies, or are far off the constraints between them.
+        """
+        agreed = None if stored is None else agreeing(self.bodies, stored, now, moved)
+        if agreed is not None:
+            return agreed
+        if last is None or moved:
+            q, A = self.fit(now)
+            last = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
+        return with_velocities(self.bodies, last, now)
+
+    def fit(self, now: Snapshot, previous: BodyState | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return centres, (3, n), and attitudes, (3, 3, n), of bodies at the positions of a snapshot.
 
         Args:
-            bodies: the bodies.
             now: what the Context holds.
             previous: where they were; attitudes of bodies that have only been shifted stay as they are.
 
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
         """
+        bodies = self.bodies
         q, A, misfit = bodies.fit_with_misfit(now.positions, previous)
         if len(bodies.constraints.pairs):
             q, moved = _onto_constraints(bodies, q)

@@ -29,7 +29,7 @@ class SystemUpdates:
         self.removers = [force.getFrequency() for force in forces]
 
     def let_act(self, step: float) -> None:
-        """Let them act, as in a step of this length in ps, and do nothing else."""
+        """Apply their update for one step of `step` ps, without integration."""
         plain, integrator = openmm.CustomIntegrator, self._context.getIntegrator()
         native_step = plain.getStepSize(integrator)
         try:

@@ -131,7 +131,7 @@ class AtomCache:
     def write_velocities(self, velocities: np.ndarray) -> None:
         """Set velocities, which are cached then; the Context gets them by `publish`."""
         if self._is_single:
-            # A run that goes on must know what a restart would read.
+            # Round as the device does, so that continuing equals restarting.
             velocities = velocities.astype(np.float32).astype(float)
         self.forget_velocities()
         velocities.flags.writeable = False

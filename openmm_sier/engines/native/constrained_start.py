@@ -6,6 +6,7 @@ import openmm
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system.cut_molecules import IF_CUT
+from openmm_sier.system.find_bodies import BodyPlan
 from openmm_sier.system.tables import Constraints
 
 #: Atoms whose constraints have larger errors than this, in nm or nm/ps, were set by a user and are moved onto them.
@@ -25,7 +26,7 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         tolerance: relative, for OpenMM's solvers.
 
     Raises:
-        RigidityError: OpenMM cannot satisfy them.
+        RigidityError: OpenMM cannot satisfy them, or they contradict each other.
     """
     errors, speeds = _errors(context, constraints)
     if not errors.max() <= OFF:
@@ -33,6 +34,8 @@ def satisfy_constraints(context: openmm.Context, constraints: Constraints, toler
         errors, speeds = _errors(context, constraints)
         worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
         if not errors[worst] <= NOT_CONVERGED:
+            # Lengths that contradict each other are refused where the bodies are found.
+            BodyPlan(context.getSystem())
             i, j = constraints.pairs[worst].tolist()
             raise RigidityError(
                 f"OpenMM could not satisfy the constraint of atoms {i} and {j} of {constraints.lengths[worst]:.4f} nm: "

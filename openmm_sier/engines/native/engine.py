@@ -1,35 +1,34 @@
 """The native engine: OpenMM executes the scheme, which is written out as the integrator's program, on any platform."""
 
-import math
 from collections.abc import Collection
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.native import refusals
 from openmm_sier.engines.native.atom_cache import AtomCache
+from openmm_sier.engines.native.atom_verbs import AtomVerbs
 from openmm_sier.engines.native.constrained_start import are_satisfied, satisfy_constraints
 from openmm_sier.engines.native.installation import set_bath
 from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.native.writing import needs_finite_positions, refuse_other_slow_groups
-from openmm_sier.engines.program import V0, WORK, Program
-from openmm_sier.engines.protocol import Changes, Clock, Engine, RollbackState, TrajectoryError
+from openmm_sier.engines.program import Program
+from openmm_sier.engines.records import Changes, Clock, TrajectoryError, says_nan
 from openmm_sier.engines.snapshot import Environment, Snapshot, time_of
 from openmm_sier.engines.start_checks import refuse_what_is_not_finite
 from openmm_sier.engines.trials import Outcome, Trial
-from openmm_sier.engines.variables import PART, per_atom_values
+from openmm_sier.engines.variables import PART
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import groups_of
-from openmm_sier.system.temperature import Temperatures
 
 #: Relative tolerance of constraints. OpenMM's default of 1e-5 leaves velocities wrong by 1e-5 of a bond for each
 #: substep, a larger energy error than that of the schemes.
@@ -42,14 +41,7 @@ SINGLE_TOLERANCE = 1e-6
 AT_ONCE = 10
 
 
-class Potential(NamedTuple):
-    """A potential energy, kJ/mol, and the box and the parameters of the Context at which it was computed."""
-
-    energy: float
-    environment: Environment
-
-
-class NativeEngine(Engine):
+class NativeEngine(AtomVerbs):
     """An engine that is the program of the integrator.
 
     The Context has the state after each call, but for velocities that wait in `AtomCache` for `publish`. An error in
@@ -86,10 +78,8 @@ class NativeEngine(Engine):
         self.step_check = StepCheck(system, self.moving, self._reported.species, program.inner_fraction)
         #: The step size of OpenMM's own clock.
         self._step_of_clock = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
-        self._potential: Potential | None = None
-        #: Whether OpenMM still has the forces of the end of the last step.
+        self._potential = None
         self._has_force = False
-        #: Whether velocities are those that the last step left.
         self._follows_bath = False
         self._atoms = AtomCache(context, is_single=self.precision == "single")
         self._remembers_list = neighbour_list.is_remembered(context)
@@ -216,7 +206,7 @@ class NativeEngine(Engine):
         except openmm.OpenMMException as error:
             # The next native step is the first part of a step.
             integrator.setGlobalVariableByName(PART, 0.0)
-            if "nan" in str(error).lower() and not isinstance(error, TrajectoryError):
+            if says_nan(error) and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
             raise
         finally:
@@ -248,116 +238,3 @@ class NativeEngine(Engine):
 
     def store(self) -> None:
         """Do nothing: the phase point is in the Context."""
-
-    # --- the phase point: the atoms as OpenMM has them ---
-
-    def save(self) -> RollbackState:
-        atoms, tally = self._atoms, self.tally
-        return RollbackState(atoms.both, self.clock, atoms.box, tally.mark(), dict(tally.counts), self._potential)
-
-    def restore(self, saved: RollbackState, reverse: bool = False) -> None:
-        positions, velocities = saved.point
-        if saved.box != self._atoms.box:
-            self._atoms.write_box(saved.box)
-        self._atoms.write_positions(positions)
-        self._write_velocities(-velocities if reverse else velocities)
-        self._follows_bath = False
-        self.clock = saved.clock
-        self._potential = saved.more
-        self.tally.restore(saved.mark)
-
-    def _write_velocities(self, velocities: np.ndarray) -> None:
-        self._atoms.write_velocities(velocities)
-        self._velocities_changed()
-
-    def _velocities_changed(self) -> None:
-        # OpenMM considers no force valid after that.
-        self._has_force = False
-
-    # --- moves of ensembles ---
-
-    def positions(self) -> np.ndarray:
-        return self._atoms.positions
-
-    def potential_energy(self) -> float:
-        if self.changes:
-            self.synchronize()
-        if self._potential is None:
-            state = openmm.Context.getState(self._context, energy=True, parameters=True, groups=self._groups)
-            energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-            self._potential = Potential(energy, Environment.of(state))
-        return self._potential.energy
-
-    def kinetic_energy(self) -> float:
-        return self._atoms.kinetic_energy()
-
-    def centre_velocity(self) -> np.ndarray:
-        return self._atoms.centre_velocity()
-
-    def transform_velocities(self, factor: float, shift: np.ndarray) -> None:
-        self._atoms.scale(factor, shift)
-        self._velocities_changed()
-
-    def draw_momenta(self, thermal: float, share: float) -> None:
-        """Draw velocities, of which the old ones stay a share; constraints leave the new ones canonical."""
-        before = self.kinetic_energy()
-        self._atoms.refresh_velocities(share, thermal, self.tally.noise())
-        if len(self._constraints.pairs):
-            self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
-        self._velocities_changed()
-        self.tally.heat += self.kinetic_energy() - before
-        self.tally.draws += 1
-
-    def scale(self, factor: float) -> None:
-        atoms, owners = self._atoms, self.moving.owners
-        atoms.write_box([factor * edge for edge in atoms.box])
-        positions = atoms.positions.copy()
-        massive = owners >= 0
-        points = np.empty((3, self.moving.n))
-        points[:, owners[massive]] = positions[massive].T
-        shifts = (factor - 1) * self.molecule_centres(points)
-        positions[massive] += shifts[:, owners[massive]].T
-        atoms.write_positions(positions)
-        self._check_start()
-
-    # --- questions of users ---
-
-    @property
-    def bodies(self) -> BodySet:
-        """Return the rigid and point bodies of the System.
-
-        Raises:
-            RigidityError: the System has constraints that do not form rigid bodies.
-        """
-        return self._reported.bodies
-
-    @property
-    def momentum_lag(self) -> float:
-        # The program has its bath also where there is no friction.
-        return self._program.momentum_lag
-
-    def state(self) -> BodyState:
-        return self._reported.state(Snapshot.of(self._context))
-
-    def temperatures(self, conserved: bool) -> Temperatures:
-        """See `Engine.temperatures`; only those of flexible molecules are those just after the bath."""
-        return self._reported.temperatures(Snapshot.of(self._context), self._velocities_after_bath(), conserved)
-
-    def _velocities_after_bath(self) -> np.ndarray | None:
-        """Return velocities of all particles just after a bath in the middle of the last step, nm/ps, if it had one."""
-        has_followed = self._follows_bath and Changes.ATOMS not in self.changes
-        if has_followed and self.method.scheme.bath_divides_drift and self.method.fast_groups:
-            return per_atom_values(self._integrator, V0)
-        return None
-
-    def degrees_of_freedom(self, conserved: bool) -> float:
-        return self._reported.degrees_of_freedom(conserved)
-
-    def heat(self) -> float:
-        """Return the energy from baths and moves, kJ/mol; NaN where the program does not count it."""
-        if not self._program.counts_heat:
-            return math.nan
-        heat = self.tally.heat
-        if WORK in self._program.vectors:
-            heat += float(np.sum(per_atom_values(self._integrator, WORK)))
-        return heat

@@ -4,24 +4,27 @@ import copy
 from collections.abc import Iterable
 from functools import partial
 
+import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.thermostat import Thermostat
-from openmm_sier.engines.native import trials
-from openmm_sier.engines.native.program import FRICTION, NEVER, THERMAL
+from openmm_sier.engines.native import trial_program, trial_variables
+from openmm_sier.engines.native.program import NEVER
+from openmm_sier.engines.native.statements import FRICTION, THERMAL
 from openmm_sier.engines.program import (
     CONSTRAIN_V,
     CONSTRAIN_X,
     TRIAL_VECTORS,
     UPDATE,
     VECTORS,
+    WORK,
     Program,
     Statement,
 )
-from openmm_sier.engines.trials import Trial
-from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES
+from openmm_sier.engines.variables import PART, PREFIX, STATE_VARIABLES, per_atom_values
 
 #: Global variable without a use. Without it OpenMM would misread checkpoints of earlier versions.
 UNUSED = PREFIX + "exact_only"
@@ -40,7 +43,7 @@ OWN = {
     UPDATE: openmm.CustomIntegrator.addUpdateContextState,
 }
 
-#: The name of an undefined variable, so that OpenMM's error message about it tells what is wrong.
+#: An undefined variable, by which OpenMM's error message says what is wrong.
 LOST = "This_is_a_SIER_integrator__import_openmm_sier_before_it_is_read_from_XML"
 
 
@@ -49,20 +52,20 @@ def all_vectors(method: IntegrationMethod) -> tuple[str, ...]:
     return (*ALL_VECTORS, *TRIAL_VECTORS) if method.trial_steps else ALL_VECTORS
 
 
+def variables(in_trials: bool) -> tuple[str, ...]:
+    """Return the names of the global variables of programs, of which some may make trials."""
+    return (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trial_variables.GLOBALS if in_trials else ()))
+
+
 def declare(integrator: openmm.CustomIntegrator, in_trials: bool = False) -> None:
     """Give an openmm.CustomIntegrator the global variables of programs, or of trials too, unless it has them."""
     there = set(map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables())))
-    for name in (UNUSED, PART, PARTS, FRICTION, THERMAL, *(trials.GLOBALS if in_trials else ())):
+    for name in variables(in_trials):
         if name not in there:
             integrator.addGlobalVariable(name, 0)
 
 
-def install(
-    program: Program,
-    integrator: openmm.CustomIntegrator,
-    vectors: Iterable[str] | None = None,
-    is_guarded: bool = False,
-) -> None:
+def install(program: Program, integrator: openmm.CustomIntegrator, vectors: Iterable[str] | None = None) -> None:
     """Give an openmm.CustomIntegrator a program and the variables of this module.
 
     `PART` says which native step is next. If it is negative, OpenMM updates the Context's state and does nothing else:
@@ -73,8 +76,6 @@ def install(
         program: what OpenMM executes.
         integrator: has neither computations nor per-atom variables yet.
         vectors: names of the per-atom variables; None: those of the program, with all that steps may need.
-        is_guarded: whether the program must fail at its first step, as one in XML that does less than what was asked
-            for. The integrators of Contexts here have none of these, since the engine does the rest.
     """
     usual = program.vectors if program.trials is not None else ALL_VECTORS
     for name in usual if vectors is None else vectors:
@@ -82,9 +83,8 @@ def install(
     declare(integrator, program.trials is not None)
     n = program.native_steps
     integrator.setGlobalVariableByName(PARTS, n)
-    _add_guard(integrator, is_guarded)
     if program.trials is not None:
-        trials.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
+        trial_program.Writer(program, program.trials, integrator, partial(_execute, integrator, n)).write()
         _add_last_force(program, integrator)
         return
     integrator.beginIfBlock(f"{PART} < 0")
@@ -129,9 +129,7 @@ def without_program(integrator: openmm.CustomIntegrator) -> openmm.CustomIntegra
 
     It is a plain CustomIntegrator, with the step of the scheme.
     """
-    plain = openmm.CustomIntegrator
-    native_steps = integrator.getGlobalVariableByName(PARTS) or 1
-    bare = plain(native_steps * plain.getStepSize(integrator))
+    bare = openmm.CustomIntegrator(step_of(integrator))
     bare.setConstraintTolerance(integrator.getConstraintTolerance())
     bare.setRandomNumberSeed(integrator.getRandomNumberSeed())
     bare.setIntegrationForceGroups(integrator.getIntegrationForceGroups())
@@ -174,6 +172,34 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
         )
 
 
+def set_variables(integrator: openmm.CustomIntegrator, native_steps: int, bath: Thermostat | None) -> None:
+    """Set the variables of a program to the values that they must have, whatever was loaded.
+
+    Args:
+        integrator: openmm.CustomIntegrator with the variables of programs.
+        native_steps: number of native steps in a step of the scheme. A State that was written on another platform may
+            have that of another program.
+        bath: of the scheme.
+    """
+    integrator.setGlobalVariableByName(PARTS, native_steps)
+    set_bath(integrator, bath)
+
+
+def step_of(integrator: openmm.CustomIntegrator) -> float:
+    """Return the step of the scheme of an integrator, ps."""
+    native_step = openmm.CustomIntegrator.getStepSize(integrator).value_in_unit(unit.picosecond)
+    return native_step * (integrator.getGlobalVariableByName(PARTS) or 1)
+
+
+def take_heat(integrator: openmm.CustomIntegrator) -> float:
+    """Return the heat that a program has counted, kJ/mol, and set its count to zero."""
+    if WORK not in vectors_of(integrator):
+        return 0.0
+    work = per_atom_values(integrator, WORK)
+    integrator.setPerDofVariableByName(WORK, np.zeros(work.shape))
+    return float(work.sum())
+
+
 def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> None:
     """Set the variables of the bath of a program, which begins with its first part.
 
@@ -187,23 +213,11 @@ def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> No
             integrator.setGlobalVariableByName(name, value)
 
 
-def set_trial(integrator: openmm.CustomIntegrator, trial: Trial | None) -> None:
-    """Set the variables of each trial that a program makes without this package, if it makes any."""
-    for name, value in trials.variables(trial).items() if trial is not None else ():
-        integrator.setGlobalVariableByName(name, value)
+def add_failure(integrator: openmm.CustomIntegrator) -> None:
+    """Give an integrator without a program a computation that fails, with a message that names this package.
 
-
-def _add_guard(integrator: openmm.CustomIntegrator, is_guarded: bool) -> None:
-    """Make a program fail that cannot do all that was asked for, where this package is not there to do it.
-
-    XML gives a plain CustomIntegrator there. Reference and CPU name the undefined variable in an error; other platforms
-    stop at positions that are NaN.
+    XML becomes a plain CustomIntegrator where this package is not imported, and a step of it would do nothing.
+    Reference and CPU name the undefined variable in an error; other platforms stop at positions that are NaN.
     """
-    # OpenMM draws random numbers for each condition, so that all programs have this one.
-    integrator.beginIfBlock(f"{int(is_guarded)} = 1")
     integrator.addComputePerDof(LOST, "0")
-    # A constant that is NaN would keep OpenMM's optimizer of expressions busy for ever.
-    integrator.addComputePerDof("x", "x + sqrt(-1 - x*x)")
-    # They notice that where an energy is computed.
-    integrator.addComputeGlobal(UNUSED, "energy")
-    integrator.endBlock()
+    integrator.addComputePerDof("x", "x + sqrt(-dt)")

@@ -11,11 +11,12 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.engines.native import trials
+from openmm_sier.engines.native import trial_variables
 from openmm_sier.engines.native.engine import NativeEngine
-from openmm_sier.engines.native.trials import Numbers
+from openmm_sier.engines.native.trial_variables import Numbers
 from openmm_sier.engines.program import Program
-from openmm_sier.engines.protocol import Clock, TrajectoryError
+from openmm_sier.engines.records import Clock, TrajectoryError, says_nan
+from openmm_sier.engines.snapshot import is_on_host
 from openmm_sier.engines.trajectories import refuse_energy
 from openmm_sier.engines.trials import Outcome, Trial
 
@@ -41,11 +42,11 @@ class TrialEngine(NativeEngine):
         #: Whether the energy where the Context is was found finite.
         self._is_sample = False
         super().__init__(context, method, tally, bodies, program)
-        name = context.getPlatform().getName()
-        if self._has_sites and name in ("CPU", "Reference"):
+        platform = context.getPlatform()
+        if self._has_sites and is_on_host(platform):
             raise openmm.OpenMMException(
-                f"OpenMM took the {name} platform, and trials were written for another one. Virtual sites do not "
-                "follow their atoms within a trial there: name the platform when the Context is made"
+                f"OpenMM took the {platform.getName()} platform, and trials were written for another one. Virtual "
+                "sites do not follow their atoms within a trial there: name the platform when the Context is made"
             )
 
     def synchronize(self) -> None:
@@ -53,7 +54,7 @@ class TrialEngine(NativeEngine):
         self._is_sample = False
 
     def make_trial(self, trial: Trial) -> Outcome:
-        if not trial.kinetic:
+        if not trial.kinetic_energy:
             # Nothing moves.
             return super().make_trial(trial)
         with nullcontext() if self._is_sample else self.transaction():
@@ -69,25 +70,25 @@ class TrialEngine(NativeEngine):
         try:
             numbers = self._executed(trial)
         except openmm.OpenMMException as error:
-            self.tally.heat += trial.kinetic - before
+            self.tally.heat += trial.kinetic_energy - before
             if not isinstance(error, TrajectoryError):
                 raise
             if self.removes_momentum:
                 self.shift_velocities(-self.centre_velocity())
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
-        self.tally.heat += trial.kinetic - before - numbers.stopped
+        self.tally.heat += trial.kinetic_energy - before - numbers.stopped
         if not math.isfinite(numbers.start):
             self.clock = clock
         # A comparison with NaN is false.
-        first_error = numbers.first_error if abs(numbers.first_error) <= trials.INFINITE else math.inf
+        first_error = numbers.first_error if abs(numbers.first_error) <= trial_variables.INFINITE else math.inf
         return Outcome(numbers.start, first_error, numbers.is_accepted)
 
     def propagate(self, steps: int, signals: Collection[Any] = (), wants_energy: bool = False) -> int:
         if not steps or self.method.step == 0:
             return super().propagate(steps, signals, wants_energy)
         start = self.clock
-        numbers = self._executed(trials.followed(self._integrator, steps))
+        numbers = self._executed(trial_variables.followed(steps))
         if not numbers.is_accepted:
             raise TrajectoryError(
                 "The energy at the end of a trajectory is not finite, or constraints are broken there"
@@ -103,11 +104,11 @@ class TrialEngine(NativeEngine):
         self._atoms.forget()
         self._velocities_changed()
         try:
-            numbers = trials.execute(self._integrator, trial)
+            numbers = trial_variables.execute(self._integrator, trial)
         except BaseException as error:
-            is_lost = isinstance(error, openmm.OpenMMException) and "nan" in str(error).lower()
-            self._restore_start(reverse=is_lost)
-            if is_lost:
+            has_nan = says_nan(error)
+            self._restore_start(reverse=has_nan)
+            if has_nan:
                 raise TrajectoryError(str(error)) from error
             raise
         self._has_force = numbers.is_accepted
@@ -117,7 +118,7 @@ class TrialEngine(NativeEngine):
         return numbers
 
     def _restore_start(self, reverse: bool) -> None:
-        positions, velocities = trials.start_of(self._integrator)
+        positions, velocities = trial_variables.start_of(self._integrator)
         is_massive = self._atoms.masses[:, None] > 0
         self._atoms.write_positions(np.where(is_massive, positions, self._atoms.positions))
         self._write_velocities(-velocities if reverse else velocities)

@@ -9,7 +9,6 @@ from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.engines.native.program import write
 from openmm_sier.engines.native.refusals import points
-from openmm_sier.engines.native.trials import are_native, stopped_mass
 from openmm_sier.engines.program import Program, Trials
 from openmm_sier.stability.motions import shortest_period
 from openmm_sier.stability.step_rules import longest_inner_step
@@ -23,11 +22,10 @@ from openmm_sier.system.solver_test import may_not_converge
 def general_program(method: IntegrationMethod) -> Program:
     """Return a program that executes a method in any System; one without parts if OpenMM cannot execute the method.
 
-    A method of trials becomes a program of whole trials. On the CPU and Reference platforms these are right only in a
-    System without virtual sites.
+    A method of trials becomes a program of whole trials.
     """
     if method.trial_steps:
-        return _written(method, divides_step=False, trials=Trials(steps_alone=method.trial_steps))
+        return _written(method, divides_step=False, trials=Trials())
     return _written(method)
 
 
@@ -143,3 +141,23 @@ def _acting_groups(system: openmm.System) -> int:
         if isinstance(force, openmm.NonbondedForce) and force.getReciprocalSpaceForceGroup() >= 0:
             mask |= 1 << force.getReciprocalSpaceForceGroup()
     return mask
+
+
+def are_native(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> bool:
+    """Return whether a trial can be one native step in a System. Its steps are native in any case.
+
+    Args:
+        method: of the trials.
+        system: openmm.System.
+        places_sites: whether the platform places virtual sites within a native step, which they must follow.
+        checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
+            computes forces of PME at positions that are not finite.
+    """
+    has_sites = tables.virtual_sites(system).size > 0
+    return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
+
+
+def stopped_mass(system: openmm.System) -> float:
+    """Return the mass in Da of the atoms whose centre a CMMotionRemover stops; 0 without one."""
+    is_stopped = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    return float(tables.masses(system).sum()) if is_stopped else 0.0

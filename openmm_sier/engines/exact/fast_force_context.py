@@ -11,7 +11,7 @@ from openmm_sier.system.bonded_terms import with_working_terms, working_terms
 from openmm_sier.system.forces import FORCES, kind_of
 
 
-class SoluteError(ValueError):
+class FastForceError(ValueError):
     """Fast forces that a Context of bonded forces cannot compute."""
 
 
@@ -36,7 +36,7 @@ def working_forces(forces: Iterable[openmm.Force], owner: np.ndarray, moving: np
         moving: for each particle whether it moves with a body, (N,).
 
     Raises:
-        SoluteError: a Force is not a bonded force, or one of its terms acts on a particle that moves with
+        FastForceError: a Force is not a bonded force, or one of its terms acts on a particle that moves with
             no body.
     """
     copies, particles = [], [np.empty(0, dtype=np.int64)]
@@ -53,7 +53,7 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     """Return the particles of each term of a bonded Force that does work, (t, k).
 
     Raises:
-        SoluteError: it is not bonded, or has a term on a particle that moves with no body.
+        FastForceError: it is not bonded, or has a term on a particle that moves with no body.
     """
     remedy = (
         f"Put the Force into another group than {force.getForceGroup()} with setForceGroup. If prepare_system put it "
@@ -62,20 +62,20 @@ def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -
     written = kind_of(force).terms
     if written is None:
         possible = ", ".join(each.__name__ for each, kind in FORCES.items() if kind.terms is not None)
-        raise SoluteError(
+        raise FastForceError(
             f"{force.getName()} ({type(force).__name__}) is in the fast force group {force.getForceGroup()}, but only "
             f"{possible} can be fast. {remedy}"
         )
     terms = working_terms(force, owner)
     for atoms in terms[~moving[terms].all(axis=1)]:
-        raise SoluteError(
+        raise FastForceError(
             f"a {written.element.lower()} of {force.getName()} acts on the atoms {', '.join(map(str, atoms))}, but "
             f"atom {atoms[~moving[atoms]][0]} is a virtual site or frozen, and moves with no body. {remedy}"
         )
     return terms
 
 
-class SoluteForces:
+class FastForceContext:
     """Fast forces and torques on some bodies: a function of their centres and attitudes.
 
     The Context keeps copies of the Forces, so that changes of parameters, box or Forces do not reach it by themselves.

@@ -6,7 +6,7 @@ import pytest
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.exact.solute import SoluteError, SoluteForces, working_forces
+from openmm_sier.engines.exact.fast_force_context import FastForceContext, FastForceError, working_forces
 from tests.support.systems import assembled
 from tests.support.waters import plain_context
 
@@ -61,23 +61,23 @@ def whole_system(forces):
     return system
 
 
-def fast(system):
+def fast_forces(system):
     return [force for force in system.getForces() if force.getForceGroup() == FAST]
 
 
-def solute_of(system, owner=OWNER):
+def fast_context_of(system, owner=OWNER):
     points = Species.from_sites(np.sort(FLEXIBLE)[:, None], np.array([12.011]), np.zeros((3, 1)))
     bodies = BodySet([points], system.getNumParticles())
-    forces = working_forces(fast(system), owner, MOVING)
-    return SoluteForces(forces, bodies, openmm.Platform.getPlatformByName("Reference"), {})
+    forces = working_forces(fast_forces(system), owner, MOVING)
+    return FastForceContext(forces, bodies, openmm.Platform.getPlatformByName("Reference"), {})
 
 
-def assert_forces_are_those_in(context, solute):
+def assert_forces_are_those_in(context, fast):
     """The same arithmetic on the same numbers."""
     expected = forces_in(context)[np.sort(FLEXIBLE)].T
     positions = context.getState(positions=True).getPositions(asNumpy=True)._value
     q = np.ascontiguousarray(positions[np.sort(FLEXIBLE)].T)
-    F, tau = solute(q, np.repeat(np.eye(3)[:, :, None], len(FLEXIBLE), axis=2))
+    F, tau = fast(q, np.repeat(np.eye(3)[:, :, None], len(FLEXIBLE), axis=2))
     assert np.abs(expected).max() > 1.0
     assert np.abs(F - expected).max() < 1e-12 * np.abs(expected).max()
     assert not tau.any()
@@ -98,7 +98,7 @@ def positions(rng):
 def test_each_kind_gives_the_forces_of_the_whole_system(positions, kind):
     """Every kind alone, so that a wrong one cannot hide; other groups and passive Forces stay out."""
     system = whole_system([bonded_forces()[kind]])
-    assert_forces_are_those_in(plain_context(system, positions), solute_of(system))
+    assert_forces_are_those_in(plain_context(system, positions), fast_context_of(system))
 
 
 def test_parameters_and_box_follow(positions):
@@ -111,15 +111,15 @@ def test_parameters_and_box_follow(positions):
     # Half a box apart, where the nearest image depends on the box.
     positions[FLEXIBLE[1]] = positions[FLEXIBLE[0]] + [1.2, 0, 0]
     context = plain_context(system, positions)
-    solute = solute_of(system)
-    assert solute.follow(context)
-    assert not solute.follow(context)
+    fast = fast_context_of(system)
+    assert fast.follow(context)
+    assert not fast.follow(context)
     context.setParameter("scale", 2.5)
-    assert solute.follow(context)
-    assert not solute.follow(context)
+    assert fast.follow(context)
+    assert not fast.follow(context)
     context.setPeriodicBoxVectors(*(2.2 * np.eye(3)))
-    assert solute.follow(context)
-    assert_forces_are_those_in(context, solute)
+    assert fast.follow(context)
+    assert_forces_are_those_in(context, fast)
 
 
 def test_terms_within_a_rigid_body_are_left_out(positions):
@@ -130,16 +130,16 @@ def test_terms_within_a_rigid_body_are_left_out(positions):
     owner = OWNER.copy()
     owner[WATER] = 0
     system = whole_system([angle])
-    (only,) = working_forces(fast(system), owner, MOVING).forces
+    (only,) = working_forces(fast_forces(system), owner, MOVING).forces
     assert only.getNumAngles() == 1
-    assert_forces_are_those_in(plain_context(system, positions), solute_of(system, owner))
+    assert_forces_are_those_in(plain_context(system, positions), fast_context_of(system, owner))
 
 
 def test_forces_without_working_terms_are_left_out():
     angle = openmm.HarmonicAngleForce()
     angle.addAngle(1, 0, 2, 1.8, 400)
     system = whole_system([angle])
-    assert working_forces(fast(system), np.where(OWNER < 3, 0, OWNER), MOVING).forces == []
+    assert working_forces(fast_forces(system), np.where(OWNER < 3, 0, OWNER), MOVING).forces == []
 
 
 def test_what_is_refused():
@@ -152,5 +152,5 @@ def test_what_is_refused():
         (bond, "bond of HarmonicBondForce acts on the atoms 9, 11, but atom 11 is a virtual site or frozen"),
     ):
         system = whole_system([force])
-        with pytest.raises(SoluteError, match=message):
-            working_forces(fast(system), OWNER, MOVING)
+        with pytest.raises(FastForceError, match=message):
+            working_forces(fast_forces(system), OWNER, MOVING)

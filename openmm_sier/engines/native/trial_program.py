@@ -5,9 +5,6 @@ at which an end is accepted; it reads the error, the decision and the kinetic en
 velocities of the start are kept in per-atom variables, from which a rejection restores them. Momenta are OpenMM's
 random numbers.
 
-A program alone needs no host: the random number of the decision is OpenMM's too, and the kinetic energy is
-the one that was drawn.
-
 OpenMM looks at every path through the blocks of a program, twice in a row, and computes an energy with each force after
 which some path needs it. So the ending of the last step is written apart from those of the steps before it, whose
 forces come without energies. It computes statements between two others in one kernel, but not across the beginning or
@@ -21,78 +18,34 @@ last force, which positions that were moved would make invalid.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import openmm
 
-from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.plan import Operation
 from openmm_sier.engines.native.constrained_start import NOT_CONVERGED
-from openmm_sier.engines.native.program import THERMAL
-from openmm_sier.engines.program import (
-    CONSTRAIN_V,
-    CONSTRAIN_X,
-    KEPT,
-    START_V,
-    START_X,
-    TRIAL_VECTORS,
-    Program,
-    Statement,
-    Trials,
+from openmm_sier.engines.native.statements import THERMAL
+from openmm_sier.engines.native.trial_variables import (
+    CENTRE,
+    CHANCES,
+    END_ERROR,
+    ENDS,
+    FIRST_ERROR,
+    GOES_ON,
+    INFINITE,
+    KINETIC,
+    LEFT,
+    SHARE,
+    START,
+    START_KINETIC,
+    STEPS,
+    STOPPED,
+    TAKEN,
+    THRESHOLD,
+    WANTED,
 )
-from openmm_sier.engines.trials import (
-    ACCEPTED,
-    ERROR,
-    TRIAL,
-    TRIALS,
-    Decide,
-    Draw,
-    Follow,
-    GoBack,
-    Keep,
-    StopCentre,
-    Trial,
-    WhileItGoesOn,
-)
-from openmm_sier.engines.variables import PREFIX, per_atom_values
-from openmm_sier.system import tables
-
-#: Global variables that the host sets beside `THERMAL`: steps to an end, extra chances, the share of momenta that is
-#: kept, the kinetic energy of the start, the largest error that is accepted, and the velocity that the centre of mass
-#: is given. A kinetic energy of zero leaves momenta as they are, and does not stop the centre of mass.
-STEPS, CHANCES, SHARE, WANTED, THRESHOLD = (
-    PREFIX + name for name in ("steps", "chances", "share", "wanted", "threshold")
-)
-CENTRE = tuple(f"{PREFIX}centre_{axis}" for axis in "xyz")
-
-#: Global variables that the program sets: potential and kinetic energy of the start, kinetic energy of the present
-#: state, energy error in kT of the present and of the first end, number of ends, whether the last one is accepted,
-#: whether the trajectory goes on, steps left to the end, and the kinetic energy that was taken from the centre of mass.
-START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED = (
-    PREFIX + name
-    for name in (
-        "start",
-        "start_kinetic",
-        "kinetic",
-        "end_error",
-        "first_error",
-        "ends",
-        "taken",
-        "goes_on",
-        "left",
-        "stopped",
-    )
-)
-
-#: All of them.
-GLOBALS = (
-    *(STEPS, CHANCES, SHARE, WANTED, THRESHOLD, *CENTRE),
-    *(START, START_KINETIC, KINETIC, END_ERROR, FIRST_ERROR, ENDS, TAKEN, GOES_ON, LEFT, STOPPED),
-)
-
-#: An error above this counts as infinite, kT.
-INFINITE = 1e20
+from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, START_V, START_X, Program, Statement, Trials
+from openmm_sier.engines.trials import TRIAL, Decide, Draw, Follow, GoBack, Keep, StopCentre, WhileItGoesOn
 
 #: The kinetic energy of atoms.
 KINETIC_ENERGY = "0.5*m*v*v"
@@ -162,9 +115,6 @@ def _uses(statement: Statement, name: str) -> bool:
     return statement.force is not None and statement.force.name == name
 
 
-# --- the program ---
-
-
 class Writer:
     """Writer of the computations of trials in an openmm.CustomIntegrator, which has their variables."""
 
@@ -190,8 +140,6 @@ class Writer:
     def write(self) -> None:
         """Add everything."""
         self._add(TRIAL)
-        if self._trials.steps_alone:
-            self._count()
 
     def _add(self, operations: Iterable[Operation]) -> None:
         for operation in operations:
@@ -208,18 +156,14 @@ class Writer:
         to.addComputePerDof("v", f"{SHARE}*{old} + sqrt((1 - {SHARE}*{SHARE})*{THERMAL}/m)*gaussian")
         to.addConstrainVelocities()
         to.addComputeSum(START_KINETIC, KINETIC_ENERGY)
-        if not self._trials.steps_alone:
-            to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
+        to.addComputePerDof("v", f"v*sqrt(select({WANTED}, {WANTED}/{START_KINETIC}, 1))")
 
     def _keep(self, operation: Keep) -> None:
         """Keep the velocities and energies of the start; positions were kept when momenta were drawn."""
         to = self._integrator
         # OpenMM computes this with the velocities, in one kernel.
         to.addComputePerDof(START_V, "v")
-        if self._trials.steps_alone:
-            to.addComputeGlobal(THRESHOLD, "-log(uniform)")
-        else:
-            to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
+        to.addComputeGlobal(START_KINETIC, f"select({WANTED}, {WANTED}, {START_KINETIC})")
         self._energy_of(START)
 
     def _while_it_goes_on(self, operation: WhileItGoesOn) -> None:
@@ -294,13 +238,6 @@ class Writer:
         to.addComputeGlobal(STOPPED, f"select({WANTED}, {0.5 * mass!r}*({squares}), 0)")
         to.addComputeGlobal(KINETIC, f"{KINETIC} - {STOPPED}")
 
-    def _count(self) -> None:
-        """Count the trial, as an ensemble does."""
-        to = self._integrator
-        to.addComputeGlobal(TRIALS, f"{TRIALS} + 1")
-        to.addComputeGlobal(ACCEPTED, f"{ACCEPTED} + {TAKEN}")
-        to.addComputeGlobal(ERROR, FIRST_ERROR)
-
 
 #: Functions that write an operation of a trial, by its class.
 COMPUTATIONS: dict[type[Operation], Callable[[Writer, Any], None]] = {
@@ -312,69 +249,3 @@ COMPUTATIONS: dict[type[Operation], Callable[[Writer, Any], None]] = {
     GoBack: Writer._go_back,
     StopCentre: Writer._stop_centre,
 }
-
-
-# --- its execution ---
-
-
-class Numbers(NamedTuple):
-    """Numbers that a program leaves after a trial; see the global variables of this module."""
-
-    start: float
-    first_error: float
-    is_accepted: bool
-    ends: int
-    kinetic: float
-    stopped: float
-
-
-def variables(trial: Trial) -> dict[str, float]:
-    """Return the global variables that describe a trial, by name."""
-    values = (trial.steps, trial.chances, trial.share, trial.thermal, trial.kinetic, trial.threshold, *trial.centre)
-    return dict(zip((STEPS, CHANCES, SHARE, THERMAL, WANTED, THRESHOLD, *CENTRE), values, strict=True))
-
-
-def execute(integrator: openmm.CustomIntegrator, trial: Trial) -> Numbers:
-    """Let OpenMM make a trial."""
-    for name, value in variables(trial).items():
-        integrator.setGlobalVariableByName(name, value)
-    openmm.CustomIntegrator.step(integrator, 1)
-    start, error, taken, ends, kinetic, stopped = map(
-        integrator.getGlobalVariableByName, (START, FIRST_ERROR, TAKEN, ENDS, KINETIC, STOPPED)
-    )
-    return Numbers(start, error, taken > 0, int(ends), kinetic, stopped)
-
-
-def followed(integrator: openmm.CustomIntegrator, steps: int) -> Trial:
-    """Return the trial that follows a trajectory from the present momenta, and accepts its end if it is finite."""
-    thermal = integrator.getGlobalVariableByName(THERMAL)
-    return Trial(steps, 0, share=1.0, thermal=thermal, kinetic=0.0, threshold=INFINITE, centre=np.zeros(3))
-
-
-def start_of(integrator: openmm.CustomIntegrator) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions, nm, and velocities, nm/ps, at the start of the last trial, (N, 3) each; massless ones are 0."""
-    positions, velocities = (per_atom_values(integrator, name) for name in TRIAL_VECTORS)
-    return positions, velocities
-
-
-# --- where trials are native ---
-
-
-def are_native(method: IntegrationMethod, system: openmm.System, places_sites: bool, checks_positions: bool) -> bool:
-    """Return whether a trial can be one native step in a System. Its steps are native in any case.
-
-    Args:
-        method: of the trials.
-        system: openmm.System.
-        places_sites: whether the platform places virtual sites within a native step, which they must follow.
-        checks_positions: whether positions must be looked at before each force, as on the Reference platform, which
-            computes forces of PME at positions that are not finite.
-    """
-    has_sites = tables.virtual_sites(system).size > 0
-    return bool(method.trial_steps) and not checks_positions and (places_sites or not has_sites)
-
-
-def stopped_mass(system: openmm.System) -> float:
-    """Return the mass in Da of the atoms whose centre a CMMotionRemover stops; 0 without one."""
-    is_stopped = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
-    return float(tables.masses(system).sum()) if is_stopped else 0.0

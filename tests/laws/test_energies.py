@@ -1,0 +1,69 @@
+"""Energies: in short steps all energy that a Context gains is heat, and reversed velocities lead back to the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+
+from openmm_sier.dynamics.constants import GAS_CONSTANT
+from tests.laws.law import Law
+from tests.laws.methods import Method, methods
+from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixtures import TEMPERATURE, Mixture
+from tests.laws.runs import Run, end, started
+
+#: ps: a step in which a bath of `FRICTION`, 1/ps, draws a fifth of the momenta.
+SHORT, FRICTION = 0.0001, 2000.0
+
+#: Largest change of the energy less the heat, in kT for each degree of freedom, of which a bath gives and takes as much
+#: as one within five steps.
+LOST = 0.01
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A run with a strong bath, in short steps."""
+
+    mixture: Mixture
+    method: Method
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        run = started(self.mixture, self.method, self.platform)
+        if np.isnan(run.integrator.countedHeat):
+            return
+        thermal = GAS_CONSTANT * TEMPERATURE * run.freedoms(run.view())
+        last = own_energy(run)
+        for _ in range(4):
+            # A volume move may end a run where the box becomes too small.
+            if end(run, 2):
+                return
+            energy = own_energy(run)
+            gain = (energy - last) / thermal
+            assert abs(gain) < LOST, f"the energy less the heat grew by {gain:.3f} kT for each degree of freedom"
+            last = energy
+
+
+def own_energy(run: Run) -> float:
+    """Return the total energy less what a run counts as heat, kJ/mol."""
+    return run.potential_energy() + run.kinetic_energy(run.view()) - run.integrator.countedHeat
+
+
+@st.composite
+def gains(draw: st.DrawFn, platform: str) -> Gain:
+    """Draw a method of any class, whose steps are short and whose bath is strong."""
+    method = draw(methods())
+    names = {"stepSize": SHORT, "schemeStepSize": SHORT, "frictionCoeff": FRICTION, "rotationalFriction": 2 * FRICTION}
+    names |= {"rate": FRICTION}
+    known = {name: value for name, value in names.items() if method.get(name)}
+    return Gain(draw(mixtures()), method.having(**known), platform)
+
+
+GAINS = Law("gains", gains, few=20)
+
+
+@GAINS.numbers()
+def test_what_is_gained_is_heat(examples):
+    GAINS.hold(examples)
