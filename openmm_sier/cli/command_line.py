@@ -278,3 +278,14 @@ def _described(error: CycloptsError) -> str:
         return " ".join(str(error).split()).removesuffix(".")
     name, message = refusal(cause, error.argument.hint)
     return f"argument {'BOX' if name == 'box' else flag(name)}: {message}"
+
+
+def options_of(line: Sequence[str]) -> dict[str, Any]:
+    """Return the options in a command line of `run`, by name.
+
+    Raises:
+        CycloptsError: arguments are wrong.
+    """
+    _, bound, _ = app.parse_args(list(line), exit_on_error=False, print_error=False)
+    chosen: dict[str, Any] = bound.arguments["options"].chosen()
+    return chosen

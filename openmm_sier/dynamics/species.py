@@ -26,6 +26,9 @@ FIT_TOLERANCE = 0.02
 #: its own place than to that of any other atom, so that none can be mistaken for another.
 FIT_FRACTION = 0.25
 
+#: Number of sites up to which all distances are compared.
+MOST_COMPARED = 200
+
 #: Sites at most this far apart, in nm, are at one place and need not be distinguished.
 ONE_PLACE = 1e-9
 
@@ -137,11 +140,15 @@ class Species:
     @cached_property
     def tolerance(self) -> float:
         """Largest distance in nm between an atom and its site at which the body is still recognized."""
-        shortest = np.inf
-        for i in range(1, self.sites.shape[1]):
-            # One row at a time: all pairs of a large body, a rigid protein say, would take much memory.
-            apart = np.linalg.norm(self.sites[:, :i] - self.sites[:, i, None], axis=0)
-            shortest = apart[apart > ONE_PLACE].min(initial=shortest)
+        if self.sites.shape[1] <= MOST_COMPARED:
+            first, second = np.triu_indices(self.sites.shape[1], 1)
+        else:
+            from scipy.spatial import KDTree
+
+            # Larger distances do not matter.
+            first, second = KDTree(self.sites.T).query_pairs(FIT_TOLERANCE / FIT_FRACTION, output_type="ndarray").T
+        apart = np.linalg.norm(self.sites[:, first] - self.sites[:, second], axis=0)
+        shortest = apart[apart > ONE_PLACE].min(initial=np.inf)
         return float(min(FIT_TOLERANCE, FIT_FRACTION * shortest))
 
     def fit(self, arms: np.ndarray, previous: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -34,6 +34,8 @@ class Engine(Verbs):
         #: Bonds that keep molecules together; None in a System without a box, and after a change of bonds.
         self._bonds: Bonds | None = None
         system = context.getSystem()
+        #: Force groups, by the addresses of Forces in their order. A Context keeps those with which it was made.
+        self._force_groups = {int(force.this): force.getForceGroup() for force in system.getForces()}
         if system.usesPeriodicBoundaryConditions():
             self._bonds = Bonds.of_system(system)
 
@@ -54,7 +56,7 @@ class Engine(Verbs):
     def changes_by(self, force: openmm.Force) -> Changes:
         """Return what is changed by other parameters of a Force of the System."""
         changes = Changes.FORCES
-        if self.method.fast_groups >> force.getForceGroup() & 1:
+        if self.method.fast_groups >> self._force_groups.get(int(force.this), 0) & 1:
             changes |= Changes.FAST
         if any(isinstance(part.force, openmm.HarmonicBondForce) for part in with_inner_forces(force)):
             changes |= Changes.BONDS

@@ -134,12 +134,12 @@ class Metropolis(ConstantTemperature):
     def _make_trial(self, engine: Engine, steps: int, signals: Collection[Any]) -> int:
         """Make a trial, and count it at once, so that an error does not find it counted in part; see `Advance`."""
         tally, length = engine.tally, self.steps_per_trial * engine.method.step
-        self._check_reversal(engine)
+        checked = self._check_reversal(engine)
         clock = engine.clock
         outcome = engine.make_trial(self._chosen(engine) if _moves(engine) else self._trial(engine.method))
         made, accepted = tally.counts[TRIALS] + 1, tally.counts[ACCEPTED] + outcome.is_accepted
         engine.clock = Clock(clock.time + length, clock.steps + 1)
-        tally.counts |= {TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
+        tally.counts |= {**checked, TRIALS: made, ACCEPTED: accepted, ERROR: outcome.error}
         return 1
 
     # --- the choices of a trial ---
@@ -169,17 +169,20 @@ class Metropolis(ConstantTemperature):
 
     # --- reversibility ---
 
-    def _check_reversal(self, engine: Engine) -> None:
+    def _check_reversal(self, engine: Engine) -> dict[str, float]:
         """Follow a trajectory there and back, once for each step size, with momenta that are drawn for it.
 
         One that cannot be followed says nothing, and the next trial begins with another.
+
+        Returns:
+            The counts that change if one was followed.
 
         Raises:
             openmm.OpenMMException: it does not come back.
         """
         counts, step = engine.tally.counts, engine.method.step
         if counts[CHECKED_STEP] == step:
-            return
+            return {}
         refuse_energy(engine.potential_energy(), engine.clock)
         sample = engine.save()
         try:
@@ -194,12 +197,11 @@ class Metropolis(ConstantTemperature):
         finally:
             engine.restore(sample)
         if not math.isfinite(error):
-            return
+            return {}
         allowed = SINGLE_REVERSIBLE if engine.precision == "single" else REVERSIBLE
         if not error <= allowed:
             raise openmm.OpenMMException(_misses(steps, error, allowed, engine.precision))
-        counts[REVERSAL] = error
-        counts[CHECKED_STEP] = step
+        return {REVERSAL: error, CHECKED_STEP: step}
 
 
 def _moves(engine: Engine) -> bool:

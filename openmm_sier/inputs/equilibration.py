@@ -200,6 +200,10 @@ def equilibrate(
     Raises:
         TypeError: the Context has another integrator.
     """
+    if time == 0:
+        _refuse_other_integrators(context)
+        context.setVelocitiesToTemperature(temperature, seed)
+        return Equilibration(0.0, Means(*4 * [math.nan]), settled=False, doubtful=False, described="")
     bath = _bath_context(context, temperature, seed)
     integrator = bath.getIntegrator()
     dof = degrees_of_freedom(integrator.bodies, integrator.conservesMomentum)
@@ -230,11 +234,17 @@ def equilibrate(
     return outcome
 
 
-def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
-    """Return a copy of a Context at constant temperature, with new velocities."""
+def _refuse_other_integrators(context: openmm.Context) -> None:
+    """Refuse a Context without a SIERIntegrator."""
     integrator = context.getIntegrator()
     if not isinstance(integrator, SIERIntegrator):
         raise TypeError(f"equilibrate needs a Context with a SIER integrator, got a {type(integrator).__name__}")
+
+
+def _bath_context(context: openmm.Context, temperature: float, seed: int) -> openmm.Context:
+    """Return a copy of a Context at constant temperature, with new velocities."""
+    _refuse_other_integrators(context)
+    integrator = context.getIntegrator()
     pressure = integrator.getPressure() if isinstance(integrator, SIERThermostatIntegrator) else None
     fast, step = integrator.fastForceGroups, _step_of(context, temperature)
     langevin = SIERLangevinIntegrator(

@@ -137,6 +137,11 @@ def add_virtual_sites(
     return modeller.topology, modeller.positions
 
 
+def _has_extra_particles(forcefield: app.ForceField) -> bool:
+    """Return whether a template of a force field has particles without an element."""
+    return any(atom.element is None for template in forcefield._templates.values() for atom in template.atoms)
+
+
 def pme_system(
     topology: app.Topology,
     forcefield: app.ForceField,
@@ -285,7 +290,9 @@ def read_box(
     try:
         chosen, reason = (tuple(map(str, files)), "as given") if files else pick(source)
         forcefield = load(chosen, Path(path).parent)
-        topology, positions = add_virtual_sites(pdb.topology, lengths * unit.nanometer, forcefield)
+        topology, positions = pdb.topology, lengths * unit.nanometer
+        if _has_extra_particles(forcefield):
+            topology, positions = add_virtual_sites(topology, positions, forcefield)
         system = pme_system(topology, forcefield, constraints, interactions)
         whole = make_whole(system, positions, topology)
     except ValueError as error:

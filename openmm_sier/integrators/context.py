@@ -54,6 +54,8 @@ class SIERContext(openmm.Context):
         super().reinitialize(preserveState)
         with tables.read_once():
             self.impl.bind(self, keeps_tally=preserveState)
+        if preserveState:
+            self.session.changed(Changes.VARIABLES)
 
     # --- saved and loaded states ---
 

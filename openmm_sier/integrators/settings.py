@@ -122,7 +122,10 @@ def store_text(integrator: openmm.CustomIntegrator, text: str) -> None:
     """Store the text of settings, see `store`."""
     # A function needs at least two values.
     characters = text.encode().ljust(2 * WIDTH)
-    values = [float(int.from_bytes(characters[i : i + WIDTH], "big")) for i in range(0, len(characters), WIDTH)]
+    # The last number has fewer characters.
+    end = len(characters) - len(characters) % WIDTH
+    numbers = np.frombuffer(characters[:end], np.uint8).reshape(-1, WIDTH) @ 256 ** np.arange(WIDTH)[::-1]
+    values = numbers.astype(float).tolist() + [float(int.from_bytes(characters[end:], "big"))] * (end < len(characters))
     names = _functions(integrator)
     if NAME in names:
         integrator.getTabulatedFunction(names.index(NAME)).setFunctionParameters(values)

@@ -38,9 +38,10 @@ def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
         return 0
     force = openmm.HarmonicBondForce()
     force.setName(NAME)
+    add = tables.compiled(force, "addBond")
     # Bodies are numbered by their masses, which a hydrogenMass changes.
     for one, other in sorted(pairs.tolist()):
-        force.addBond(one, other, 0.0, 0.0)
+        add(force, one, other, 0.0, 0.0)
     system.addForce(force)
     return len(np.unique(owner[pairs[:, 0]]))
 

@@ -201,6 +201,7 @@ def _put_fast_forces(system: openmm.System, forces: FastForces, group: int) -> l
         if of_bodies is not None:
             system.addForce(of_bodies)
             fast.append(of_bodies)
+            tables.forget()
     for force in fast:
         force.setForceGroup(group)
     return fast

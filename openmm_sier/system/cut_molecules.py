@@ -262,6 +262,8 @@ def _gathered(
     Raises:
         RigidityError: a cluster has moved, and is longer than half the box.
     """
+    if not _are_scattered(clusters, fragment, positions, box):
+        return positions
     x, fragment, inverse = positions.copy(), fragment.copy(), np.linalg.inv(box)
     order = np.argsort(fragment, kind="stable")
     present, starts = np.unique(fragment[order], return_index=True)
@@ -287,6 +289,21 @@ def _gathered(
         members[int(numbers[0])] = together
         fragment[together] = numbers[0]
     return x
+
+
+def _are_scattered(
+    clusters: Sequence[Any] | np.ndarray, fragment: np.ndarray, positions: np.ndarray, box: np.ndarray
+) -> bool:
+    """Return whether a fragment of a cluster is nearer to its first atom at another image; see `_gathered`."""
+    sizes = np.array(list(map(len, clusters)), dtype=np.int64)
+    if not len(sizes):
+        return False
+    atoms = np.concatenate([np.asarray(cluster, dtype=np.int64) for cluster in clusters])
+    number = np.repeat(np.arange(len(sizes)), sizes)
+    _, first = np.unique(number * len(fragment) + fragment[atoms], return_index=True)
+    starts = np.cumsum(sizes) - sizes
+    arms = positions[atoms[first]] - positions[atoms[starts[number[first]]]]
+    return bool((wrapped(arms, box, np.round) != arms).any())
 
 
 # --- molecules that are cut -------------------------------------------------------------------------------------------

@@ -170,13 +170,15 @@ class BodyPlan:
     def _checked(self, rigid: Rigid, system: openmm.System) -> list[Cluster]:
         """Return named bodies without virtual sites, and without bodies that are frozen entirely."""
         clusters: list[Cluster] = []
+        sites = set(tables.virtual_sites(system).tolist())
+        massless = set(np.flatnonzero(self._masses == 0).tolist())
         for number, particles in enumerate(checked_clusters([] if rigid is None else rigid)):
             if not particles:
                 raise ValueError(f"each body must have particles, but the list of body {number} is empty")
             if outside := [i for i in particles if not 0 <= i < self._n]:
                 raise ValueError(f"bodies name particle {outside[0]}, but the System has only {self._n} particles")
-            cluster = tuple(i for i in particles if not system.isVirtualSite(i))
-            without = [i for i in cluster if not self._masses[i]]
+            cluster = tuple(i for i in particles if i not in sites)
+            without = [i for i in cluster if i in massless]
             if len(without) == len(cluster):
                 continue
             if without:
@@ -229,9 +231,10 @@ class BodyPlan:
 
     def _refuse_unusable(self, kinds: list[np.ndarray], positions: np.ndarray) -> None:
         """Refuse positions that give bodies, (m, k) particles of each kind, no shape."""
-        for cluster in (cluster for clusters in kinds for cluster in clusters):
-            if not np.isfinite(positions[cluster]).all():
-                raise RigidityError(f"the positions of {self._describe(cluster)} are not finite")
+        for clusters in kinds:
+            is_finite = np.isfinite(positions[clusters]).all(axis=(1, 2))
+            if not is_finite.all():
+                raise RigidityError(f"the positions of {self._describe(clusters[is_finite.argmin()])} are not finite")
         if self._wholeness is not None:
             self._wholeness.refuse_cut(positions, kinds, self._describe)
 

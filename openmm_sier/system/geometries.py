@@ -153,6 +153,8 @@ def _near(table: np.ndarray, distance: float, choose: Callable | None = None) ->
 
 def _embedded(kind: Kind, describe: Callable) -> Species:
     """Return bodies with the geometry defined by the lengths of all pairs of atoms, up to a reflection."""
+    if len(kind.masses) == 1:
+        return Species.from_sites(kind.clusters, kind.masses, np.zeros((3, 1)))
     coordinates, excess = embed(len(kind.masses), kind.lengths)
     if excess > EMBEDDING_TOLERANCE:
         raise RigidityError(

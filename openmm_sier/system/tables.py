@@ -147,9 +147,13 @@ def rows(source: Any, method: str, count: int) -> Iterator[Any]:
         method: name of a method of an index.
         count: number of rows.
     """
+    return map(compiled(source, method), repeat(source), range(count))
+
+
+def compiled(source: Any, method: str) -> Callable[..., Any]:
+    """Return the compiled function beneath a method of a System or Force, which takes it first, and no units."""
     names = [f"{cls.__name__}_{method}" for cls in type(source).__mro__]
-    function = next(getattr(_openmm, name) for name in names if hasattr(_openmm, name))
-    return map(function, repeat(source), range(count))
+    return next(getattr(_openmm, name) for name in names if hasattr(_openmm, name))
 
 
 def numeric_rows(source: Any, method: str, count: int, columns: int) -> np.ndarray:

@@ -17,6 +17,7 @@ from openmm_sier.cli import main
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.many import members
 from openmm_sier.cli.many.command import _grouped, _usual_workers
+from openmm_sier.cli.many.complete import is_complete
 from openmm_sier.cli.many.members import Member, command_of, run_many
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.dynamics.threads import cores
@@ -253,6 +254,20 @@ def test_a_stop_before_the_first_step_begins_nothing_again(box, monkeypatch):
     runs = run_many(box, [1, 2], out="a.dcd", workers=1, stop=begun, **options)
     assert [(run.state, run.error) for run in runs] == 2 * [("stopped", "")]
     assert not Path("a-seed2.csv").exists()
+
+
+def test_complete_runs_need_no_process(box, monkeypatch):
+    options = {"scheme": "sier2", "dt": 4, "platform": "Reference", "equilibrate": 0, "steps": 4}
+    (member,) = run_many(box, [1], out="a.dcd", **options)
+    assert (member.state, member.error) == ("complete", "")
+    monkeypatch.setattr(members, "_client", None)
+    (member,) = run_many(box, [1], out="a.dcd", **options)
+    assert (member.state, member.error) == ("complete", "")
+    # Longer runs, and those whose files are damaged, are left to their processes.
+    assert not is_complete(command_of(box, member, options | {"steps": 5}))
+    assert is_complete(command_of(box, member, options))
+    Path("a-seed1.csv").write_text("mine\n")
+    assert not is_complete(command_of(box, member, options))
 
 
 @pytest.mark.thorough

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from openmm_sier import RigidBodies, RigidityError
+from openmm_sier.dynamics import species as species_module
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
 from openmm_sier.dynamics.operators import drift
 from openmm_sier.dynamics.species import FIT_TOLERANCE, Species
@@ -391,3 +392,17 @@ def test_moments_that_the_masses_do_not_have_are_refused(factors):
     water = ensemble(WATER, 1)[0].species[0]
     with pytest.raises(ValueError, match=r"those of the masses.*set_inertia"):
         replace(water, moments=water.moments * factors)
+
+
+@pytest.mark.parametrize("shortest", [0.01, 0.05, 0.175])
+def test_the_tolerance_of_large_bodies_is_that_of_small_ones(rng, monkeypatch, shortest):
+    """Distances that do not matter are not compared."""
+    sites = 0.35 * np.array([(i, j, k) for i in range(4) for j in range(4) for k in range(4)], dtype=float)
+    sites[1] = sites[0] + [shortest, 0, 0]
+    # Two sites at one place need not be distinguished.
+    sites = np.concatenate([sites, sites[:1]])
+    small, large = (Species.from_coordinates([range(len(sites))], np.ones(len(sites)), sites) for _ in range(2))
+    monkeypatch.setattr(species_module, "MOST_COMPARED", len(sites))
+    expected = small.tolerance
+    monkeypatch.setattr(species_module, "MOST_COMPARED", 3)
+    assert large.tolerance == expected == pytest.approx(min(0.02, shortest / 4))

@@ -7,10 +7,11 @@ import openmm
 import pytest
 from openmm import app
 
-from openmm_sier import SIER2, SIER4, SIER4G, SIERHMCIntegrator, SIERIntegrator
+from openmm_sier import SIER2, SIER4, SIER4G, SIERHMCIntegrator, SIERIntegrator, prepare_system
 from openmm_sier.engines import trajectories
 from openmm_sier.ensembles import metropolis
 from openmm_sier.stability.runaway import RunawayError
+from tests.support.peptides import capped_alanine
 from tests.support.systems import assembled, field
 from tests.support.waters import cluster_system, context_at, force_of, phase_point, platform, settled
 
@@ -197,3 +198,44 @@ def test_a_minimization_that_would_never_end_is_refused(cluster, engine, overlap
     assert np.array_equal(phase_point(simulation.context)[0], positions)
     simulation.context.setPositions(point[0])
     simulation.minimizeEnergy(maxIterations=1)
+
+
+def test_a_slow_force_changes_no_operators_and_no_bonds():
+    """Which are made of all fast terms and all bonds: metadynamics changes a slow Force hundreds of times."""
+    system, positions = capped_alanine(4)
+    prepare_system(system)
+    pull = field("k*z^2", range(8), k=1.0)
+    system.addForce(pull)
+    context = openmm.Context(system, SIERIntegrator(0.001, engine="exact"), platform())
+    context.setPositions(positions)
+    integrator = context.getIntegrator()
+    integrator.step(1)
+    engine = integrator.impl.engine
+    motion, bonds = engine.motion, engine._bonds
+    pull.updateParametersInContext(context)
+    integrator.step(1)
+    assert engine.motion is motion
+    assert engine._bonds is bonds
+    force_of(system, openmm.HarmonicBondForce).updateParametersInContext(context)
+    integrator.step(1)
+    assert engine.motion is not motion
+
+
+@pytest.mark.parametrize("changed", [openmm.HarmonicAngleForce, openmm.HarmonicBondForce])
+def test_a_fast_force_stays_fast_until_the_context_is_made_again(changed):
+    """OpenMM keeps the groups with which it made a Context, and every Force acts once."""
+    system, positions = capped_alanine(4)
+    prepare_system(system)
+    angles = force_of(system, openmm.HarmonicAngleForce)
+    ends = []
+    for group in (1, 2):
+        angles.setForceGroup(1)
+        integrator = SIERIntegrator(0.0002, fastForceGroups={1}, engine="exact", substeps=2)
+        context = openmm.Context(system, integrator, platform())
+        context.setPositions(positions)
+        integrator.step(1)
+        angles.setForceGroup(group)
+        force_of(system, changed).updateParametersInContext(context)
+        integrator.step(2)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+    assert np.abs(ends[0] - ends[1]).max() < SAME

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 from openmm_sier.cli.files.records import GrowingFile, Log, Noted
 from openmm_sier.cli.files.trajectories import Trajectory
@@ -78,8 +78,16 @@ KINDS = {
 
 
 def _subset(topology: app.Topology, listed: np.ndarray) -> app.Topology:
-    """Return the Topology of some atoms with their names, which a trajectory needs."""
-    modeller = app.Modeller(topology, [openmm.Vec3(0, 0, 0)] * topology.getNumAtoms() * unit.nanometer)
-    indices = set(listed.tolist())
-    modeller.delete([atom for atom in topology.atoms() if atom.index not in indices])
-    return modeller.topology
+    """Return the Topology of some atoms with their names, and with the box, which a trajectory needs."""
+    if len(listed) == topology.getNumAtoms():
+        return topology
+    subset, indices = app.Topology(), set(listed.tolist())
+    subset.setPeriodicBoxVectors(topology.getPeriodicBoxVectors())
+    for chain in topology.chains():
+        own_chain = subset.addChain(chain.id)
+        for residue in chain.residues():
+            own_residue = subset.addResidue(residue.name, own_chain, residue.id, residue.insertionCode)
+            for atom in residue.atoms():
+                if atom.index in indices:
+                    subset.addAtom(atom.name, atom.element, own_residue, atom.id)
+    return subset

@@ -131,8 +131,18 @@ def run_many(
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: command_of(box, member, options) for member in members}
-    with _dask_errors(), _client(scheduler, workers) as client:
-        _Runs(client, members, retries, watch or (lambda _: None), stop).carry_out(lines, _threads(scheduler, workers))
+    # It parses command lines, whose module imports this one.
+    from openmm_sier.cli.many.complete import is_complete
+
+    watch = watch or (lambda _: None)
+    for member in members:
+        if not stop() and is_complete(lines[member.seed]):
+            member.state = "complete"
+            _update_step(member)
+            watch(members)
+    if any(member.state != "complete" for member in members):
+        with _dask_errors(), _client(scheduler, workers) as client:
+            _Runs(client, members, retries, watch, stop).carry_out(lines, _threads(scheduler, workers))
     return members
 
 
@@ -234,7 +244,7 @@ class _Runs:
     def carry_out(self, lines: dict[int, list[str]], threads: int | None) -> None:
         """Execute the command line of each seed, until all have ended or are stopped."""
         stop = _dask().Event(f"openmm-sier-stop-{uuid.uuid4().hex}", client=self._client)
-        for member in self._all:
+        for member in [member for member in self._all if member.state != "complete"]:
             task = (lines[member.seed], os.getcwd(), threads, stop.name)
             future = self._client.submit(carry_out, *task, pure=False, retries=self._retries)
             self.members[future] = member

@@ -75,6 +75,9 @@ class ExactEngine(PointVerbs):
         self._published: tuple[BodyState, Clock] | None = None
         #: Whether the variables of the integrator hold an older phase point than the last one.
         self._is_unstored = False
+        #: The phase point that they hold, and whether it must be read, since the platform rounded it.
+        self._stored: BodyState | None = None
+        self._rounds_stored = False
         #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
         self._calls: list[OperatorCall] = []
         self._calls_with_energy: list[OperatorCall] = []
@@ -121,10 +124,8 @@ class ExactEngine(PointVerbs):
             self.refuse_cut_molecules(now)
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
-            is_own = self._is_unstored and Changes.VARIABLES not in self.changes
-            stored = point if is_own else stored_point(self._context, self._packing)
-            point = self._reader.point(now, stored, point, moved)
-        if self._has_other_fast_forces():
+            point = self._reader.point(now, self._stored_point(point), point, moved)
+        if Changes.FAST in self.changes:
             self.motion = self._new_motion()
         if point is not None:
             self.point = point
@@ -145,20 +146,21 @@ class ExactEngine(PointVerbs):
         # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
         self.changes = Changes.SETTINGS
 
-    def _has_other_fast_forces(self) -> bool:
-        """Return whether the fast forces are not those of the operators any more."""
-        if Changes.FAST in self.changes:
-            return True
-        return Changes.FORCES in self.changes and self.motion.fast != self._fast_forces()
-
     def _fast_forces(self) -> list[int]:
         """Return the indices of the Forces in fast groups."""
         fast = self._groups & self.method.fast_groups
-        return [i for i, force in enumerate(self._context.getSystem().getForces()) if fast >> force.getForceGroup() & 1]
+        return [i for i, group in enumerate(self._force_groups.values()) if fast >> group & 1]
 
     def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
         """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
         return self._keeps_numbers and np.array_equal(vectors, written)
+
+    def _stored_point(self, point: BodyState | None) -> BodyState | None:
+        """Return the phase point that the variables hold; the last one if they hold an older one, None if none."""
+        if Changes.VARIABLES in self.changes or (self._rounds_stored and not self._is_unstored):
+            self._stored = stored_point(self._context, self._packing)
+        is_own = self._is_unstored and Changes.VARIABLES not in self.changes
+        return point if is_own else self._stored
 
     def _take_environment(self, now: Snapshot) -> None:
         """Take over box and parameters of a Context where they differ."""
@@ -307,3 +309,5 @@ class ExactEngine(PointVerbs):
         for name, values in zip(STATE_VARIABLES, self._packing.pack(self.point), strict=True):
             self._integrator.setPerDofVariableByName(name, values)
         self._is_unstored = False
+        self._stored = self.point
+        self._rounds_stored = self._context.getPlatform().getName() not in ("CPU", "Reference")

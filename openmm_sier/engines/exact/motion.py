@@ -23,8 +23,7 @@ class MotionOperators:
     """Operators of one Context's bodies.
 
     Attributes:
-        fast: indices of the Forces that act within drifts.
-        fast_context: these forces, of the bodies that they act on; None where there are none.
+        fast_context: the fast forces, of the bodies that they act on; None where there are none.
     """
 
     def __init__(
@@ -50,7 +49,6 @@ class MotionOperators:
         """
         self._bodies = bodies
         self._tally = tally
-        self.fast = fast
         groups = _flexible_points(bodies)
         working = _working_forces(context.getSystem(), bodies, fast)
         touched = _touched(bodies, working)

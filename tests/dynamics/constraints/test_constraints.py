@@ -4,10 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
+from openmm_sier.dynamics.constraints.graph import joined
 from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, residual, ring, rotor
 
 
@@ -312,3 +315,17 @@ def test_no_constraints_at_all(rng):
     assert free.rank(q) == 0
     assert np.array_equal(free.project(q, p), p)
     assert np.array_equal(free.drift(q, p, 0.5)[0], q + 0.5 * p / [1.0, 2.0])
+
+
+@pytest.mark.parametrize("edges", [0, 30, 80, 300])
+def test_components_are_those_of_scipy(rng, edges):
+    n = 100
+    pairs = rng.integers(0, n, (edges, 2))
+    graph = sparse.coo_array((np.ones(edges), pairs.T), (n, n))
+    _, component = connected_components(graph, directed=False)
+    assert joined(n, pairs).tolist() == np.unique(component, return_index=True)[1][component].tolist()
+
+
+def test_a_long_chain_in_any_order_is_one_component(rng):
+    chain = rng.permutation(20_000)
+    assert not joined(len(chain), np.column_stack([chain[:-1], chain[1:]])).any()

@@ -1,0 +1,32 @@
+"""Find out whether a run is complete without a process for it, which would load OpenMM to say so."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from openmm_sier.cli.command_line import options_of
+from openmm_sier.cli.errors import NothingLeft
+from openmm_sier.cli.files.locks import FileLocks
+from openmm_sier.cli.files.outputs import Outputs
+from openmm_sier.cli.restart import Restart, checkpoint_to_continue
+
+
+def is_complete(line: Sequence[str]) -> bool:
+    """Return whether a run has reached its last step, and all its files are as it left them.
+
+    Args:
+        line: its command line with `--resume`, after `openmm-sier`.
+    """
+    # Whatever is wrong is reported by the process of the run.
+    with suppress(Exception), FileLocks() as locks:
+        options = options_of(line)
+        checkpoint = checkpoint_to_continue(options, locks)
+        if checkpoint is None:
+            return False
+        beginning = Restart(options, checkpoint)
+        outputs = Outputs(beginning.settings, checkpoint)
+        outputs.check(beginning.sources.values(), beginning.continues)
+        try:
+            beginning.check_inputs(outputs)
+        except NothingLeft:
+            return True
+    return False
