@@ -11,7 +11,7 @@ from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.cli.tune import run_line
 from openmm_sier.dynamics.schemes import SIER2P3
-from openmm_sier.integrators import tuning
+from openmm_sier.integrators import tuning, tuning_measurements
 from openmm_sier.integrators.tuning_results import Tuning
 from tests.support.commands import log, run
 
@@ -21,7 +21,9 @@ FOUND = Tuning(SIER2P3, 0.0080234, 4, (), ())
 @pytest.mark.thorough
 def test_line_that_it_prints_is_a_run_with_what_it_found(capsys, box, monkeypatch):
     """Times are numbers of forces. Which step and length win is a matter of chance; they are those of the run."""
-    monkeypatch.setattr(tuning, "_seconds", lambda context: float(context.getIntegrator().forceEvaluations))
+    monkeypatch.setattr(
+        tuning_measurements, "_seconds", lambda context: float(context.getIntegrator().forceEvaluations)
+    )
     made = []
 
     def remembered(*arguments, **options):
