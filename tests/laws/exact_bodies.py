@@ -33,7 +33,9 @@ class Frame:
         places, moments = _principal(coordinates, weights)
         # The masses make the thermal turn of a step about the slimmest axis the pace.
         scale = at.thermal * (at.step / pace) ** 2 / moments[moments > 1e-12].min()
-        self.places, self.masses, self.moments = places, scale * weights, scale * moments
+        self.places = places
+        self.masses = scale * weights
+        self.moments = scale * moments
         self._inverse = None if len(places) == 2 else np.linalg.inv(self._basis(places))
 
     @staticmethod

@@ -195,14 +195,23 @@ SHAPES = {
 HELD_BY_CONSTRAINTS = ("pair", "bent", "handed", "mirrored", "top")
 
 
-def _add_shape(parts: Parts, shape: str, origin=(0.0, 0.0, 0.0)) -> list[int]:
-    """Add a named body; return its particles."""
+def _add_shape(parts: Parts, shape: str, origin=(0.0, 0.0, 0.0), factor: float = 1.0) -> list[int]:
+    """Add the particles of a shape, at its places times a factor from an origin; return them."""
     masses, places = SHAPES[shape]
     body = [
-        parts.add(m, np.add(origin, x), _alternating(i)) for i, (m, x) in enumerate(zip(masses, places, strict=True))
+        parts.add(mass, np.add(origin, factor * np.array(place)), _alternating(i))
+        for i, (mass, place) in enumerate(zip(masses, places, strict=True))
     ]
     parts.links += list(combinations(body, 2))
     return body
+
+
+def _make_rigid(parts: Parts, body: list[int], named: bool) -> None:
+    """Name a body, or hold it by constraints between all its particles."""
+    if named:
+        parts.bodies.append(body)
+    else:
+        parts.constraints += list(combinations(body, 2))
 
 
 @dataclass(frozen=True)
@@ -215,10 +224,7 @@ class Body:
     def parts(self) -> Parts:
         parts = Parts()
         body = _add_shape(parts, self.shape)
-        if self.named:
-            parts.bodies.append(body)
-        else:
-            parts.constraints += list(combinations(body, 2))
+        _make_rigid(parts, body, self.named)
         return parts
 
 
@@ -238,13 +244,8 @@ class Alike:
     def parts(self) -> Parts:
         parts = Parts()
         for origin, factor in ((0.0, 1.0), (0.6, self.stretched)):
-            body = _add_shape(parts, self.shape, [0.0, 0.0, origin])
-            for i in body:
-                parts.places[i] = [0.0, 0.0, origin] + factor * (parts.places[i] - [0.0, 0.0, origin])
-            if self.named:
-                parts.bodies.append(body)
-            else:
-                parts.constraints += list(combinations(body, 2))
+            body = _add_shape(parts, self.shape, [0.0, 0.0, origin], factor)
+            _make_rigid(parts, body, self.named)
         return parts
 
 

@@ -30,7 +30,8 @@ class Oracle:
         place = np.full(len(self._masses), -1)
         place[self._points] = np.arange(len(self._points))
         self._pairs = place[pairs]
-        self._x, self._v = built.positions, built.velocities
+        self._x = built.positions
+        self._v = built.velocities
         self._centres = [self._masses[body] @ self._x[body] / self._masses[body].sum() for body in self._bodies]
         self._shapes = [self._x[body] - centre for body, centre in zip(self._bodies, self._centres, strict=True)]
         reference = openmm.Platform.getPlatform("Reference")

@@ -88,9 +88,13 @@ class Run:
     """
 
     def __init__(self, mixture, method, name="Reference", settings=(), forces=()):
-        self.mixture, self.method, self.name, self.settings = mixture, method, name, list(settings)
+        self.mixture = mixture
+        self.method = method
+        self.name = name
+        self.settings = list(settings)
         self.saved = []
-        self.drawn, self.repeats = None, False
+        self.drawn = None
+        self.repeats = False
         self.built = built = mixture.build()
         self.system = built.system
         self.system.addForce(self._pull())

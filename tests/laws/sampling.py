@@ -167,7 +167,8 @@ class Run:
             seed: of places and of the integrator.
             platform: name of the platform.
         """
-        self._method, self._kinds = method, kinds
+        self._method = method
+        self._kinds = kinds
         self._thermal = GAS_CONSTANT * method.temperature
         assembly = Assembly(np.random.default_rng(seed), is_pressed=bool(method.pressure))
         at = Conditions(self._thermal, method.step, method.oscillator, partial(_margin, method), method.keeps)

@@ -50,7 +50,8 @@ class Probe:
 
     def __init__(self, particles: int):
         self._zeros = np.zeros((particles, 3))
-        self._remaining, self._act = 0, None
+        self._remaining = 0
+        self._act = None
 
     def force(self) -> openmm.PythonForce:
         """Return the force for a System."""
@@ -59,7 +60,8 @@ class Probe:
     @contextlib.contextmanager
     def armed(self, number: int, act: Callable[[], np.ndarray | None]) -> Iterator[None]:
         """Within this, let a function act at an evaluation; the forces there are what it returns, if not None."""
-        self._remaining, self._act = number, act
+        self._remaining = number
+        self._act = act
         try:
             yield
         finally:
