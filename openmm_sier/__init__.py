@@ -7,8 +7,7 @@ from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrato
 from openmm_sier.integrators.hmc import SIERHMCIntegrator
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
-from openmm_sier.integrators.tuning import tune
-from openmm_sier.integrators.tuning_results import Tuning
+from openmm_sier.integrators.tuning import Tuning, tune
 from openmm_sier.observe.force_check import ForceCheck, ForceDoubt, ForceFault, check_forces
 from openmm_sier.prepare.frames import FramedSystem, with_frames
 from openmm_sier.prepare.inertia import set_inertia

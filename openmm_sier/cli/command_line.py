@@ -171,19 +171,14 @@ def tune(
         ),
     ] = None,
     trials: Annotated[int, _in_words("40", "at each step that is tried", gte=10, lt=2**31)] = 40,
-    samples: Annotated[
-        int, _in_words("200", "trials of the first length, and as many steps of the other lengths", gte=10, lt=2**31)
-    ] = 200,
     debug: Debug = False,
 ) -> None:
-    """Find scheme, step and trial length of hybrid Monte Carlo.
+    """Find the step of hybrid Monte Carlo.
 
-    Equilibrate coordinates as `run --ensemble hmc` does, then find the scheme and the step, beginning with --dt, whose
-    accepted trials cost the least processor time, and the number of steps in a trial that gives an independent
-    potential energy in the least. With --scheme only that one is tried. Writes no files: it prints the command line of
-    a run, and the line of a script.
+    Equilibrate coordinates as `run --ensemble hmc` does, then find the step, beginning with --dt, at which trials of
+    the same length in time have the acceptance. Writes no files: it prints the command line of a run.
     """
-    _execute("tune", options.chosen(), acceptance=acceptance, trials=trials, samples=samples)
+    _execute("tune", options.chosen(), acceptance=acceptance, trials=trials)
 
 
 @app.command

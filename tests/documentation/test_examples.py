@@ -10,7 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_sier
-from openmm_sier.integrators import tuning, tuning_measurements
+from openmm_sier.integrators import tuning
 from openmm_sier.observe import conservation, reporters
 from tests.support.matrices import representatives
 from tests.support.waters import periodic_system, platform, relaxed
@@ -86,8 +86,7 @@ def names(water, tmp_path, monkeypatch):
     """What examples find: the names of OpenMM and of the package, and the box of water."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
-    monkeypatch.setattr(tuning_measurements, "ATTEMPTS", 1)
-    monkeypatch.setattr(tuning, "LENGTHS", (1.0,))
+    monkeypatch.setattr(tuning, "ATTEMPTS", 1)
     topology, positions, system = water
     system = copy.deepcopy(system)
     integrator = openmm_sier.SIERIntegrator(0.004)

@@ -14,7 +14,7 @@ import openmm
 import pytest
 from openmm import app
 
-from openmm_sier.integrators import tuning_measurements
+from openmm_sier.integrators import tuning
 from openmm_sier.observe.pressure import COLUMNS
 from tests.support.matrices import representatives
 from tests.support.series import stresses
@@ -120,7 +120,7 @@ def short_runs(monkeypatch):
     usual = cpu.getPropertyDefaultValue("Threads")
     cpu.setPropertyDefaultValue("Threads", "1")
     monkeypatch.setattr(app.Simulation, "minimizeEnergy", lambda self, tolerance=10, maxIterations=0: None)
-    monkeypatch.setattr(tuning_measurements, "ATTEMPTS", 1)
+    monkeypatch.setattr(tuning, "ATTEMPTS", 1)
     yield
     cpu.setPropertyDefaultValue("Threads", usual)
 
