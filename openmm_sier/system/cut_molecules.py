@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,9 +14,8 @@ from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import as_ranges
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import harmonic_bonds
 from openmm_sier.system.boxes import wrapped
-from openmm_sier.system.inner_forces import all_forces
+from openmm_sier.system.links import links_of
 
 #: Energy in kJ/mol above which a stretched bond counts as broken; bonds dissociate at 400.
 BREAKING = 1000.0
@@ -50,7 +49,7 @@ class Bonds(NamedTuple):
 
     @classmethod
     def of_pairs(
-        cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: bool = False
+        cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: Any = False
     ) -> Bonds:
         """Return bonds between pairs of particles (b, 2); a scalar applies to all bonds."""
         pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
@@ -75,16 +74,17 @@ class Bonds(NamedTuple):
     @classmethod
     def of_system(cls, system: openmm.System) -> Bonds:
         """Return constraints, harmonic bonds with a strength, and links of virtual sites to their first particles."""
-        pairs, lengths = tables.constraints(system)
-        kinds = [cls.of_pairs(pairs, lengths, lengths + STRETCH)]
-        for force in _harmonic_bond_forces(system):
-            pairs, lengths, strengths = harmonic_bonds(force)
-            acts = strengths > 0
-            longest = lengths[acts] + np.sqrt(2 * BREAKING / strengths[acts])
-            kinds.append(cls.of_pairs(pairs[acts], lengths[acts], longest, force.usesPeriodicBoundaryConditions()))
+        links = links_of(system)
+        pairs, lengths = links.constraints
+        constrained = cls.of_pairs(pairs, lengths, lengths + STRETCH)
+        acts = links.strengths > 0
+        lengths = links.lengths[acts]
+        longest = lengths + np.sqrt(2 * BREAKING / links.strengths[acts])
+        harmonic = cls.of_pairs(links.bonds[acts], lengths, longest, links.periodic[acts])
         sites = tables.virtual_sites(system).tolist()
-        kinds.append(cls.of_pairs([(i, system.getVirtualSite(i).getParticle(0)) for i in sites]))
-        return cls.merged(*kinds)
+        return cls.merged(
+            constrained, harmonic, cls.of_pairs([(i, system.getVirtualSite(i).getParticle(0)) for i in sites])
+        )
 
     @classmethod
     def merged(cls, *kinds: Bonds) -> Bonds:
@@ -104,13 +104,6 @@ class Bonds(NamedTuple):
         if box is not None:
             arms[self.periodic] = wrapped(arms[self.periodic], box, np.round)
         return np.linalg.norm(arms, axis=1)
-
-
-def _harmonic_bond_forces(system: openmm.System) -> Iterator[openmm.HarmonicBondForce]:
-    """Yield all HarmonicBondForces of a System, including those inside other Forces."""
-    for entry in all_forces(system):
-        if isinstance(entry.force, openmm.HarmonicBondForce):
-            yield entry.force
 
 
 def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np.ndarray:

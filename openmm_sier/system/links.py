@@ -29,6 +29,8 @@ class Links:
         constraints: its acting constraints.
         bonds: pairs of particles joined by harmonic bonds, (b, 2).
         lengths: lengths of these bonds, (b,), nm.
+        strengths: their force constants, (b,), kJ/mol/nm^2.
+        periodic: whether they use the nearest images of their particles, (b,).
         terms: pairs joined by angles or torsions, (t, 2); those of an improper torsion need not be bonded.
         custom: pairs joined by a CustomBondForce, (d, 2). It may be a restraint: molecules that it joins count as one,
             as in OpenMM, but rigid ones stay rigid.
@@ -39,9 +41,14 @@ class Links:
         self.n_particles = system.getNumParticles()
         self.constraints = tables.constraints(system)
         forces = [entry.force for entry in all_forces(system)]
-        bonds = [harmonic_bonds(force) for force in forces if isinstance(force, openmm.HarmonicBondForce)]
-        self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in bonds)])
-        self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in bonds)])
+        bonds = [force for force in forces if isinstance(force, openmm.HarmonicBondForce)]
+        read = [harmonic_bonds(force) for force in bonds]
+        self.bonds = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, *_ in read)])
+        self.lengths = np.concatenate([np.empty(0), *(lengths for _, lengths, _ in read)])
+        self.strengths = np.concatenate([np.empty(0), *(strengths for *_, strengths in read)])
+        self.periodic = np.repeat(
+            [force.usesPeriodicBoundaryConditions() for force in bonds], [len(pairs) for pairs, *_ in read]
+        ).astype(bool)
         self.terms = _pairs(force for force in forces if kind_of(force).joins)
         self.custom = _pairs(force for force in forces if isinstance(force, openmm.CustomBondForce))
 

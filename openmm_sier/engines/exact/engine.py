@@ -1,16 +1,14 @@
 """The exact engine: the Context holds the atoms, the engine the bodies, which it rotates exactly.
 
-A call of `step` takes over the atoms (`reading`) if a user has set them, moves the bodies (`motion`) by forces that the
-Context computes (`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the bodies in
-checkpoints (`packing`).
+A call of `step` takes over the atoms (`context_reader`) if a user has set them, moves the bodies (`motion`) by forces
+that the Context computes (`forces`), and publishes the atoms again. Per-atom variables of the integrator carry the
+bodies in checkpoints (`packing`).
 """
 
 from collections.abc import Collection
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
@@ -21,25 +19,24 @@ from openmm_sier.dynamics.plan import Energy, UpdateContext
 from openmm_sier.dynamics.tally import Mark, Tally
 from openmm_sier.engines import neighbour_list, trajectories
 from openmm_sier.engines.exact.actions import BodyActions
+from openmm_sier.engines.exact.context_reader import ContextReader
 from openmm_sier.engines.exact.forces import BodyForces, step_error
-from openmm_sier.engines.exact.motion import MotionOperators
-from openmm_sier.engines.exact.packing import Packing
-from openmm_sier.engines.exact.point_verbs import PointVerbs
-from openmm_sier.engines.exact.reading import AtomReader, stored_point, with_velocities
+from openmm_sier.engines.exact.packing import StoredPoint
+from openmm_sier.engines.exact.reading import AtomReader
 from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.records import Changes, Clock
-from openmm_sier.engines.snapshot import Snapshot, holds_doubles
+from openmm_sier.engines.snapshot import holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
-from openmm_sier.engines.variables import STATE_VARIABLES
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks, tables
+from openmm_sier.system import checks
 from openmm_sier.system.find_bodies import bodies_of
 
 
-class ExactEngine(PointVerbs):
+class ExactEngine(ContextReader):
     """An engine as a Python layer over the Context.
 
-    It makes the steps; `PointVerbs` has the questions and moves of ensembles and users.
+    It makes the steps. `ContextReader` takes over changes of the Context, and `PointVerbs` has the questions and moves
+    of ensembles and users.
     """
 
     name = "exact"
@@ -66,29 +63,18 @@ class ExactEngine(PointVerbs):
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
         self.motion = self._new_motion()
-        self._packing = Packing(self.moving)
+        self._stored = StoredPoint(context, self.moving)
         self._reader = AtomReader(self.moving)
         self._remembers_list = neighbour_list.is_remembered(context)
-        #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
         self._keeps_numbers = holds_doubles(context)
         self._environment = None
         self._published: tuple[BodyState, Clock] | None = None
-        #: Whether the variables of the integrator hold an older phase point than the last one.
-        self._is_unstored = False
-        #: The phase point that they hold, and whether it must be read, since the platform rounded it.
-        self._stored: BodyState | None = None
-        self._rounds_stored = False
         #: The operators of a step, and of one of whose end the energy is wanted; none after a change.
         self._calls: list[OperatorCall] = []
         self._calls_with_energy: list[OperatorCall] = []
         #: Whether Forces of the System act before each step.
         self._acts_between_steps = False
         self._last = None
-
-    @tables.read_once()
-    def _new_motion(self) -> MotionOperators:
-        fast, rotation = self._fast_forces(), self.method.rotation
-        return MotionOperators(self._context, self.moving, self.forces.compute, rotation, fast, self.tally)
 
     @property
     def bodies(self) -> BodySet:
@@ -106,73 +92,6 @@ class ExactEngine(PointVerbs):
 
     def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
         """Accept any method."""
-
-    def synchronize(self) -> None:
-        """Find the phase point and the clock of a Context in which a user may have changed anything.
-
-        The result depends only on the contents of the Context, so that a restart from a checkpoint is bit-identical.
-
-        Raises:
-            RigidityError: the positions do not form the bodies. Nothing has been changed then.
-        """
-        now, are_set = Snapshot.of(self._context), Changes.ATOMS in self.changes
-        point = self.point if self._has_point else None
-        # A minimizer leaves the atoms where it placed other bodies than those of the phase point.
-        is_placed = point is not None and self.forces.is_at(point.q, point.A)
-        moved = point is None or (are_set and not (is_placed and self._has(now.positions, self.forces.positions)))
-        if moved:
-            self.refuse_cut_molecules(now)
-        is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
-        if is_other:
-            point = self._reader.point(now, self._stored_point(point), point, moved)
-        if Changes.FAST in self.changes:
-            self.motion = self._new_motion()
-        if point is not None:
-            self.point = point
-            self._has_point = True
-        if Changes.FORCES in self.changes:
-            self._forget_forces()
-        self.clock = Clock(now.time, now.steps)
-        if moved:
-            self.forces.take_positions(now)
-        if is_other:
-            self.forces.velocities[:] = now.velocities
-        self._take_environment(now)
-        self.forces.select(self._groups, self.method.fast_groups)
-        if self._remembers_list and (moved or Changes.HISTORY in self.changes):
-            neighbour_list.forget(self._context)
-            self._forget_forces()
-        self._calls = []
-        # What is left is the check of the step. Set last, so that an interrupted synchronization is repeated.
-        self.changes = Changes.SETTINGS
-
-    def _fast_forces(self) -> list[int]:
-        """Return the indices of the Forces in fast groups."""
-        fast = self._groups & self.method.fast_groups
-        return [i for i, group in enumerate(self._force_groups.values()) if fast >> group & 1]
-
-    def _has(self, vectors: np.ndarray, written: np.ndarray) -> bool:
-        """Return whether vectors of the Context are, bit for bit, those that were written to it last."""
-        return self._keeps_numbers and np.array_equal(vectors, written)
-
-    def _stored_point(self, point: BodyState | None) -> BodyState | None:
-        """Return the phase point that the variables hold; the last one if they hold an older one, None if none."""
-        if Changes.VARIABLES in self.changes or (self._rounds_stored and not self._is_unstored):
-            self._stored = stored_point(self._context, self._packing)
-        is_own = self._is_unstored and Changes.VARIABLES not in self.changes
-        return point if is_own else self._stored
-
-    def _take_environment(self, now: Snapshot) -> None:
-        """Take over box and parameters of a Context where they differ."""
-        if now.environment != self._environment:
-            self._forget_forces()
-            self._environment = now.environment
-
-    def _forget_forces(self) -> None:
-        """Compute forces again next time: positions, box or parameters were changed."""
-        if self._has_point:
-            self.point = replace(self.point)
-        self.motion.follow(self._context)
 
     def select_groups(self) -> None:
         self.changes |= Changes.FORCES | Changes.FAST
@@ -230,54 +149,6 @@ class ExactEngine(PointVerbs):
             raise
         self._last = (point, thermal) if thermal is not None and method.scheme.bath_divides_drift else None
 
-    def _updated(self, point: BodyState) -> BodyState:
-        """Let the Forces that act between steps do so, and return the phase point after that.
-
-        Raises:
-            RigidityError: the positions do not form the bodies any more.
-        """
-        if self.updates.acts:
-            point = self._with_new_box() if self.updates.are_of_barostats else self._with_new_atoms()
-        # A CMMotionRemover acts after each number of steps that its frequency divides.
-        if 0 in map(self.clock.steps.__mod__, self.updates.removers):
-            point, energy = self.moving.stopped(point)
-            self.tally.heat -= energy
-        return point
-
-    def _with_new_atoms(self) -> BodyState:
-        self.publish()
-        before = Snapshot.of(self._context)
-        self.updates.let_act(self.method.step)
-        # A CustomIntegrator's own clock advances by the step size that it had when its Context was created.
-        openmm.Context.setTime(self._context, self.clock.time + self.method.step)
-        bodies, point, now = self.moving, self.point, Snapshot.of(self._context)
-        moved = not np.array_equal(now.positions, before.positions)
-        q, A = self._reader.fit(now, point) if moved else (point.q, point.A)
-        updated = BodyState(q, bodies.constraints.project(q, point.p), A, point.L, None if moved else point.cache)
-        if not (np.array_equal(now.velocities, before.velocities) and np.array_equal(A, point.A)):
-            updated = with_velocities(bodies, updated, now)
-        if moved:
-            self.forces.take_positions(now)
-        if now.environment != self._environment:
-            self._take_environment(now)
-            updated = replace(updated)
-        return updated
-
-    def _with_new_box(self) -> BodyState:
-        """Let barostats act. Most often they change nothing, and then nothing is read back."""
-        bodies, point = self.moving, self.point
-        self.forces.place(point.q, point.A)
-        before = self._box()
-        self.updates.let_act(self.method.step)
-        if self._box() == before:
-            return point
-        now = Snapshot.of(self._context)
-        q, A = self._reader.fit(now, point)
-        self.forces.take_positions(now)
-        self._forget_forces()
-        self._environment = now.environment
-        return BodyState(q, bodies.constraints.project(q, point.p), A, point.L)
-
     def make_trial(self, trial: Trial) -> Outcome:
         return trajectories.make_trial(self, trial)
 
@@ -290,7 +161,7 @@ class ExactEngine(PointVerbs):
         openmm.Context.setVelocities(context, self.moving.move(point, forces.velocities))
         openmm.Context.setTime(context, clock.time)
         openmm.Context.setStepCount(context, clock.steps)
-        self._is_unstored = True
+        self._stored.is_outdated = True
         self._published = point, clock
 
     def recover(self) -> None:
@@ -304,10 +175,5 @@ class ExactEngine(PointVerbs):
 
     def store(self) -> None:
         """Write the phase point to the per-atom variables."""
-        if not self._is_unstored or Changes.VARIABLES in self.changes:
-            return
-        for name, values in zip(STATE_VARIABLES, self._packing.pack(self.point), strict=True):
-            self._integrator.setPerDofVariableByName(name, values)
-        self._is_unstored = False
-        self._stored = self.point
-        self._rounds_stored = self._context.getPlatform().getName() not in ("CPU", "Reference")
+        if self._stored.is_outdated and Changes.VARIABLES not in self.changes:
+            self._stored.write(self.point)

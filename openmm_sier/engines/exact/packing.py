@@ -3,9 +3,14 @@
 The numbers of the bodies follow one another without regard to whose atoms the variables are.
 """
 
+import weakref
+
 import numpy as np
+import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.engines.snapshot import is_on_host
+from openmm_sier.engines.variables import STATE_VARIABLES, per_atom_values
 
 
 class Packing:
@@ -63,3 +68,49 @@ class Packing:
             for part, is_point in self._runs
             for vectors in ((state.q, state.p) if is_point else (state.q, state.p, state.L, state.A))
         ]
+
+
+class StoredPoint:
+    """The phase point in the per-atom variables of an integrator.
+
+    Attributes:
+        is_outdated: whether the variables hold an older phase point than that of the engine.
+    """
+
+    def __init__(self, context: openmm.Context, bodies: BodySet):
+        self._integrator = weakref.proxy(context.getIntegrator())
+        self._packing = Packing(bodies)
+        #: Whether the platform rounds what is written, so that it must be read again.
+        self._is_rounded = not is_on_host(context.getPlatform())
+        #: The phase point that the variables hold, where it is known.
+        self._point: BodyState | None = None
+        self.is_outdated = False
+
+    def write(self, point: BodyState) -> None:
+        """Set the variables to a phase point."""
+        for name, values in zip(STATE_VARIABLES, self._packing.pack(point), strict=True):
+            self._integrator.setPerDofVariableByName(name, values)
+        self.is_outdated = False
+        self._point = point
+
+    def latest(self, point: BodyState | None, is_loaded: bool) -> BodyState | None:
+        """Return the phase point of the variables, or the engine's where they are outdated; None without one.
+
+        Args:
+            point: phase point of the engine.
+            is_loaded: whether a checkpoint or State has brought the variables.
+        """
+        if self.is_outdated and not is_loaded:
+            return point
+        if is_loaded or self._is_rounded:
+            self._point = self._read()
+        return self._point
+
+    def _read(self) -> BodyState | None:
+        # One after the other: OpenMM gives lists of objects, which take much memory. The last one is seldom needed.
+        values = np.zeros((len(STATE_VARIABLES), self._packing.bodies.n_particles, 3))
+        for row, name in zip(values, STATE_VARIABLES[: self._packing.variables], strict=False):
+            row[:] = per_atom_values(self._integrator, name)
+        if not values.any() or not np.isfinite(values).all():
+            return None
+        return self._packing.unpack(values)

@@ -1,13 +1,13 @@
 """The phase point of bodies from the atoms of a Context, whoever put them there."""
 
+from enum import Enum, auto
+
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, RigidityError
 from openmm_sier.dynamics.constraints import ConstraintError
-from openmm_sier.engines.exact.packing import Packing
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.engines.variables import STATE_VARIABLES, per_atom_values
 from openmm_sier.system import checks
 from openmm_sier.system.cut_molecules import IF_CUT
 
@@ -15,18 +15,21 @@ from openmm_sier.system.cut_molecules import IF_CUT
 FARTHEST = 0.05
 
 
-def stored_point(context: openmm.Context, packing: Packing) -> BodyState | None:
-    """Return the phase point that the variables of a Context carry; None if they carry none."""
-    # One after the other: OpenMM gives lists of objects, which take much memory. The last one is seldom needed.
-    values = np.zeros((len(STATE_VARIABLES), packing.bodies.n_particles, 3))
-    for row, name in zip(values, STATE_VARIABLES[: packing.variables], strict=False):
-        row[:] = per_atom_values(context.getIntegrator(), name)
-    if not values.any() or not np.isfinite(values).all():
-        return None
-    return packing.unpack(values)
+class AtomChange(Enum):
+    """Differences of the atoms of a Context from those that the engine wrote last.
+
+    Attributes:
+        NONE: they are the same.
+        VELOCITIES: other velocities were set.
+        POSITIONS: other positions were set, perhaps other velocities too.
+    """
+
+    NONE = auto()
+    VELOCITIES = auto()
+    POSITIONS = auto()
 
 
-def agreeing(bodies: BodySet, state: BodyState, now: Snapshot, moved: bool) -> BodyState | None:
+def agreeing(bodies: BodySet, state: BodyState, now: Snapshot, change: AtomChange) -> BodyState | None:
     """Return a phase point if it reproduces the atoms to the last bit; None if they are elsewhere.
 
     The stored one does so after a checkpoint or a State with integrator parameters was loaded. If velocities were set
@@ -36,13 +39,13 @@ def agreeing(bodies: BodySet, state: BodyState, now: Snapshot, moved: bool) -> B
         bodies: the bodies.
         state: their phase point as it was stored or published.
         now: what the Context holds.
-        moved: whether its positions differ from those before.
+        change: of its atoms.
     """
     if not np.array_equal(bodies.place(state.q, state.A, now.positions.copy()), now.positions):
         return None
     if np.array_equal(bodies.move(state, now.velocities.copy()), now.velocities):
         return state
-    return with_velocities(bodies, state, now) if moved else None
+    return with_velocities(bodies, state, now) if change is AtomChange.POSITIONS else None
 
 
 def with_velocities(bodies: BodySet, state: BodyState, now: Snapshot) -> BodyState:
@@ -71,22 +74,22 @@ class AtomReader:
         self.bodies = bodies
         self._has_warned_of_misfit = False
 
-    def point(self, now: Snapshot, stored: BodyState | None, last: BodyState | None, moved: bool) -> BodyState:
+    def point(self, now: Snapshot, stored: BodyState | None, last: BodyState | None, change: AtomChange) -> BodyState:
         """Return the phase point of atoms: a stored one that agrees with them, the last one, or a fit.
 
         Args:
             now: what the Context holds.
             stored: phase point that was stored for its atoms; None without one.
             last: the last phase point; None without one.
-            moved: whether positions differ from those before. Velocities differ in any case.
+            change: of the atoms, which is not `NONE`.
 
         Raises:
             RigidityError: the positions do not form the bodies, or are far off the constraints between them.
         """
-        agreed = None if stored is None else agreeing(self.bodies, stored, now, moved)
+        agreed = None if stored is None else agreeing(self.bodies, stored, now, change)
         if agreed is not None:
             return agreed
-        if last is None or moved:
+        if last is None or change is AtomChange.POSITIONS:
             q, A = self.fit(now)
             last = BodyState(q, np.zeros_like(q), A, np.zeros_like(q))
         return with_velocities(self.bodies, last, now)
