@@ -29,11 +29,6 @@ class Stage(NamedTuple):
     fraction: float
     shift: float = 0.0
 
-    def times(self, h: float) -> tuple[float, ...]:
-        """Return arguments of the operator in a step of length h: its time, and a gradient kick's displacement."""
-        time = (self.fraction * h,)
-        return (*time, self.shift * h * h) if self.operator == GRADIENT_KICK else time
-
     @property
     def flow(self) -> str:
         """Name of the operator whose exact flow this stage is a part of."""

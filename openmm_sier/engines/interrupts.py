@@ -4,8 +4,7 @@
 import _signal  # type: ignore[import-not-found]
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, ClassVar
 
@@ -73,17 +72,6 @@ def release(handlers: Handlers | None) -> None:
         raise
     if pending:
         _call_handlers()
-
-
-@contextmanager
-def deferred() -> Iterator[None]:
-    """Let signals wait until the end of the block; of nested blocks the outermost defers."""
-    handlers = None
-    try:
-        handlers = defer()
-        yield
-    finally:
-        release(handlers)
 
 
 def _wait(number: int, frame: FrameType | None) -> None:

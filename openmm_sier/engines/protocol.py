@@ -89,6 +89,11 @@ class Engine(Verbs):
         self.tally.heat += self.moving.energy_of_shift(self.centre_velocity(), velocity)
         self.transform_velocities(1.0, velocity)
 
+    def stop_centre(self) -> None:
+        """Stop the centre of mass where a CMMotionRemover does so; its energy leaves the heat."""
+        if self.removes_momentum:
+            self.shift_velocities(-self.centre_velocity())
+
     def scale_velocities(self, factor: float, centre: np.ndarray) -> None:
         """Multiply all velocities by a factor, relative to a velocity, (3,), nm/ps, that stays as it is.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
+from openmm import unit
 
 from openmm_sier.system import tables
 
@@ -28,6 +29,11 @@ def box_of(state: openmm.State) -> Sequence[openmm.Vec3]:
 def time_of(timed: openmm.State | openmm.Context) -> float:
     """Return the time of a State or a Context, ps."""
     return timed.getTime()._value
+
+
+def potential_of(state: openmm.State) -> float:
+    """Return the potential energy of a State, kJ/mol."""
+    return state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
 
 
 def holds_doubles(context: openmm.Context) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, potential_of
 
 #: Relative tolerance of constraints, which are solved before a minimization.
 TOLERANCE = 1e-5
@@ -52,7 +52,7 @@ def refuse_hopeless_start(context: openmm.Context) -> None:
         state = openmm.Context.getState(context, energy=True, forces=True, groups=groups)
     finally:
         openmm.Context.setPositions(context, now.positions)
-    energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    energy = potential_of(state)
     if not np.isfinite(energy):
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
         atom = int(np.isfinite(forces).all(axis=1).argmin())

@@ -90,8 +90,7 @@ class Trajectory:
             self._engine.restore(self._start, reverse=True)
 
     def _stop_centre(self, operation: StopCentre) -> None:
-        if self._engine.removes_momentum:
-            self._engine.shift_velocities(-self._engine.centre_velocity())
+        self._engine.stop_centre()
 
 
 #: Functions that execute an operation of a trial, by its class.

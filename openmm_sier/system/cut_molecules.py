@@ -48,9 +48,7 @@ class Bonds(NamedTuple):
     periodic: np.ndarray
 
     @classmethod
-    def of_pairs(
-        cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: Any = False
-    ) -> Bonds:
+    def of_pairs(cls, pairs: Any, lengths: Any = math.nan, longest: Any = LONGEST_BOND, periodic: Any = False) -> Bonds:
         """Return bonds between pairs of particles (b, 2); a scalar applies to all bonds."""
         pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         each = np.broadcast_to(np.array(lengths, dtype=float), len(pairs))

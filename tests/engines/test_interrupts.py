@@ -9,6 +9,7 @@ import pytest
 
 from openmm_sier.engines import interrupts
 from tests.loops import interrupts as loop
+from tests.support.faults import deferred
 from tests.support.matrices import representatives
 
 #: Signals with a handler in Python.
@@ -30,7 +31,7 @@ def deferring():
     """Whether a signal waits for the end of a block, and comes then."""
     reached = False
     try:
-        with interrupts.deferred():
+        with deferred():
             signal.raise_signal(signal.SIGINT)
             reached = True
     except KeyboardInterrupt:
@@ -54,7 +55,7 @@ def test_a_signal_while_handlers_change_leaves_them_in_place(handled, monkeypatc
 
     with monkeypatch.context() as patched:
         patched.setattr(_signal, "signal", interrupted)
-        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
+        with pytest.raises(KeyboardInterrupt), deferred():
             pass
     assert calls >= 2 * len(HANDLED) or number < len(HANDLED)
     assert {signal.getsignal(each) for each in HANDLED} == {signal.default_int_handler}

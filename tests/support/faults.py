@@ -2,6 +2,7 @@
 
 import pathlib
 import sys
+from contextlib import contextmanager
 
 import openmm_sier
 from openmm_sier.engines import interrupts
@@ -14,6 +15,17 @@ HANDLERS = interrupts.__file__
 
 class Fault(Exception):
     """Like Ctrl-C, or an error of the machine, it may come at any line."""
+
+
+@contextmanager
+def deferred():
+    """Let signals wait until the end of the block."""
+    handlers = None
+    try:
+        handlers = interrupts.defer()
+        yield
+    finally:
+        interrupts.release(handlers)
 
 
 def lines_run(action, fault_at=None, error=Fault):
@@ -37,7 +49,7 @@ def lines_run(action, fault_at=None, error=Fault):
 
     before = sys.gettrace()
     try:
-        with interrupts.deferred():
+        with deferred():
             sys.settrace(trace)
             action()
     except error:

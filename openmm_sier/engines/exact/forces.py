@@ -4,13 +4,12 @@ import weakref
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError, Pair, PlaceCache
 from openmm_sier.dynamics.constraints import ConstraintError
 from openmm_sier.engines.records import TrajectoryError
-from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.engines.snapshot import Snapshot, potential_of
 from openmm_sier.system import tables
 
 
@@ -99,7 +98,7 @@ class BodyForces:
         state = openmm.Context.getState(self._context, forces=True, energy=cache is not None, groups=acting)
         if cache is not None:
             others = self._groups & ~acting
-            cache.energy = _potential(state) + (self._energy_of(others) if others else 0.0)
+            cache.energy = potential_of(state) + (self._energy_of(others) if others else 0.0)
         # Like getForces(asNumpy=True), but without its overhead for names and units.
         state._getVectorAsNumpy(openmm.State.Forces, self._vectors)
         F, tau = np.empty(q.shape), np.empty(q.shape)
@@ -128,7 +127,7 @@ class BodyForces:
 
     def _energy_of(self, groups: int) -> float:
         """Return the potential energy of some groups where the Context is, kJ/mol."""
-        return _potential(openmm.Context.getState(self._context, energy=True, groups=groups))
+        return potential_of(openmm.Context.getState(self._context, energy=True, groups=groups))
 
     def _not_finite(self, quantity: str, *vectors: np.ndarray) -> TrajectoryError:
         """Return the error of a step in which vectors of bodies are not finite."""
@@ -146,8 +145,3 @@ def step_error(error: NotFiniteError | ConstraintError, step: int) -> Trajectory
     return TrajectoryError(
         f"Step {step} failed: {error}. Is the step size too long, or a force too stiff for it? {left}"
     )
-
-
-def _potential(state: openmm.State) -> float:
-    """Return the potential energy of a State, kJ/mol."""
-    return state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)

@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.minimizer import descent
+from openmm_sier.engines.snapshot import potential_of
 from openmm_sier.system import tables
 
 
@@ -69,7 +70,6 @@ def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, numb
     state = openmm.Context.getState(context, positions=True, forces=True, energy=True, groups=groups)
     x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
-    energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     others = dict.fromkeys(("restraint energy", "restraint strength", "max constraint error"), 0.0)
-    arguments = {"system energy": energy, **others}
+    arguments = {"system energy": potential_of(state), **others}
     return bool(reporter.report(number, x.ravel().tolist(), (-forces).ravel().tolist(), arguments))

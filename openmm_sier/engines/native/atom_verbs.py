@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.engines.native.atom_cache import AtomCache
@@ -14,7 +13,7 @@ from openmm_sier.engines.native.reported_bodies import ReportedBodies
 from openmm_sier.engines.program import V0, WORK, Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import Changes, RollbackState
-from openmm_sier.engines.snapshot import Environment, Snapshot
+from openmm_sier.engines.snapshot import Environment, Snapshot, potential_of
 from openmm_sier.engines.variables import per_atom_values
 from openmm_sier.system.tables import Constraints
 from openmm_sier.system.temperature import Temperatures
@@ -79,8 +78,7 @@ class AtomVerbs(Engine):
             self.synchronize()
         if self._potential is None:
             state = openmm.Context.getState(self._context, energy=True, parameters=True, groups=self._groups)
-            energy = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-            self._potential = Potential(energy, Environment.of(state))
+            self._potential = Potential(potential_of(state), Environment.of(state))
         return self._potential.energy
 
     def kinetic_energy(self) -> float:

@@ -73,8 +73,7 @@ class TrialEngine(NativeEngine):
             self.tally.heat += trial.kinetic_energy - before
             if not isinstance(error, TrajectoryError):
                 raise
-            if self.removes_momentum:
-                self.shift_velocities(-self.centre_velocity())
+            self.stop_centre()
             return Outcome(self.potential_energy(), math.inf, False)
         self._kinetic = numbers.kinetic
         self.tally.heat += trial.kinetic_energy - before - numbers.stopped
