@@ -9,5 +9,7 @@ from openmm_sier.ensembles.langevin import Langevin
 from openmm_sier.ensembles.metropolis import Metropolis
 from openmm_sier.ensembles.rescaling import VelocityRescaling
 
+__all__ = ["ConstantEnergy", "Langevin", "Metropolis", "VelocityRescaling"]
+
 #: Ensembles by the names of their classes, by which XML and copies of integrators have them.
 ENSEMBLES = {cls.__name__: cls for cls in (ConstantEnergy, Langevin, Metropolis, VelocityRescaling)}
