@@ -72,7 +72,6 @@ CONSTANT_ENERGY = (
         "schemes.json",
         figures.errors_at_long_steps,
         {"most": (0, 1.5)},
-        in_paper=True,
     ),
     Claim(
         "At OpenMM's default tolerance SIER4G at 6 fs has an energy error of {before:.2f} % within 1 ps, and "
@@ -123,7 +122,6 @@ IN_A_HEAT_BATH = (
         "heat-bath.json",
         figures.water_in_a_bath,
         {"potential": (-0.2, 0.2), "density": (-0.6, 0.6)},
-        in_paper=True,
     ),
     Claim(
         "With SIER2 at 9 fs reports of the temperature of the water around the peptide are off the bath by {own:+.1f} "
@@ -187,7 +185,6 @@ EXACT_AVERAGES = (
         "heat-bath.json",
         figures.trials_of_dhfr,
         {"accepted": (85, 100), "trials": (100, ANY)},
-        in_paper=True,
     ),
     Claim(
         "With hydrogens of 3 dalton in DHFR, and of 1 in water, {accepted:.0f} of {trials:.0f} trials of 30 fs are "
