@@ -13,10 +13,19 @@ Handler = Callable[[int, FrameType | None], Any]
 #: Handlers by the numbers of their signals.
 Handlers = dict[int, Handler]
 
-#: The numbers of signals that wait: all but those of real time, which are half of all and would make `defer` take twice
-#: as long. What their handlers find between two steps cannot be saved (`Session.refuse_between_steps`).
+#: Signals that do not wait: those of errors in compiled code, after which nothing can go on, and two that have no
+#: handlers.
+_ERRORS = ("SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP", "SIGKILL", "SIGSTOP")
+
+#: The numbers of signals that wait: all others but those of real time, which are half of all and would make `defer`
+#: take twice as long. What their handlers find between two steps cannot be saved (`Session.refuse_between_steps`).
 _END = getattr(signal, "SIGRTMIN", 65)
-NUMBERS = tuple(sorted(number for number in map(int, signal.valid_signals()) if number < _END))
+NUMBERS = tuple(
+    sorted(
+        {int(number) for number in signal.valid_signals() if number < _END}
+        - {getattr(signal, name, 0) for name in _ERRORS}
+    )
+)
 
 #: Signals that came since they were deferred, in this order, each with its handler.
 pending: list[tuple[Handler, int, FrameType | None]] = []
@@ -39,7 +48,7 @@ def defer() -> Handlers | None:
         The handlers, for `release`; None within a block where signals wait already, and in other threads than the main
         one, where Python calls no handlers. Only who gets handlers may call `release` when signals are pending.
     """
-    if _deferred or threading.current_thread() is not threading.main_thread():
+    if _deferred or threading.get_ident() != threading.main_thread().ident:
         return None
     entries = [*map(_signal.getsignal, NUMBERS)]
     if entries != _Found.entries:

@@ -198,20 +198,21 @@ class NativeEngine(AtomVerbs):
         time, count = 0.0 if is_clock_right else time_of(context), context.getStepCount()
         native_steps = steps * parts
         in_a_call = 1 if self._checks_positions else native_steps
+        made = steps
         try:
             for _ in range(0, native_steps, in_a_call):
                 openmm.CustomIntegrator.step(integrator, in_a_call)
                 if self._checks_positions:
                     self._refuse_lost_atoms(count + 1)
         except openmm.OpenMMException as error:
+            # It leaves the clock at the last completed step, as OpenMM does.
+            made = (context.getStepCount() - count) // parts
             # The next native step is the first part of a step.
             integrator.setGlobalVariableByName(PART, 0.0)
             if says_nan(error) and not isinstance(error, TrajectoryError):
                 raise TrajectoryError(str(error)) from error
             raise
         finally:
-            # An error in the middle of a step leaves the clock at the last completed one, as OpenMM does.
-            made = (context.getStepCount() - count) // parts
             if not is_clock_right:
                 self.clock = Clock(time + made * self.method.step, count + made)
             self._follows_bath = self._follows_bath or made > 0
