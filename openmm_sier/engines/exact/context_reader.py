@@ -97,7 +97,10 @@ class ContextReader(PointVerbs):
             self.refuse_cut_molecules(now)
         last = self.point if self._has_point else None
         stored = self._stored.latest(last, is_loaded=Changes.VARIABLES in self.changes)
-        return self._reader.point(now, stored, last, change)
+        point = self._reader.point(now, stored, last, change)
+        if point is not stored:
+            self._stored.is_outdated = True
+        return point
 
     def _take_environment(self, now: Snapshot) -> None:
         """Take over box and parameters of a Context where they differ."""
