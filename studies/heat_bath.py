@@ -36,6 +36,7 @@ from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.equilibration import equilibrate, make_context
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.experiment import Experiment
 from studies.frame import Unstable, sampled
 from studies.methods import (
     MIDDLE,
@@ -49,8 +50,7 @@ from studies.methods import (
     turned_more,
 )
 from studies.observers import ANGLES, BONDED, DIPOLE, OfSolution, cost
-from studies.records import Record, Task
-from studies.report import SILENT, Report
+from studies.records import Task
 
 #: What is averaged, with its heading.
 AVERAGED = {
@@ -242,15 +242,6 @@ def read_box(settings: Any) -> Any:
     return box
 
 
-def study(settings: BathSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write heat-bath.json."""
-    form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: done"
-    rows = averaged(records.all_runs(settings, "heat-bath", tasks(settings), run, report, form))
-    for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
-        report.table(title, text.table(rows, columns))
-    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "heat-bath.json")
-
-
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each box, pressure and method: means over its runs with errors, and what is compared with others."""
     rows = []
@@ -300,5 +291,14 @@ def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:
     one, other = (part[f"{angle}_samples"].sum() for part in several)
     return float(kstwobign.sf(distance * math.sqrt(one * other / (one + other))))
 
+
+study = Experiment(
+    "heat-bath",
+    tasks,
+    run,
+    "{box}, {at}, {method}, {time:g} ps, seed {seed}: done",
+    lambda settings, runs: ({"rows": averaged(runs)}, {}),
+    (("rows", "Averages in a heat bath", AVERAGES), ("rows", "What they cost", COSTS)),
+)
 
 main = command(BathSettings, study, __doc__, __name__)

@@ -36,10 +36,10 @@ from openmm_sier.stability.step_rules import WATER
 from openmm_sier.system import find_bodies
 from studies import boxes, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.experiment import Experiment, Made
 from studies.frame import Liquid, conserved, equilibrated, over_starts
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
-from studies.report import SILENT, Report
 
 #: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
 LIQUIDS: dict[str, tuple[str, ...]] = {
@@ -197,17 +197,10 @@ def walk_slope(means: np.ndarray) -> float:
     return math.sqrt(1.2 * max(0.0, squares[1] - squares[0]) / (long - short) / len(means))
 
 
-def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write whole-run.json and the figure of the walk."""
-    form = "{liquid}, {molecules}, {method}, {step:g} fs, seed {seed}: {percent:.3f} %, walk {walk:.3f} %"
-    runs = records.all_runs(settings, "whole-run", tasks(settings), run, report, form)
+def made(settings: WholeRunSettings, runs: pd.DataFrame) -> Made:
+    """Return the tables of all runs, and the law of the walk."""
     rows = points(runs).sort_values(POINT, kind="stable")
-    record = Record(settings.shared(), {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
-    report.table("Conservation of energy over whole runs", text.table(rows, COLUMNS))
-    report.table("Gain over Verlet with as many forces", text.table(record.tables["gains"], GAINS))
-    record.write(settings.out / "whole-run.json")
-    figure(record, settings.out / "whole-run.png")
-    return record
+    return {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)}
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
@@ -288,5 +281,18 @@ def energies(record: Record, path: Path) -> None:
         for line in lines.get_lines():
             line.set_linewidth(4)
 
+
+study = Experiment(
+    "whole-run",
+    tasks,
+    run,
+    "{liquid}, {molecules}, {method}, {step:g} fs, seed {seed}: {percent:.3f} %, walk {walk:.3f} %",
+    made,
+    (
+        ("rows", "Conservation of energy over whole runs", COLUMNS),
+        ("gains", "Gain over Verlet with as many forces", GAINS),
+    ),
+    figure,
+)
 
 main = command(WholeRunSettings, study, __doc__, __name__)
