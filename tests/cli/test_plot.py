@@ -165,6 +165,16 @@ def test_a_picture_destroys_no_log(capsys):
     assert contents(Path()) == before
 
 
+def test_a_picture_in_the_way_is_refused(capsys):
+    write_log("a.csv")
+    Path("a.png").write_bytes(b"mine")
+    line = ["summary", "a.csv", "--plot", "a.png"]
+    assert "a.png exists: give another name, or replace it with --overwrite" in complaint(capsys, *line)
+    assert Path("a.png").read_bytes() == b"mine"
+    run(*line, "--overwrite")
+    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize("ending", representatives([".png", ".svg"], ".png"))
 def test_a_run_that_continues_replaces_the_picture_of_its_log_alone(box, capsys, ending):
     """Not that of another log, nor a photo."""

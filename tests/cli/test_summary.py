@@ -140,14 +140,6 @@ def test_numbers_without_errors_have_that_of_their_scatter_over_runs():
     assert over_runs([Estimate(1, 0.3, 10), Estimate(3, 0.4, 20)]) == (2, 0.25, 30)
 
 
-def test_a_picture_with_it():
-    pytest.importorskip("matplotlib")
-    for seed in (1, 2):
-        write_log(f"seed{seed}.csv", rows=60, seed=seed)
-    run("summary", "seed1.csv", "seed2.csv", "--plot", "a.png")
-    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_no_log_is_destroyed(logs, capsys):
     before = contents(Path())
     for name in ("seed2.csv", "none/a.json"):
