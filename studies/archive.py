@@ -14,6 +14,7 @@ COMMIT = "eadf5c0f"
 ARCHIVED = {
     "studies.defaults": "Energy error of SIER4G and Verlet by settings of the System.",
     "studies.equipartition": "Temperatures of rotations and translations by integrator and step.",
+    "studies.hmc.exactness": "Exactness of hybrid Monte Carlo for models with known averages; `tests/laws` has them.",
     "studies.hmc.mixture": "The bias of long steps in a mixture, by configurational temperatures.",
     "studies.hmc.solvated": "Acceptance of trials of solvated molecules by scheme, step and size.",
     "studies.native.accuracy": "The native engine compared with the exact one: energy errors by scheme and platform.",

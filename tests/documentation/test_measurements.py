@@ -6,9 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from studies import pages, records
+from studies import archive, pages, records
 from studies.__main__ import modules
-from studies.archive import ARCHIVED
 
 ROOT = Path(__file__).parents[2]
 MEASUREMENTS = sorted((ROOT / "docs" / "measurements").glob("*.md"))
@@ -25,7 +24,7 @@ def test_every_record_has_its_command():
     for path in records.DATA.iterdir():
         commands = records.read(path).commands
         assert commands, path.name
-        assert set(re.findall(r"-m (studies[\w.]*)", " ".join(commands))) <= {*modules(), *ARCHIVED}
+        assert set(re.findall(r"-m (studies[\w.]*)", " ".join(commands))) <= {*modules(), *archive.ARCHIVED}
 
 
 def test_every_record_is_shown_or_claimed():
@@ -38,7 +37,8 @@ def test_every_record_is_shown_or_claimed():
 def test_a_table_has_the_command_under_it():
     shown = pages.show("exactness.json", pages.table(pages.read("exactness.json"), {"model": "{model}"}))
     assert "| model |\n| --- |\n" in shown
-    assert shown.endswith("`studies/data/exactness.json`: `python -m studies.hmc.exactness`\n")
+    command = "`studies/data/exactness.json`: `python -m studies.hmc.exactness`"
+    assert shown.endswith(f"{command}, in commit {archive.COMMIT}\n")
     with pytest.raises(ValueError, match=r"exactness\.json has no rows for this table"):
         pages.show("exactness.json", pd.DataFrame())
 
