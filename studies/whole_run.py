@@ -131,7 +131,10 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
     seeds = range(settings.seed, settings.seed + settings.starts)
     for seed, liquid, name in product(seeds, settings.liquids, settings.methods or CONSTANT_ENERGY):
         method, repeated = CONSTANT_ENERGY[name], LIQUIDS.get(liquid, ("",))[0].endswith("-512.pdb")
-        place = {"liquid": liquid, "molecules": settings.molecules if repeated else 0} | shared
+        place = {
+            "liquid": liquid if liquid in LIQUIDS else Path(liquid).stem,
+            "molecules": settings.molecules if repeated else 0,
+        } | shared
         for step in settings.steps or [method.forces * each for each in settings.per_force]:
             yield Task(settings, place | {"method": method.name, "step": round(step, 6), "seed": seed}, name)
 
@@ -139,7 +142,8 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
 def start(task: Task) -> Liquid:
     """Return the equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
-    file, *forcefield = LIQUIDS.get(liquid, (Path(liquid).resolve(),))
+    given = {Path(name).stem: (str(Path(name).resolve()),) for name in settings.liquids}
+    file, *forcefield = (given | LIQUIDS)[liquid]
     path = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
     box = forcefields.read_box(SYSTEMS / file, forcefield or None, None if molecules else "hbonds")
     topology, positions, system = box.topology, box.positions, box.system

@@ -20,7 +20,7 @@ from studies.domains import speed as domains_speed
 from studies.hmc import trials
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
-from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.commands import SYSTEMS
 from tests.support.matrices import representatives
 from tests.support.studies import make_here
 from tests.support.waters import water_box
@@ -176,7 +176,12 @@ def on_gpus(found):
     assert set(found["domains"]["engine"]) == {"", "native", "exact"}
 
 
-@miniature("whole-run", whole_run, "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1")
+@miniature(
+    "whole-run",
+    whole_run,
+    "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1",
+    "--liquids {tip3p_64} --methods sier2 --per-force 1 --starts 1 --time 0.3 --equilibrate 0.1",
+)
 def whole_runs(found):
     rows = found["rows"].set_index(["method", "step"])
     assert rows.loc[("SIER4G", 4.5), "percent"] > 0
@@ -184,6 +189,8 @@ def whole_runs(found):
     assert "A step of 60 fs is too long" in rows.loc[("SIER4G", 60.0), "broken"]
     assert rows["percent"].isna()["SIER4G", 60.0]
     assert found["gains"]["gain"].dropna().iloc[0] > 0
+    # A file is a liquid by its name.
+    assert found["rows"].set_index("liquid")["percent"]["named"] > 0
 
 
 @miniature(
@@ -233,13 +240,7 @@ def boxes(tmp_path_factory):
     app.PDBFile.writeFile(topology, positions * unit.nanometer, str(place / "box.pdb"))
     named = place / "named.pdb"
     named.write_text("REMARK  99 FORCEFIELD tip3p.xml\n" + (place / "box.pdb").read_text())
-    (place / "lattice").mkdir()
-    return {
-        "box": write_lattice(place / "lattice" / "box.pdb"),
-        "liquid_64": place / "box.pdb",
-        "tip3p_64": named,
-        "dipeptide": DIPEPTIDE,
-    }
+    return {"tip3p_64": named, "dipeptide": DIPEPTIDE}
 
 
 @pytest.mark.parametrize("name", representatives(MINIATURES, "heat-bath"))
