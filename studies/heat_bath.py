@@ -22,25 +22,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from time import process_time
 from typing import Any, ClassVar
 
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 from scipy.stats import kstwobign
 
 from openmm_sier import SIERHMCIntegrator, SIERIntegrator
 from openmm_sier.analysis.statistics import mean_and_error
-from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.correlation import inefficiency
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.equilibration import equilibrate, make_context
-from openmm_sier.system import tables
 from studies import boxes, records, speed_boxes, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
-from studies.hmc.samples import backbone, charges, cost, dihedral
+from studies.experiment import Experiment
+from studies.frame import Unstable, sampled
 from studies.methods import (
     MIDDLE,
     Bath,
@@ -52,13 +49,8 @@ from studies.methods import (
     several_steps,
     turned_more,
 )
-from studies.records import Record, Task
-from studies.report import SILENT, Report
-from studies.sampling import HIGHEST_TEMPERATURE, Unstable
-from studies.units import md
-
-#: Kinds of bonded energy, by the class of Force that has it.
-BONDED = {"bonds": "HarmonicBondForce", "angles": "HarmonicAngleForce", "torsions": "PeriodicTorsionForce"}
+from studies.observers import ANGLES, BONDED, DIPOLE, OfSolution, cost
+from studies.records import Task
 
 #: What is averaged, with its heading.
 AVERAGED = {
@@ -94,24 +86,17 @@ COSTS = {
     "over LangevinMiddle, 4 fs": "{over:.2f}",
 }
 
-#: The dihedrals of the backbone, and the number of bins of their distributions.
-ANGLES, BINS = ("phi", "psi"), 72
+#: Number of bins of the distributions of dihedrals.
+BINS = 72
 
 #: Forces for an independent sample, by the names of the columns.
 SAMPLED = ("cost", "dipole_cost", "psi_cost")
-
-#: Components of the box's dipole moment.
-DIPOLE = ("dipole_x", "dipole_y", "dipole_z")
 
 #: fs between samples.
 INTERVAL = 200.0
 
 #: 1/ps; rows of another friction say so.
 FRICTION = 5.0
-
-#: Relative tolerance of velocities along constraints.
-VELOCITY_TOLERANCE = 1e-6
-
 
 METHODS = {
     method.name: method
@@ -163,72 +148,6 @@ class BathSettings(RunsSettings):
     SHARED: ClassVar[tuple[str, ...]] = ("temperature", "tolerance", "equilibrate")
 
 
-class Observer:
-    """Sample what is averaged, from the States of a Context."""
-
-    def __init__(self, box: Any, system: openmm.System):
-        """
-        Args:
-            box: has topology.
-            system: openmm.System.
-        """
-        self._masses = tables.masses(system)
-        self._total = self._masses.sum() / (unit.AVOGADRO_CONSTANT_NA._value * 1e-21)
-        solute = np.array([atom.residue.name not in boxes.WATERS for atom in box.topology.atoms()])
-        pairs = tables.constraints(system).pairs
-        held = np.bincount(solute[pairs[:, 0]].astype(int), minlength=2) if len(pairs) else np.zeros(2)
-        # Rigid water of three massive sites has as many degrees of freedom of translation as of rotation.
-        self._waters = np.flatnonzero(~solute & (self._masses > 0)).reshape(-1, 3)
-        self._parts = {}
-        for name, part, count in (("water", ~solute, held[0]), ("solute", solute, held[1])):
-            if freedom := 3 * np.count_nonzero(part & (self._masses > 0)) - count:
-                self._parts[name] = part, freedom
-        self._contexts = {kind: _alone(system, force) for kind, force in BONDED.items()} if solute.any() else {}
-        self._dihedrals = backbone(box.topology)
-        self._charges = charges(system)
-
-    def __call__(self, context: openmm.Context) -> dict[str, float]:
-        """Return the values at the end of a step."""
-        integrator = context.getIntegrator()
-        if not isinstance(integrator, SIERIntegrator):
-            # OpenMM leaves components along constraints at the end of a step, and takes them away in the next one.
-            context.applyVelocityConstraints(VELOCITY_TOLERANCE)
-        state = context.getState(positions=True, velocities=True, energy=True)
-        positions = md(state.getPositions(asNumpy=True))
-        found = self._temperatures(integrator, md(state.getVelocities(asNumpy=True)))
-        found["potential"] = md(state.getPotentialEnergy())
-        found["density"] = self._total / md(state.getPeriodicBoxVolume())
-        for kind, alone in self._contexts.items():
-            alone.setPositions(positions)
-            found[kind] = md(alone.getState(energy=True).getPotentialEnergy())
-        found |= dict(zip(DIPOLE, self._charges @ positions, strict=True))
-        if self._dihedrals:
-            angles = [dihedral(positions, atoms) for atoms in self._dihedrals]
-            found |= dict(zip(ANGLES, angles, strict=True)) | {"helical": float(max(angles) < 0)}
-        return found
-
-    def _temperatures(self, integrator: openmm.Integrator, speeds: np.ndarray) -> dict[str, float]:
-        if isinstance(integrator, SIERIntegrator):
-            known = integrator.computeTemperatures().in_kelvin()
-            return known._asdict() | {"water": (known.translation + known.rotation) / 2, "solute": known.flexible}
-        twice = self._masses * (speeds**2).sum(axis=1)
-        found = {name: twice[part].sum() / (dof * GAS_CONSTANT) for name, (part, dof) in self._parts.items()}
-        momenta = (self._masses[self._waters, None] * speeds[self._waters]).sum(axis=1)
-        translation = (momenta**2).mean() / (self._masses[self._waters[0]].sum() * GAS_CONSTANT)
-        return found | {"translation": translation, "rotation": 2 * found["water"] - translation}
-
-
-def _alone(system: openmm.System, kind: str) -> openmm.Context:
-    """A Context with the Forces of one class alone."""
-    bare = openmm.System()
-    for _ in range(system.getNumParticles()):
-        bare.addParticle(1)
-    for force in system.getForces():
-        if type(force).__name__ == kind:
-            bare.addForce(openmm.XmlSerializer.clone(force))
-    return openmm.Context(bare, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference"))
-
-
 def tasks(settings: BathSettings) -> Iterator[Task]:
     """All runs that the settings ask for, seed by seed."""
     chosen(settings.methods, METHODS, "method")
@@ -271,10 +190,11 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
         else:
             integrator.step(max(1, round(1e3 * settings.equilibrate / method.duration)))
         before = _evaluations(integrator)
-        samples, processor = _sampled(context, Observer(box, box.system), method, settings.time)
+        observe = OfSolution(box.system, box.topology)
+        samples = sampled(context, observe, method.duration, settings.time, INTERVAL)
     except (openmm.OpenMMException, Unstable) as error:
         return found | {"broken": " ".join(str(error).split())}
-    series = pd.DataFrame(samples).dropna(axis="columns")
+    series = samples.table.dropna(axis="columns")
     for key in AVERAGED.keys() & set(series):
         found |= {key: (of_key := mean_and_error(series[key].to_numpy())).value, f"{key}_error": of_key.error}
     # Trials whose ends are not accepted at once take more forces.
@@ -282,7 +202,7 @@ def measure(settings: BathSettings, method: Contestant, seed: int) -> dict[str, 
     found |= _distributions(series) | _costs(series, forces) | {"forces": forces}
     if isinstance(integrator, SIERHMCIntegrator):
         found |= {"trials": integrator.trials, "accepted": integrator.acceptanceRate}
-    return found | {"fs_per_second": settings.time * 1e3 / processor if settings.platform == "CPU" else math.nan}
+    return found | {"fs_per_second": samples.fs_per_processor_second if settings.platform == "CPU" else math.nan}
 
 
 def _evaluations(integrator: openmm.Integrator) -> int:
@@ -320,31 +240,6 @@ def read_box(settings: Any) -> Any:
         box = forcefields.read_box(settings.box, None, "hbonds")
     boxes.with_tolerance(box.system, settings.tolerance)
     return box
-
-
-def _sampled(
-    context: openmm.Context, observe: Observer, method: Contestant, time: float
-) -> tuple[list[dict[str, float]], float]:
-    """Samples of a run, and its processor time in seconds."""
-    every = max(1, round(INTERVAL / method.duration))
-    samples, processor = [], 0.0
-    for _ in range(max(1, round(1e3 * time / (every * method.duration)))):
-        begun = process_time()
-        context.getIntegrator().step(every)
-        processor += process_time() - begun
-        samples.append(observe(context))
-        if not samples[-1]["water"] < HIGHEST_TEMPERATURE:
-            raise Unstable(f"water is hotter than {HIGHEST_TEMPERATURE:g} K")
-    return samples, processor
-
-
-def study(settings: BathSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write heat-bath.json."""
-    form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: done"
-    rows = averaged(records.all_runs(settings, "heat-bath", tasks(settings), run, report, form))
-    for title, columns in (("Averages in a heat bath", AVERAGES), ("What they cost", COSTS)):
-        report.table(title, text.table(rows, columns))
-    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "heat-bath.json")
 
 
 def averaged(runs: pd.DataFrame) -> pd.DataFrame:
@@ -396,5 +291,14 @@ def _probability(angle: str, runs: pd.DataFrame, exact: pd.DataFrame) -> float:
     one, other = (part[f"{angle}_samples"].sum() for part in several)
     return float(kstwobign.sf(distance * math.sqrt(one * other / (one + other))))
 
+
+study = Experiment(
+    "heat-bath",
+    tasks,
+    run,
+    "{box}, {at}, {method}, {time:g} ps, seed {seed}: done",
+    lambda settings, runs: ({"rows": averaged(runs)}, {}),
+    (("rows", "Averages in a heat bath", AVERAGES), ("rows", "What they cost", COSTS)),
+)
 
 main = command(BathSettings, study, __doc__, __name__)

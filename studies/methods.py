@@ -5,7 +5,6 @@ A `Method` has any step. A `Contestant` is one at a step, with what its System n
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,10 +19,6 @@ from openmm_sier.dynamics.schemes import CATALOGUE, SIER2, SIER4, SIER4G, Scheme
 from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.integrators.langevin import SIERLangevinIntegrator
 from openmm_sier.prepare.masses import set_hydrogen_masses
-
-#: `Method.bias` of SIER2 at constant energy: the modified Hamiltonian of kick, drift, kick has the inverse
-#: mass (1 + (h w)^2/6)/m. With the bath in the middle of its drift it has none (`Scheme.with_bath`).
-BIAS_NVE, BIAS_NVT = 1 / 6, 0.0
 
 
 class Bath(NamedTuple):
@@ -44,9 +39,6 @@ class Method:
         forces: evaluations per step.
         order: of its energy error in the step.
         has_bath: whether it keeps a temperature.
-        bias: a step h changes the temperature of a degree of freedom of frequency w by the fraction -bias (h w)^2, to
-            leading order; NaN where there is no such law. There is none for Verlet: SETTLE's free rotation, which is
-            not exact, has a bias of its own.
     """
 
     name: str
@@ -54,7 +46,6 @@ class Method:
     forces: int = 1
     order: int = 2
     has_bath: bool = False
-    bias: float = math.nan
 
     def at(self, step: float, **needs: Any) -> Contestant:
         """Return this method at a step in fs; `needs` are attributes of `Contestant`."""
@@ -160,8 +151,7 @@ def of_scheme(scheme: Scheme, turn: Rotation = rotation.exact, name: str = "", *
         options: of `SIERIntegrator`.
     """
     make = partial(SIERIntegrator, scheme=scheme, rotation=turn, **options)
-    bias = BIAS_NVE if scheme is SIER2 and turn is rotation.exact else math.nan
-    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, False, bias, scheme, turn)
+    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, False, scheme, turn)
 
 
 def in_bath(scheme: Scheme = SIER2, name: str = "", **options: Any) -> OwnMethod:
@@ -170,8 +160,7 @@ def in_bath(scheme: Scheme = SIER2, name: str = "", **options: Any) -> OwnMethod
     def make(step: float, bath: Bath) -> openmm.Integrator:
         return SIERLangevinIntegrator(bath.temperature, bath.friction, step, scheme, pressure=bath.pressure, **options)
 
-    bias = BIAS_NVT if scheme is SIER2 else math.nan
-    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, True, bias, scheme)
+    return OwnMethod(name or scheme.name, make, scheme.force_evaluations, scheme.order, True, scheme)
 
 
 def trials(scheme: Scheme, steps: int, name: str = "", **options: Any) -> OwnMethod:
@@ -200,25 +189,6 @@ SCHEMES = {name: of_scheme(scheme) for name, scheme in CATALOGUE.items()}
 
 #: OpenMM's Verlet with SETTLE and the schemes of the catalogue.
 CONSTANT_ENERGY: dict[str, Method] = {"verlet": VERLET.of_openmm(), **SCHEMES}
-
-#: Trajectories that can be reversed, for hybrid Monte Carlo: Verlet with RATTLE solved to rounding, and the schemes.
-REVERSIBLE = {"verlet": of_scheme(SIER2, rotation.rattle, "Verlet, RATTLE"), **SCHEMES}
-
-
-def with_bath(bath: Bath, seed: int) -> dict[str, Method]:
-    """LangevinMiddle and every scheme of the catalogue in this bath, by lower-case name; they take a step alone."""
-
-    def kept(method: Method) -> Method:
-        def make(step: float) -> openmm.Integrator:
-            integrator = method.make(step, bath)
-            integrator.setRandomNumberSeed(seed)
-            return integrator
-
-        return replace(method, make=make, has_bath=False)
-
-    schemes = {name: in_bath(scheme, f"{scheme.name} Langevin") for name, scheme in CATALOGUE.items()}
-    return {name: kept(method) for name, method in ({"langevinmiddle": MIDDLE.of_openmm()} | schemes).items()}
-
 
 # --- methods of several studies ---
 

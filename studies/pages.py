@@ -16,11 +16,12 @@ import pandas as pd
 
 from studies import readme, records, trust
 from studies.__main__ import modules, summary, times
+from studies.archive import ARCHIVED, COMMIT
 from studies.claims import TOPICS
 from studies.records import DATA
 from studies.text import UNKNOWN, cell, markdown, table
 
-__all__ = ["claims", "figure", "read", "show", "studies", "table", "uses", "value"]
+__all__ = ["archived", "claims", "figure", "read", "show", "studies", "table", "uses", "value"]
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -103,6 +104,12 @@ def studies() -> Markdown:
     """Return all studies: commands, results, and costs."""
     rows = [(f"`python -m {module}`", summary(module), times(module) or UNKNOWN) for module in modules()]
     return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it shows", "what it took"])))
+
+
+def archived() -> Markdown:
+    """Return the studies whose code is in an earlier commit."""
+    rows = [(f"`python -m {module}`", shows, COMMIT) for module, shows in ARCHIVED.items()]
+    return Markdown(markdown(pd.DataFrame(rows, columns=["command", "what it showed", "commit"])))
 
 
 def uses() -> Markdown:

@@ -23,6 +23,7 @@ from openmm_sier.analysis import statistics
 from openmm_sier.analysis.statistics import Estimate
 from openmm_sier.dynamics import threads
 from openmm_sier.version import __version__
+from studies.archive import COMMIT, is_archived
 from studies.command import COMMAND, RunsSettings, claim, elapsed
 from studies.report import Report
 from studies.text import cell
@@ -84,8 +85,10 @@ def read(path: Path) -> Record:
 
 def source(file: str) -> str:
     """Return the name of a file of `DATA` with the commands that made it, as pages have it."""
-    commands = ", then ".join(f"`{command}`" for command in read(DATA / file).commands)
-    return f"`studies/data/{file}`: {commands}"
+    commands = list(read(DATA / file).commands)
+    shown = ", then ".join(f"`{command}`" for command in commands)
+    where = f", in commit {COMMIT}" if any(map(is_archived, commands)) else ""
+    return f"`studies/data/{file}`: {shown}{where}"
 
 
 def provenance() -> dict[str, Any]:

@@ -13,23 +13,23 @@ from __future__ import annotations
 
 import copy
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
 import pandas as pd
 
+from openmm_sier import RigidBodies, SIERIntegrator
 from openmm_sier.dynamics import threads
 from openmm_sier.dynamics.schemes import SIER2, SIER2P3, SIER4G, Scheme
 from openmm_sier.inputs.equilibration import make_context
-from studies import speed_boxes, text
+from studies import boxes, speed_boxes, text, timing
 from studies.boxes import BoxSystem
 from studies.command import BoxSettings, chosen, command
+from studies.frame import Liquid, conserved, equilibrated
 from studies.methods import (
     CONSTANT_ENERGY,
     HEAVY,
@@ -44,9 +44,8 @@ from studies.methods import (
 )
 from studies.records import Record
 from studies.report import SILENT, Report
-from studies.sampling import conserved, equilibrated_liquid
 from studies.speed_boxes import SOLUTES
-from studies.timing import ON_PROCESSORS, median_and_error, turns
+from studies.timing import ON_PROCESSORS
 
 #: What ratios are taken over: OpenMM's Verlet at its usual step.
 REFERENCE = "OpenMM Verlet, 2 fs"
@@ -56,9 +55,6 @@ BATH_REFERENCE = "OpenMM LangevinMiddle, 4 fs"
 
 #: Of heat baths, 1/ps.
 FRICTION = 1.0
-
-#: Force evaluations of the shortest turn, a multiple of those in a step of every method, and of the longest.
-EVALUATIONS, MOST_EVALUATIONS = 12, 12000
 
 #: fs per force evaluation at which energy errors are measured, and the errors in per cent at which speeds are compared,
 #: which these steps of all methods enclose: at OpenMM's default tolerance none has less than 0.06 %.
@@ -120,54 +116,22 @@ def compared(has_solute: bool, names: Sequence[str]) -> dict[str, Contestant]:
     return {each.name: each for each in contestants(has_solute) if not names or each.name in wanted}
 
 
-class Turn(NamedTuple):
-    """Simulated fs of a turn, and the seconds of wall and of processor time that it took."""
-
-    simulated: float
-    wall: float
-    processor: float
-
-
 def speeds(box: BoxSystem, state: openmm.State, settings: SpeedSettings, report: Report) -> list[dict[str, Any]]:
     """Return a row for each method in one box, from a phase point."""
     methods = compared(box.has_solute, settings.methods)
     contexts = {name: _context(method, box, state, settings) for name, method in methods.items()}
-    evaluations = _evaluations(contexts[REFERENCE], settings.turn)
-    actions: dict[str, Callable[[], Turn]] = {
-        name: partial(_turn, contexts[name], evaluations // method.forces, method.step)
-        for name, method in methods.items()
-    }
-    platform = contexts[REFERENCE].getPlatform().getName()
-    times = turns(actions, settings.rounds)
-    rows = rows_of(times, platform)
+    durations = {name: method.step for name, method in methods.items()}
+    references = {"over": REFERENCE, "over_middle": BATH_REFERENCE}
+    rows = timing.speeds(contexts, durations, references, settings.rounds, settings.turn)
     for row in rows:
         method = methods[row["name"]]
         row |= {
             "box": box.name,
             "atoms": box.system.getNumParticles(),
-            "platform": platform,
-            "engine": getattr(contexts[row["name"]].getIntegrator(), "engine", ""),
             "method": method.method.name,
             "fs_per_force": method.step / method.forces,
         }
         report.note(text.cell("{box}: {name}, {ns_per_day:.3g} ns/day, {over:.2f} of Verlet's at 2 fs", row))
-    return rows
-
-
-def rows_of(times: Mapping[str, np.ndarray], platform: str) -> list[dict[str, Any]]:
-    """Return speeds in ns/day, and ratios to `REFERENCE` and `BATH_REFERENCE`, from what `turns` found."""
-    clock = 2 if platform in ON_PROCESSORS else 1
-    speed = {name: each[:, 0] / each[:, clock] for name, each in times.items()}
-    rows = []
-    for name, each in times.items():
-        # 86400 s a day, 1e6 fs a ns.
-        wall, wall_error, _ = median_and_error(0.0864 * each[:, 0] / each[:, 1])
-        processor = float(np.median(0.0864 * each[:, 0] / np.maximum(each[:, 2], 1e-9)))
-        row = {"name": name, "ns_per_day": wall, "ns_per_day_error": wall_error, "ns_per_day_processor": processor}
-        for key, reference in (("over", REFERENCE), ("over_middle", BATH_REFERENCE)):
-            ratio, error, _ = median_and_error(speed[name] / speed[reference])
-            row |= {key: ratio, f"{key}_error": 0.0 if name == reference else error}
-        rows.append(row)
     return rows
 
 
@@ -181,21 +145,6 @@ def _context(method: Contestant, box: BoxSystem, state: openmm.State, settings: 
     return context
 
 
-def _turn(context: openmm.Context, steps: int, step: float) -> Turn:
-    """Run; reading the positions waits for a GPU."""
-    wall, processor = time.perf_counter(), time.process_time()
-    context.getIntegrator().step(steps)
-    context.getState(positions=True)
-    return Turn(steps * step, time.perf_counter() - wall, time.process_time() - processor)
-
-
-def _evaluations(context: openmm.Context, least: float) -> int:
-    """Return the number, a multiple of `EVALUATIONS`, with which a turn of Verlet takes a number of seconds."""
-    _turn(context, EVALUATIONS, 1.0)
-    seconds = _turn(context, EVALUATIONS, 1.0).wall
-    return EVALUATIONS * min(math.ceil(least / max(seconds, 1e-6)), MOST_EVALUATIONS // EVALUATIONS)
-
-
 # --- at equal energy error ---
 
 
@@ -203,8 +152,7 @@ def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
     """Return errors within a run of each method at each of `STEPS`, by the seed of their start, in prepared water."""
     rows = []
     for seed in range(settings.seed, settings.seed + settings.starts):
-        with_seed = replace(settings, seed=seed)
-        liquid = equilibrated_liquid(with_seed, settings.equilibrate, report, speed_boxes.TOLERANCE)
+        liquid = _equilibrated(settings, seed, report)
         for name, steps in STEPS.items():
             method = CONSTANT_ENERGY[name]
             for dt in steps:
@@ -212,6 +160,13 @@ def energy_errors(settings: SpeedSettings, report: Report) -> pd.DataFrame:
                 rows.append({"method": method.name, "fs_per_force": dt, "seed": seed} | row)
                 report.note(text.cell("{method} at {fs_per_force:g} fs per force: {percent:.4f} %", rows[-1]))
     return pd.DataFrame(rows)
+
+
+def _equilibrated(settings: SpeedSettings, seed: int, report: Report) -> Liquid:
+    box = boxes.read(settings, tolerance=speed_boxes.TOLERANCE)
+    context = make_context(box.system, SIERIntegrator(0.001, SIER2), settings.platform)
+    state = equilibrated(context, box.positions, settings.temperature, seed, settings.equilibrate, report=report)
+    return Liquid(box.system, RigidBodies.from_system(box.system, box.topology), state, settings.platform)
 
 
 def at_equal_error(rows: pd.DataFrame, points: pd.DataFrame) -> pd.DataFrame:

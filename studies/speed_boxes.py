@@ -9,8 +9,8 @@ from openmm_sier.inputs.forcefields import Interactions
 from studies import boxes
 from studies.boxes import BoxSystem
 from studies.command import SYSTEMS, BoxSettings
+from studies.frame import warmed
 from studies.report import Report
-from studies.sampling import warmed
 from studies.units import md
 
 #: OpenMM's default ewaldErrorTolerance; nm.
@@ -41,7 +41,8 @@ def start(name: str, settings: BoxSettings, report: Report) -> tuple[BoxSystem, 
         box = BoxSystem(solute.topology.getNumResidues(), md(solute.positions), solute.system, name, has_solute=True)
     boxes.split_by_openmm(box.system)
     report.note(f"{name}: {box.system.getNumParticles()} atoms")
-    return box, warmed(box.system, box.positions, settings, SETTLE)
+    start = warmed(box.system, box.positions, settings.temperature, settings.seed, SETTLE, settings.platform)
+    return box, start
 
 
 def _water(molecules: int, settings: BoxSettings) -> BoxSystem:

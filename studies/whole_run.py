@@ -1,8 +1,10 @@
-"""Energy conservation over whole runs: random walk of the energy by scheme and step.
+"""Energy conservation by scheme and step: energy error, random walk and drift, and temperatures of rotations.
 
     python -m studies.whole_run                                              64 molecules of TIP3P, every scheme
     python -m studies.whole_run --liquids TIP4P/2005 OPC --methods verlet sier4g --steps 1.5 4.5 6
     python -m studies.whole_run --molecules 512 --time 100 --methods sier4g --steps 4.5
+    python -m studies.whole_run --molecules 512 --time 1 --starts 4 --per-force 1 2 3     errors within a picosecond
+    python -m studies.whole_run --liquids BOX.pdb --methods verlet sier4g --time 20     rotations of your own liquid
 
 The energy error is rms(H)/rms(V) about the mean of the whole run. The walk is the scatter of the means of H over 1 ps,
 over rms(V). Verlet is compared with SIER4G at the same simulated time per force. Each run is kept in whole-run.jsonl as
@@ -25,7 +27,7 @@ import openmm
 import pandas as pd
 
 from openmm_sier import prepare_system
-from openmm_sier.analysis.observables import energy_walk
+from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.schemes import CATALOGUE, SIER4G
 from openmm_sier.inputs import forcefields
 from openmm_sier.inputs.equilibration import make_context
@@ -34,10 +36,10 @@ from openmm_sier.stability.step_rules import WATER
 from openmm_sier.system import find_bodies
 from studies import boxes, records, style, text
 from studies.command import SYSTEMS, RunsSettings, chosen, command
+from studies.experiment import Experiment, Made
+from studies.frame import Liquid, conserved, equilibrated, over_starts
 from studies.methods import CONSTANT_ENERGY
 from studies.records import Record, Task
-from studies.report import SILENT, Report
-from studies.sampling import Liquid, conserved, equilibrated, over_starts
 
 #: Liquids: the PDB file in `systems`, and a force field if it is not the one that the file names.
 LIQUIDS: dict[str, tuple[str, ...]] = {
@@ -68,6 +70,9 @@ COLUMNS = text.columns("liquid", "molecules", "time", "method", "step", "fs_per_
     **PME,
 }
 
+#: Of runs since it is kept.
+WARMTH = {"T_rot - T_trans/K": "{difference_text}"}
+
 GAINS = text.columns("liquid", "molecules", "time") | {
     **PME,
     "fs per force": "{per_force:.3g}",
@@ -90,7 +95,7 @@ class WholeRunSettings(RunsSettings):
     """Settings of the comparison; the seeds of the starts follow `seed`.
 
     Attributes:
-        liquids: by name, TIP3P, SPC/E, TIP4P/2005, OPC, TIP5P or peptide.
+        liquids: by name, TIP3P, SPC/E, TIP4P/2005, OPC, TIP5P or peptide; or PDB files that name their force field.
         molecules: of a box of water.
         methods: by name, all unless given.
         steps: of each method, fs; steps for the same simulated time per force evaluation unless given.
@@ -120,13 +125,16 @@ class WholeRunSettings(RunsSettings):
 
 def tasks(settings: WholeRunSettings) -> Iterator[Task]:
     """Yield all runs that the settings ask for, seed by seed; boxes that are taken as they are have 0 molecules."""
-    chosen(settings.liquids, LIQUIDS, "liquid")
+    chosen([name for name in settings.liquids if not Path(name).is_file()], LIQUIDS, "liquid")
     chosen(settings.methods, CONSTANT_ENERGY, "method")
     shared = {"time": settings.time, "tolerance": settings.tolerance, "share": AT_CONSTANT_ENERGY.direct_share}
     seeds = range(settings.seed, settings.seed + settings.starts)
     for seed, liquid, name in product(seeds, settings.liquids, settings.methods or CONSTANT_ENERGY):
-        method, repeated = CONSTANT_ENERGY[name], LIQUIDS[liquid][0].endswith("-512.pdb")
-        place = {"liquid": liquid, "molecules": settings.molecules if repeated else 0} | shared
+        method, repeated = CONSTANT_ENERGY[name], LIQUIDS.get(liquid, ("",))[0].endswith("-512.pdb")
+        place = {
+            "liquid": liquid if liquid in LIQUIDS else Path(liquid).stem,
+            "molecules": settings.molecules if repeated else 0,
+        } | shared
         for step in settings.steps or [method.forces * each for each in settings.per_force]:
             yield Task(settings, place | {"method": method.name, "step": round(step, 6), "seed": seed}, name)
 
@@ -134,7 +142,8 @@ def tasks(settings: WholeRunSettings) -> Iterator[Task]:
 def start(task: Task) -> Liquid:
     """Return the equilibrated phase point of a task, which is kept for the others of its liquid, size and seed."""
     settings, (liquid, molecules, seed) = task.settings, (task.point[name] for name in ("liquid", "molecules", "seed"))
-    file, *forcefield = LIQUIDS[liquid]
+    given = {Path(name).stem: (str(Path(name).resolve()),) for name in settings.liquids}
+    file, *forcefield = (given | LIQUIDS)[liquid]
     path = settings.out / f"start of {liquid.replace('/', '-')}, {molecules}, seed {seed}.xml"
     box = forcefields.read_box(SYSTEMS / file, forcefield or None, None if molecules else "hbonds")
     topology, positions, system = box.topology, box.positions, box.system
@@ -151,17 +160,19 @@ def start(task: Task) -> Liquid:
 
 
 def run(task: Task) -> dict[str, Any]:
-    """Return the energy error of a run, its walk and drift, see `studies.sampling.conserved`."""
+    """Return the energy error of a run, its walk and drift, see `studies.frame.conserved`, and its temperatures."""
     method = CONSTANT_ENERGY[task.method]
     row = task.point | {"forces": method.forces, "fs_per_force": task.point["step"] / method.forces}
-    figures, series = conserved(start(task), method, row["fs_per_force"], task.settings.time, INTERVAL)
-    if series is None:
-        return row | figures | {"walk": math.nan}
-    H, V = series.total, series.potential
+    figures, table = conserved(start(task), method, row["fs_per_force"], task.settings.time, INTERVAL)
+    if table is None:
+        return row | figures
+    H = (table["potential"] + table["kinetic"]).to_numpy()
+    difference = mean_and_error((table["rotation"] - table["translation"]).to_numpy())
     further = {
-        "walk": 100 * energy_walk(series.time, H, V),
-        "rms_V": float(np.std(V)),
-        "temperature": float(np.nanmean(series.translation)),
+        "rms_V": float(table["potential"].std(ddof=0)),
+        "temperature": float(table["translation"].mean()),
+        "difference": difference.value,
+        "difference_error": difference.error,
         "means": np.round([each.mean() for each in np.array_split(H, max(1, round(task.settings.time)))], 4),
     }
     return row | figures | further
@@ -176,7 +187,7 @@ def _point(runs: pd.DataFrame) -> dict[str, Any]:
     point = {name: runs.iloc[0][name] for name in (*POINT, "forces", "fs_per_force")}
     walks = np.array([walk_slope(np.array(means, dtype=float)) for means in runs["means"] if np.ndim(means)])
     point["its_error"] = math.sqrt((runs["its_error"] ** 2).sum() + (walks**2).sum()) / len(runs)
-    return point | over_starts(runs, ("percent", "walk", "drift"))
+    return point | over_starts(runs, ("percent", "walk", "drift")) | records.pooled(runs, ("difference",))
 
 
 def walk_slope(means: np.ndarray) -> float:
@@ -192,17 +203,10 @@ def walk_slope(means: np.ndarray) -> float:
     return math.sqrt(1.2 * max(0.0, squares[1] - squares[0]) / (long - short) / len(means))
 
 
-def study(settings: WholeRunSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write whole-run.json and the figure of the walk."""
-    form = "{liquid}, {molecules}, {method}, {step:g} fs, seed {seed}: {percent:.3f} %, walk {walk:.3f} %"
-    runs = records.all_runs(settings, "whole-run", tasks(settings), run, report, form)
+def made(settings: WholeRunSettings, runs: pd.DataFrame) -> Made:
+    """Return the tables of all runs, and the law of the walk."""
     rows = points(runs).sort_values(POINT, kind="stable")
-    record = Record(settings.shared(), {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)})
-    report.table("Conservation of energy over whole runs", text.table(rows, COLUMNS))
-    report.table("Gain over Verlet with as many forces", text.table(record.tables["gains"], GAINS))
-    record.write(settings.out / "whole-run.json")
-    figure(record, settings.out / "whole-run.png")
-    return record
+    return {"rows": rows, "runs": runs, "gains": gains(rows)}, {"law": law(rows)}
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
@@ -283,5 +287,18 @@ def energies(record: Record, path: Path) -> None:
         for line in lines.get_lines():
             line.set_linewidth(4)
 
+
+study = Experiment(
+    "whole-run",
+    tasks,
+    run,
+    "{liquid}, {molecules}, {method}, {step:g} fs, seed {seed}: {percent:.3f} %, walk {walk:.3f} %",
+    made,
+    (
+        ("rows", "Conservation of energy over whole runs", COLUMNS | WARMTH),
+        ("gains", "Gain over Verlet with as many forces", GAINS),
+    ),
+    figure,
+)
 
 main = command(WholeRunSettings, study, __doc__, __name__)

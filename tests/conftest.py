@@ -11,7 +11,7 @@ os.environ.setdefault("OPENMM_CPU_THREADS", "1")
 from openmm_sier.dynamics.barostat import MonteCarloVolumeMove
 from openmm_sier.dynamics.noise import generator
 from openmm_sier.ensembles import metropolis
-from tests.support import options, starts
+from tests.support import starts
 from tests.support.waters import cluster_system, periodic_system, settled
 
 
@@ -56,9 +56,6 @@ def signals_reach_children():
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
-
-
-assembled_options = pytest.fixture(scope="session", autouse=True)(options.assembled_once)
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -46,23 +45,6 @@ FLAT = Parameter(name="*")
 Overwrite = Annotated[bool, Parameter(negative="", help="replace existing files (default: refuse to)")]
 
 Debug = Annotated[bool, Parameter(negative="", help="show the traceback of an error (default: one line)")]
-
-Logs = Annotated[
-    list[Path],
-    Parameter(
-        help="logs of runs of one kind, which need not have ended; runs that differ in their seeds count as one "
-        "sample each"
-    ),
-]
-Skip = Annotated[
-    float | None,
-    Parameter(
-        validator=Number(gte=0, lte=1e9),
-        help="time in ps, or with hmc trials, at the beginning of each run to leave out of means (default: what had "
-        "not settled, if anything)",
-    ),
-]
-Picture = Annotated[Path | None, Parameter(help="draw the logs, as `plot` does, in PNG or SVG (default: no picture)")]
 
 
 def _in_words(default: str, of: str, **limits: Any) -> Parameter:
@@ -114,7 +96,9 @@ def run(
     and a checkpoint. From it --restart continues without a gap, and --start begins a new run, for example in another
     ensemble.
     """
-    _execute("run", options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
+    from openmm_sier.cli import run as command
+
+    command.execute(options.chosen(), config, None if seeds is None else read_seeds(seeds), workers, scheduler)
 
 
 @app.command
@@ -157,7 +141,9 @@ def setup(
     Add what a structure lacks, by PDBFixer and OpenMM's Modeller: residues within chains, heavy atoms and hydrogens,
     then water and ions in a periodic box. Says what was added, and names the force field in the file that it writes.
     """
-    _execute("setup", structure, out, forcefield, shape, padding, salt, ph, leave_out, ends, seed, overwrite)
+    from openmm_sier.cli import setup as command
+
+    command.execute(structure, out, forcefield, shape, padding, salt, ph, leave_out, ends, seed, overwrite)
 
 
 @app.command
@@ -178,45 +164,45 @@ def tune(
     Equilibrate coordinates as `run --ensemble hmc` does, then find the step, beginning with --dt, at which trials of
     the same length in time have the acceptance. Writes no files: it prints the command line of a run.
     """
-    _execute("tune", options.chosen(), acceptance=acceptance, trials=trials)
+    from openmm_sier.cli import tune as command
 
-
-@app.command
-def plot(
-    logs: Logs,
-    *,
-    out: Annotated[
-        Path | None,
-        _in_words("beside the first log, with .png", "the picture, PNG or SVG"),
-    ] = None,
-    skip: Skip = None,
-    overwrite: Overwrite = False,
-    debug: Debug = False,
-) -> None:
-    """Draw the log of a run, or of several.
-
-    Draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over equal times,
-    with what had not settled, and for several runs the error of their mean.
-    """
-    _execute("plot", logs, out, skip, overwrite)
+    command.execute(options.chosen(), acceptance=acceptance, trials=trials)
 
 
 @app.command
 def summary(
-    logs: Logs,
+    logs: Annotated[
+        list[Path],
+        Parameter(
+            help="logs of runs of one kind, which need not have ended; runs that differ in their seeds count as one "
+            "sample each"
+        ),
+    ],
     *,
+    plot: Annotated[Path | None, _in_words("no picture", "draw the logs there, in PNG or SVG")] = None,
     json: Annotated[Path | None, _in_words("nowhere", "write all numbers there too")] = None,
-    plot: Picture = None,
-    skip: Skip = None,
+    skip: Annotated[
+        float | None,
+        _in_words(
+            "what had not settled, if anything",
+            "time in ps, or with hmc trials, at the beginning of each run to leave out of means",
+            gte=0,
+            lte=1e9,
+        ),
+    ] = None,
     overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
-    """Print means over several runs.
+    """Print means over a run or over several, and draw their logs.
 
     Print means over runs that differ in their seeds, with errors over runs: from their scatter if there are five or
-    more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ.
+    more, else from the errors of each. Say whether the runs settled, drift, or have temperatures that differ. With
+    --plot also draw what logs have: energy and its error, temperatures by kind, density, acceptance, in means over
+    equal times.
     """
-    _execute("summary", logs, json, plot, skip, overwrite)
+    from openmm_sier.cli import summary as command
+
+    command.execute(logs, json, plot, skip, overwrite)
 
 
 @app.command
@@ -225,12 +211,9 @@ def info(options: Annotated[OfInfo, FLAT] = NOTHING, *, debug: Debug = False) ->
 
     Show the kinds of rigid body that coordinates have, with a force field or a topology.
     """
-    _execute("info", options.chosen())
+    from openmm_sier.cli import info as command
 
-
-def _execute(command: str, *arguments: Any, **named: Any) -> None:
-    """Import the module of a command, and call its `execute`."""
-    import_module(f"openmm_sier.cli.{command}").execute(*arguments, **named)
+    command.execute(options.chosen())
 
 
 class Call(NamedTuple):

@@ -130,10 +130,10 @@ class Runs(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Number and length of the runs, and method and ensemble if a checkpoint has them."""
-        plan = self.first.plan
+        """Number and length of the runs, and methods and ensemble if checkpoints have them."""
         number = self.first.path.name if len(self.runs) == 1 else f"{len(self.runs)} runs"
-        return f"{number}, {self.length:g} {self.unit}" + (f", {plan.title}" if plan else "")
+        plans = " and ".join(dict.fromkeys(run.plan.title for run in self.runs if run.plan))
+        return f"{number}, {self.length:g} {self.unit}" + (f", {plans}" if plans else "")
 
     def means(self) -> list[tuple[Quantity, list[Quantity]]]:
         """Return each quantity over all runs, and in each of them."""

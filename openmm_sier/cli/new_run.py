@@ -1,6 +1,7 @@
 """A new run, from coordinates or from the checkpoint of another run."""
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,6 +64,12 @@ class NewRun:
         """
         self._origin = read_origin(options.get("start"))
         self.settings = planning.new_settings(options, self._origin.settings if self._origin else None)
+        if self.settings.hydrogen_mass is not None and self.settings.ensemble == "nve":
+            warnings.warn(
+                f"hydrogens of {self.settings.hydrogen_mass:g} dalton at constant energy: do not, motion is slower. "
+                "Leave --hydrogen-mass out, or give a bath by --ensemble",
+                stacklevel=2,
+            )
         self.checkpoint = checkpoint_of(self.settings.out)
         self.sources = sources_of(self.settings.box, self.settings.topology, self.settings.forcefield)
         if self._origin is not None:

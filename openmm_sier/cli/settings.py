@@ -183,7 +183,7 @@ class RunSettings(BaseModel):
     # rigid water such oscillations have a thousandth of the power of the slow ones at 0.02 ps.
     pressure_tensor_every: float = fields.time("between rows of it, each of which costs 12 energies", 0.02)
     plot: File | None = fields.file(
-        "draw the log at the end, as `plot` does, in PNG or SVG",
+        "draw the log at the end, as `summary --plot` does, in PNG or SVG",
         writes=True,
         otherwise="no picture",
         restart="of the call",

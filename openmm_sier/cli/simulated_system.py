@@ -26,6 +26,9 @@ from openmm_sier.system.body_selection import select_bodies
 from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.system.molecules import make_whole
 
+#: Packages that bring platforms of OpenMM for GPUs, whose drivers must be there.
+PLATFORMS = {"CUDA": "openmm[cuda12]", "HIP": "openmm[hip6]"}
+
 #: Most bodies named by the user that are shown.
 MOST_SHOWN = 6
 
@@ -38,7 +41,10 @@ def check_platform(name: str | None) -> None:
     """
     here = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
     if name is not None and name not in here:
-        raise Misused(f"argument --platform: expected one of those that OpenMM has here, {', '.join(here)}; got {name}")
+        install = f": pip install '{PLATFORMS[name]}' brings it" if name in PLATFORMS else ""
+        raise Misused(
+            f"argument --platform: expected one of those that OpenMM has here, {', '.join(here)}; got {name}{install}"
+        )
 
 
 def _needs_a_box(settings: RunSettings) -> str | None:

@@ -66,6 +66,8 @@ def described(error: Exception) -> str:
     if isinstance(error, ModuleNotFoundError) and (library := str(error.name).split(".")[0]) in LIBRARIES:
         return f"the command needs {library}; install it with: pip install 'openmm-sier[cli]'"
     message = in_one_line(error) or type(error).__name__
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"{error.filename}: {error.strerror}. Check its name, which counts from the current directory"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     of_ours = type(error).__module__.startswith("openmm") or hasattr(error, "exit_code")

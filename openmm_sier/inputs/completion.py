@@ -89,7 +89,7 @@ def complete(
     names = tuple(map(str, files))
     forcefield = load(names, Path(path).parent)
     if file_kind(path) not in READERS:
-        raise ForceFieldError(f"{path} is not a PDB file with atoms")
+        raise ForceFieldError(f"{path} is not a PDB file with atoms: give a structure in PDB or PDBx/mmCIF format")
     fixer = _fixer(path)
     warn_about_alternates(path, fixer.topology)
     changes: list[tuple[str, str]] = []

@@ -44,7 +44,7 @@ def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFil
     """
     source = SourceFile.of(path)
     if (kind := file_kind(source)) not in READERS:
-        raise ForceFieldError(f"{path} is not a PDB file with atoms")
+        raise ForceFieldError(f"{path} is not a PDB file with atoms: give coordinates in PDB or PDBx/mmCIF format")
     with refusing(f"cannot read {path} as {kind}"), warnings.catch_warnings():
         warnings.filterwarnings("error", TWICE)
         try:

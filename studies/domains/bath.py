@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,10 @@ import numpy as np
 import openmm
 
 from openmm_sier import SIERHMCIntegrator
-from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.inputs.equilibration import make_context
 from openmm_sier.integrators.integrator import SIERIntegrator
+from studies import frame
 from studies.domains.methods import METHODS, TRIAL, Made
 from studies.domains.models import INTERACTIONS, SPRINGS, Model
 from studies.records import replace_file
@@ -25,9 +26,6 @@ OBSERVED = ("temperature", "translation", "rotation", "linkers", "potential", "b
 
 #: Step in ps and friction in 1/ps of equilibrations.
 SETTLING, SETTLING_FRICTION = 0.01, 1.0
-
-#: K, above which a run has broken down.
-HIGHEST = 1000.0
 
 ALL_GROUPS = 2**32 - 1
 
@@ -102,21 +100,14 @@ def averages(
     """
     moving = METHODS[name].make(model, 1e-3 * step, friction, seed)
     context = context_at(moving, model, start, seed, platform)
-    per_call = 1e-3 * step * (TRIAL if isinstance(moving.integrator, SIERHMCIntegrator) else 1)
-    every = max(1, round(interval / per_call))
-    samples = []
+    duration = step * (TRIAL if isinstance(moving.integrator, SIERHMCIntegrator) else 1)
+    observe = partial(sample, model, moving)
     try:
-        for _ in range(max(1, round(time / (every * per_call)))):
-            moving.integrator.step(every)
-            samples.append(sample(model, moving, context))
-            if not samples[-1]["temperature"] < HIGHEST:
-                raise openmm.OpenMMException(f"{samples[-1]['temperature']:.0f} K")
+        table = frame.sampled(context, observe, duration, time, 1e3 * interval).table
     except (openmm.OpenMMException, ArithmeticError, ValueError, RuntimeError) as error:
         return {"broken": f"{model.name}, {METHODS[name].name} at {step:g} fs: {' '.join(str(error).split())[:120]}"}
-    equilibrated = samples[len(samples) // 10 :]
-    row: dict[str, Any] = {"broken": "", "samples": len(equilibrated)}
-    for key in OBSERVED:
-        row[key], row[f"{key}_error"], _ = mean_and_error(np.array([each[key] for each in equilibrated]))
+    equilibrated = table[len(table) // 10 :]
+    row: dict[str, Any] = {"broken": "", "samples": len(equilibrated)} | frame.means(equilibrated)
     if isinstance(moving.integrator, SIERHMCIntegrator):
         row["accepted"] = moving.integrator.acceptanceRate
     return row

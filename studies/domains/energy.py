@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 import openmm
 
 from openmm_sier import SIERIntegrator
-from openmm_sier.analysis.observables import energy_error
-from openmm_sier.analysis.statistics import rms, slope_and_error
 from openmm_sier.inputs.equilibration import make_context
+from studies import frame
 from studies.domains import bath
 from studies.domains.methods import METHODS
 from studies.domains.models import FAST, JOINTS, LINKERS, Model
-from studies.units import md
 
 #: ps and 1/ps of the bath that gives springs their heat before a run.
 WARMING, WARMING_FRICTION = 20.0, 5.0
 
-#: Steps of the shortest run. There is a sample after each, so that all oscillations of the energy count.
+#: Steps of the shortest run.
 FEWEST = 10
 
 
@@ -72,22 +69,10 @@ def followed(model: Model, name: str, step: float, time: float, start: openmm.St
     context = make_context(system, integrator, "Reference")
     context.setPositions(start.getPositions())
     context.setVelocities(start.getVelocities())
-    total, potential = [], []
-    for _ in range(max(FEWEST, round(1e3 * time / step))):
-        integrator.step(1)
-        state = context.getState(energy=True)
-        V = md(state.getPotentialEnergy())
-        potential.append(V)
-        total.append(V + md(state.getKineticEnergy()))
-    H = np.array(total)
-    drift, error, _ = slope_and_error(1e-3 * step * np.arange(len(H)), H)
-    return {
-        "forces": chosen.forces,
-        "rms": rms(H),
-        "percent": 100 * energy_error(H, np.array(potential)),
-        "drift": drift,
-        "drift_error": error,
-    }
+    # There is a sample after each step, so that all oscillations of the energy count.
+    table = frame.sampled(context, frame.energies, step, max(time, 1e-3 * FEWEST * step), step).table
+    found = frame.conservation(table)
+    return {"forces": chosen.forces, "drift_error": found.pop("its_error")} | found
 
 
 def system_of(model: Model, chosen: Integrator) -> openmm.System:

@@ -23,14 +23,14 @@ import numpy as np
 import openmm
 import pandas as pd
 
-from studies import records, text
+from studies import text
 from studies.command import RunsSettings, chosen
 from studies.domains import bath, drawing, energy, speed
 from studies.domains.methods import METHODS
 from studies.domains.models import Model
 from studies.domains.plans import PLANS, Plan
-from studies.records import Record, Task
-from studies.report import SILENT, Report
+from studies.experiment import Experiment, Made
+from studies.records import Task
 from studies.units import md
 
 #: Averages that are compared with exact ones, and temperatures, which are compared with that of the bath.
@@ -77,13 +77,13 @@ GAINS = text.columns("model", "method") | {
     "its time over that of the method": "{gain:.1f}",
 }
 
-#: Titles and columns of the tables of a record.
-TABLES = {
-    "averages": ("In a bath of 300 K", AVERAGES),
-    "speeds": ("Processor time on one thread", SPEEDS),
-    "energies": ("At constant energy", ENERGIES),
-    "gains": ("Verlet with springs at the same error", GAINS),
-}
+#: Names, titles and columns of the tables of a record.
+TABLES = (
+    ("averages", "In a bath of 300 K", AVERAGES),
+    ("speeds", "Processor time on one thread", SPEEDS),
+    ("energies", "At constant energy", ENERGIES),
+    ("gains", "Verlet with springs at the same error", GAINS),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,20 +258,8 @@ def same_error(verlet: pd.DataFrame, error: float) -> float:
     return float(np.exp(np.interp(math.log(error), errors, steps)))
 
 
-def study(settings: DomainSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing, and write domains.json and the figure."""
-    form = "{kind} of {key}: {name}, {step:g} fs"
-    runs = records.all_runs(settings, "domains", tasks(settings), run, report, form)
-    record = made_of(settings, runs)
-    for name, (title, columns) in TABLES.items():
-        report.table(title, text.table(record.tables[name], columns))
-    record.write(settings.out / "domains.json")
-    drawing.figure(record, settings.out / "domains.png")
-    return record
-
-
-def made_of(settings: DomainSettings, runs: pd.DataFrame) -> Record:
-    """The record of all runs that were made."""
+def made(settings: DomainSettings, runs: pd.DataFrame) -> Made:
+    """Return the tables of all runs, and pictures of the models."""
     rows = averages(runs)
     timed = speeds(runs, rows)
     energies = runs[runs["kind"] == ENERGY].dropna(axis=1, how="all")
@@ -279,4 +267,7 @@ def made_of(settings: DomainSettings, runs: pd.DataFrame) -> Record:
     pictures = {run["key"]: run["picture"] for _, run in _of_speed(runs)}
     means = rows.drop(columns=[name for name in ("rows", "picture") if name in rows])
     tables = {"averages": means, "speeds": timed, "energies": energies, "gains": gains(energies, timed)}
-    return Record(settings.shared(), tables | {"broken": broken}, {"pictures": pictures})
+    return tables | {"broken": broken}, {"pictures": pictures}
+
+
+study = Experiment("domains", tasks, run, "{kind} of {key}: {name}, {step:g} fs", made, TABLES, drawing.figure)

@@ -1,1 +1,1 @@
-"""Hybrid Monte Carlo: exactness, and cost of averages of a liquid."""
+"""Hybrid Monte Carlo: cost of averages of a liquid."""

@@ -27,10 +27,10 @@ from openmm_sier.dynamics.acceptance import TRIAL_FRICTION, usual_steps
 from openmm_sier.dynamics.schemes import SIER2P3, SIER2V2, SIER4G, Scheme
 from studies import heat_bath, methods, records, text
 from studies.command import SYSTEMS, chosen, command
+from studies.experiment import Experiment
 from studies.heat_bath import AVERAGED, BathSettings
 from studies.methods import MIDDLE, Contestant
-from studies.records import Record, Task
-from studies.report import SILENT, Report
+from studies.records import Task
 
 #: What is known of a run beside its averages, with errors.
 COSTS = ("cost", "dipole_cost", "psi_cost")
@@ -143,14 +143,6 @@ def run(task: Task) -> dict[str, Any]:
     return task.point | heat_bath.measure(task.settings, METHODS[task.method], task.point["seed"])
 
 
-def study(settings: TrialSettings, report: Report = SILENT) -> Record:
-    """Make the runs that are missing in the directory `out`, and write trials.json."""
-    form = "{box}, {at}, {method}, {time:g} ps, seed {seed}: {cost:.0f} forces an independent V"
-    rows = compared(records.all_runs(settings, "trials", tasks(settings), run, report, form))
-    report.table("What an independent sample costs", text.table(rows, COLUMNS))
-    return Record(settings.shared(), {"rows": rows}, {}).write(settings.out / "trials.json")
-
-
 def compared(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each box, pressure and method, with its costs as a multiple of those of LangevinMiddle."""
     rows = [_row(mine) for _, mine in runs.groupby(["box", "at", "method"], sort=False)]
@@ -194,5 +186,14 @@ def _relative(row: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]
         found[f"{name}_error"] = found[name] * math.hypot(*errors)
     return found
 
+
+study = Experiment(
+    "trials",
+    tasks,
+    run,
+    "{box}, {at}, {method}, {time:g} ps, seed {seed}: {cost:.0f} forces an independent V",
+    lambda settings, runs: ({"rows": compared(runs)}, {}),
+    (("rows", "What an independent sample costs", COLUMNS),),
+)
 
 main = command(TrialSettings, study, __doc__, __name__)

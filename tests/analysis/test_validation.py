@@ -8,6 +8,8 @@ from tests.support.canonical import DOF, ROWS, P, T, log
 
 package = pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
 
+pytestmark = pytest.mark.thorough
+
 #: Standard errors. By chance, one number in 16000 lies so far out.
 LIMIT = 4.0
 

@@ -43,11 +43,12 @@ def test_settings_of_a_file_make_the_same_run(box, options, text):
     assert Path("box.csv").read_bytes() == log
 
 
-def test_options_of_the_command_line_take_the_place_of_those_of_the_file(box):
+def test_options_of_the_command_line_take_the_place_of_those_of_the_file(box, capsys):
     Path("run.toml").write_text(f"box = {json.dumps(str(box))}\nsteps = 5\nhydrogen-mass = 4\nseed = 2\ndt = 2\n")
     run("run", "--config", "run.toml", *PLATFORM, "--seed", "3", "--time", "0.004", "--out", "a.dcd")
     plan = noted("a.chk")
     assert (plan["seed"], plan["dt"], plan["hydrogen_mass"], plan["steps"]) == (3, 2, 4, 2)
+    assert "hydrogens of 4 dalton at constant energy: do not, motion is slower" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ PAGES = (
 
 #: A command up to the end of its line, of the code in a sentence, or of its part of a line of the shell. A page may
 #: leave out what stands for anything.
-COMMAND = re.compile(r"openmm-sier ((?:setup|run|tune|info|plot|summary)\b[^`|;&\n]*)")
+COMMAND = re.compile(r"openmm-sier ((?:setup|run|tune|info|summary)\b[^`|;&\n]*)")
 
 
 def command_lines(page):

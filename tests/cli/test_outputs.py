@@ -145,14 +145,6 @@ def test_what_a_checkpoint_notes_is_on_the_disk_before_it_replaces_the_old_one(m
     assert done == ["fsync", "fsync", "replace"]
 
 
-def test_a_picture_in_the_way_is_refused(box, capsys, no_equilibration):
-    Path("a.png").write_bytes(b"mine")
-    assert "a.png exists: give another name, or replace it with --overwrite" in complaint(
-        capsys, "run", box, *SMALL, "--plot", "a.png"
-    )
-    assert Path("a.png").read_bytes() == b"mine"
-
-
 def test_settings_are_inputs_too(box, capsys, no_equilibration):
     Path("a.csv").write_text('ensemble = "nve"\n')
     before = contents(Path())
@@ -169,12 +161,13 @@ def test_paths_that_are_refused(box, capsys, no_equilibration):
         (2, ["--pressure-tensor-every", "1"], "--pressure-tensor-every needs --pressure-tensor"),
         # A root who overwrites it would lose the device.
         (1, ["--report", "/dev/null", "--overwrite"], "/dev/null is not a regular file"),
-        (1, ["--out", "none/a.dcd"], "there is no directory none for a.dcd"),
+        (1, ["--out", "none/a.dcd"], "there is no directory none for a.dcd: make it"),
         (1, ["--report", "full.csv"], "full.csv exists"),
         (2, ["--report", "x.dcd", "--out", "y.dcd"], "x.dcd will be a table: give a name that ends in .csv"),
         (2, ["--out", "y.xtc"], "the name of a trajectory must end in .dcd, got y.xtc"),
         (2, ["--cutoff", "0.4", "--switch", "0.4"], "--switch 0.4 must be below --cutoff 0.4"),
         (2, ["--platform", "Abacus"], "--platform: expected one of those that OpenMM has here, Reference, "),
+        (2, ["--platform", "HIP"], "got HIP: pip install 'openmm[hip6]' brings it"),
         (2, ["--platform", "Abacus", "--seeds", "1-2"], "openmm-sier: argument --platform: expected one of "),
     ):
         message = complaint(capsys, "run", box, *options, code=code)

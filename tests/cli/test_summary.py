@@ -140,14 +140,6 @@ def test_numbers_without_errors_have_that_of_their_scatter_over_runs():
     assert over_runs([Estimate(1, 0.3, 10), Estimate(3, 0.4, 20)]) == (2, 0.25, 30)
 
 
-def test_a_picture_with_it():
-    pytest.importorskip("matplotlib")
-    for seed in (1, 2):
-        write_log(f"seed{seed}.csv", rows=60, seed=seed)
-    run("summary", "seed1.csv", "seed2.csv", "--plot", "a.png")
-    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_no_log_is_destroyed(logs, capsys):
     before = contents(Path())
     for name in ("seed2.csv", "none/a.json"):
@@ -187,8 +179,7 @@ def test_rows_that_no_run_writes_are_refused(capsys, column, row, value, said):
         log[column][row] = value
 
     write_log("a.csv", change=change)
-    for command in ("summary", "plot"):
-        assert f"a.csv was edited or damaged: {said}" in complaint(capsys, command, "a.csv")
+    assert f"a.csv was edited or damaged: {said}" in complaint(capsys, "summary", "a.csv")
 
 
 def test_the_table_of_a_run_is_of_the_part_of_its_summary(capsys):

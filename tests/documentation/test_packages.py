@@ -86,8 +86,5 @@ def test_the_paper_cites_what_its_bibliography_has():
 
 def test_the_noxfile_lists_a_session_for_each_python_claimed():
     classifiers = stated("pyproject.toml", r"Python :: (3\.\d+)")
-    namespace = {}
-    pytest.importorskip("nox", reason="no nox")
-    exec((ROOT / "noxfile.py").read_text(), namespace)
-    assert classifiers == namespace["PYTHONS"]
+    assert [", ".join(f'"{version}"' for version in classifiers)] == stated("noxfile.py", r"^PYTHONS = \[(.*)\]$")
     assert sys.version_info[:2] in [tuple(map(int, version.split("."))) for version in classifiers]

@@ -81,19 +81,6 @@ def conserved(context):
 # --- restarts, changes and failures ---
 
 
-@pytest.mark.parametrize("name", ["Reference", "CPU"])
-def test_a_checkpoint_is_continued_bit_for_bit(name):
-    context = anharmonic_context(1, 2, 3, name)
-    integrator, saved = context.getIntegrator(), context.createCheckpoint()
-    integrator.step(7)
-    expected = counted(context)
-    integrator.step(3)
-    context.loadCheckpoint(saved)
-    integrator.step(7)
-    for one, other in zip(counted(context), expected, strict=True):
-        assert np.array_equal(one, other)
-
-
 def test_trials_of_other_lengths_steps_and_temperatures():
     """Settings of a trial may change between two trials, and apply to the next."""
     context = anharmonic_context()

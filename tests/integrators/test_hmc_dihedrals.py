@@ -17,7 +17,7 @@ from openmm_sier import Scheme, SIERHMCIntegrator, prepare_system
 from openmm_sier.analysis.statistics import mean_and_error
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 from openmm_sier.ensembles import metropolis
-from studies.hmc.samples import backbone, dihedral
+from studies.observers import backbone, dihedral
 from systems import peptide
 from tests.support.seeded import seeded
 from tests.support.waters import context_at

@@ -22,8 +22,10 @@ from pathlib import Path
 
 from studies.boxes import write_lattice
 from studies.command import Settings, chosen, command
-from studies.command_runs import CHECKPOINT, TRAJECTORY
 from studies.report import SILENT, Report
+
+#: Names of the files of a run.
+TRAJECTORY, CHECKPOINT = "run.dcd", "run.chk"
 
 #: Steps of a run, of which `HALF` are done where a restart begins.
 STEPS, HALF = 60, 20

@@ -5,7 +5,7 @@ import pytest
 
 from studies import boxes, heat_bath, speed
 from studies.command import SYSTEMS
-from studies.gpu.methods import methods as on_gpus
+from studies.gpu import methods as on_gpus
 from studies.methods import Bath
 from tests.support.waters import periodic_system
 

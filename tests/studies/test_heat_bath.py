@@ -9,18 +9,12 @@ from openmm_sier import RigidBodies
 from openmm_sier.observe import openmm_integrators
 from openmm_sier.system.temperature import temperatures
 from studies import heat_bath
+from studies.observers import OfSolution
 from tests.support.flexible_systems import started
 from tests.support.seeded import seeded
 from tests.support.waters import periodic_system
 
 TEMPERATURE = 300.0
-
-
-class Box:
-    """What an `Observer` asks of a box."""
-
-    def __init__(self, topology):
-        self.topology = topology
 
 
 def test_velocities_along_constraints_count_in_no_temperature():
@@ -29,7 +23,7 @@ def test_velocities_along_constraints_count_in_no_temperature():
     The oracle is the momentum and the angular momentum of each molecule. The velocities are in single precision.
     """
     topology, positions, system = periodic_system()
-    observe = heat_bath.Observer(Box(topology), system)
+    observe = OfSolution(system)
     while system.getNumForces():
         system.removeForce(0)
     integrator = seeded(openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 9e-3))

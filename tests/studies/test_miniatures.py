@@ -3,7 +3,6 @@
 import json
 import math
 import shlex
-import shutil
 from collections.abc import Callable
 from types import ModuleType
 from typing import NamedTuple
@@ -14,29 +13,14 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier.inputs.forcefields import Interactions
-from studies import (
-    defaults,
-    equipartition,
-    heat_bath,
-    records,
-    schemes,
-    speed,
-    speed_boxes,
-    whole_run,
-)
+from studies import frame, gpu, heat_bath, records, speed, speed_boxes, timing, whole_run
 from studies.domains import __main__ as domains_command
 from studies.domains import energy as domains_energy
 from studies.domains import speed as domains_speed
-from studies.gpu import __main__ as gpu_command
-from studies.gpu import averages as gpu_averages
-from studies.gpu import calls as gpu_calls
-from studies.gpu import energies as gpu_energies
-from studies.gpu import methods as gpu_methods
-from studies.gpu import study as gpu_study
-from studies.hmc import exactness, mixture, solvated, trials
+from studies.hmc import trials
 from studies.paper import __main__ as paper_command
 from studies.paper import dipole, free_rotation, liquids, water_runs
-from tests.support.commands import SYSTEMS, write_lattice
+from tests.support.commands import SYSTEMS
 from tests.support.matrices import representatives
 from tests.support.studies import make_here
 from tests.support.waters import water_box
@@ -57,13 +41,13 @@ class Miniature(NamedTuple):
 MINIATURES: dict[str, Miniature] = {}
 
 #: Those that draw a figure of the same name.
-DRAWN = {"domains", "equipartition", "water", "whole-run"}
+DRAWN = {"domains", "water", "whole-run"}
 
 #: Those whose runs are not kept one by one. Kept runs are not made again.
-MADE_AT_ONCE = {"dipole", "exactness", "free-rotation", "gpu", "speed", "water"}
+MADE_AT_ONCE = {"dipole", "free-rotation", "gpu", "speed", "water"}
 
 #: The one whose runs have a process of their own, as those of all studies have outside of tests.
-IN_ITS_PROCESS = "schemes"
+IN_ITS_PROCESS = "whole-run"
 
 #: Boxes that are equilibrated as they are need no minimization, which takes longer than runs in miniature.
 EQUILIBRATED = (openmm.LocalEnergyMinimizer, "minimize", staticmethod(lambda *arguments: None))
@@ -100,7 +84,6 @@ WATER = water_runs.WaterSettings(
     relax=0.2,
 )
 FREE = free_rotation.FreeRotationSettings(steps_fs=(8.0,), span=0.2, bodies=10, exact_bodies=2)
-SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1 --moving "
 
 
 @miniature(
@@ -109,49 +92,6 @@ SOLVATED = "{dipeptide} --cutoff 0.7 --equilibrate 0.01 --trials 3 --discarded 1
 @miniature("free-rotation", paper_command, "free-rotation --quick", patches=((free_rotation, "QUICK", FREE),))
 def any_tables(found):
     assert found
-
-
-@miniature(
-    "defaults",
-    defaults,
-    "{box} --tolerance 5e-4 --cutoff 0.4 --switch yes --starts 2 --time 0.12 --equilibrate 0.03 --platform Reference",
-)
-def two_means_and_ranges(found):
-    rows = found["rows"]
-    assert len(rows) == 8
-    assert rows["percent"].between(1e-3, 50).all()
-
-
-@miniature(
-    "equipartition",
-    equipartition,
-    "{box} --dt 1 2 --methods verlet sier2 sier4 --time 0.024 --equilibrate 0.008 --settle 0.008 --platform Reference",
-    patches=((equipartition, "FORCE_SAMPLES", 4), (equipartition, "FORCE_INTERVAL", 2)),
-)
-def temperatures(found):
-    rows = found["rows"]
-    names = ("OpenMM Verlet", "SIER2", "SIER4")
-    assert list(zip(rows["method"], rows["step"], strict=True)) == [
-        (name, h) for name, steps in zip(names, ((1, 2), (1, 2), (4, 8)), strict=True) for h in steps
-    ]
-    # The box has not been equilibrated: it is hot, but no simulation of it breaks down.
-    assert rows["rotation"].between(100, 2000).all()
-    assert not rows["broken"].any()
-    assert rows["density"][0] == pytest.approx(0.997, abs=1e-3)
-    # Known for SIER2 alone, where it is that of h^2.
-    predicted = rows["predicted"]
-    assert predicted[2] < 0
-    assert predicted[3] == pytest.approx(4 * predicted[2])
-    assert predicted[[0, 1, 4, 5]].isna().all()
-
-
-@miniature("exactness", exactness, "--trials 200 --processes 1")
-def known_averages(found):
-    rows = found["rows"]
-    assert rows.groupby("model", sort=False).size().tolist() == [4, 4, 4, 4]
-    # Standard errors are 2 %, 7 % and 3 %. A wrong ensemble is off by the mean itself.
-    exact = rows[rows["name"].isin(["cosine", "volume of the gas", "p^2 / m kT"])]
-    assert (exact["mean"] / exact["exact"]).between(0.5, 1.5).all()
 
 
 @miniature(
@@ -174,23 +114,6 @@ def domains(found):
     energies = found["energies"].set_index(["method", "step"])["rms"]
     assert energies["SIER4G", 20.0] < energies["Verlet, springs", 5.0]
     assert list(found["gains"]["step"]) == [20, 40, 60]
-
-
-@miniature(
-    "schemes",
-    schemes,
-    "{liquid_64} --forcefield tip3p.xml --dt 2 12 --schemes verlet sier2 sier4g --starts 1 --time 0.3 "
-    "--equilibrate 0.2 --platform CPU",
-)
-def schemes_by_step(found):
-    rows = found["rows"]
-    assert list(zip(rows["method"], rows["step"], strict=True)) == [
-        (name, forces * h) for h in (2.0, 12.0) for name, forces in (("OpenMM Verlet", 1), ("SIER2", 1), ("SIER4G", 3))
-    ]
-    assert (rows["percent"][:3] > 0).all()
-    # A step of a whole period of libration breaks the run, and says so.
-    assert rows["broken"].iloc[-1]
-    assert rows["percent"].isna().iloc[-1]
 
 
 @miniature(
@@ -223,26 +146,27 @@ def speeds(found):
 
 @miniature(
     "gpu",
-    gpu_command,
+    gpu,
     "--boxes water-512 --averages water-512 --energies water-512 --chains 1 --rounds 1 --turn 1e-6 --time 0.08 "
     "--settle 0.01 --energy-time 0.04 --platform CPU",
     patches=(
         EQUILIBRATED,
-        (gpu_calls, "CALL", 2),
-        (gpu_averages, "EVERY", 0.018),
-        (gpu_energies, "EVERY", 4.0),
-        (gpu_study, "WARM", 0.01),
+        (frame, "CALL", 2),
+        (timing, "CALL", 2),
+        (gpu, "EVERY", 18.0),
+        (gpu, "EVERY_ENERGY", 4.0),
+        (gpu, "WARM", 0.01),
     ),
 )
 def on_gpus(found):
     rows = found["speeds"].set_index("method")
     assert (rows["atoms"] == 1536).all()
-    assert rows.loc[gpu_methods.REFERENCE, "over"] == 1
+    assert rows.loc[gpu.REFERENCE, "over"] == 1
     assert (rows["microseconds"] > 0).all()
     assert rows.loc["SIER2, 9 fs", "engine"] == "exact" == rows.loc["SIER2, 9 fs, exact engine", "engine"]
     # Methods without a bath have no averages, and the one with short steps no speed.
     means = found["averages"].set_index("method")
-    alone = {"Verlet, 2 fs", "SIER4G, 4 fs", "SIER2, 9 fs, exact engine", gpu_methods.SHORT_STEPS}
+    alone = {"Verlet, 2 fs", "SIER4G, 4 fs", "SIER2, 9 fs, exact engine", gpu.SHORT_STEPS}
     assert set(rows.index) ^ set(means.index) == alone
     assert means["trials"].dropna().tolist() == [1]
     assert (means[["translation", "rotation"]] > 0).all(axis=None)
@@ -252,7 +176,12 @@ def on_gpus(found):
     assert set(found["domains"]["engine"]) == {"", "native", "exact"}
 
 
-@miniature("whole-run", whole_run, "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1")
+@miniature(
+    "whole-run",
+    whole_run,
+    "--methods verlet sier4g --per-force 1.5 20 --starts 1 --time 0.3 --equilibrate 0.1",
+    "--liquids {tip3p_64} --methods sier2 --per-force 1 --starts 1 --time 0.3 --equilibrate 0.1",
+)
 def whole_runs(found):
     rows = found["rows"].set_index(["method", "step"])
     assert rows.loc[("SIER4G", 4.5), "percent"] > 0
@@ -260,6 +189,8 @@ def whole_runs(found):
     assert "A step of 60 fs is too long" in rows.loc[("SIER4G", 60.0), "broken"]
     assert rows["percent"].isna()["SIER4G", 60.0]
     assert found["gains"]["gain"].dropna().iloc[0] > 0
+    # A file is a liquid by its name.
+    assert found["rows"].set_index("liquid")["percent"]["named"] > 0
 
 
 @miniature(
@@ -289,26 +220,6 @@ def costs_of_trials(found):
     assert (rows["milliseconds"] > 0).all()
 
 
-@miniature("solvated", solvated, *(SOLVATED + moving for moving in ("all", "solute")))
-def solvated_trials(found):
-    rows = found["rows"]
-    assert list(rows["trials"]) == [3, 3]
-    assert set(rows["moving"]) == {"all", "solute"}
-    assert set(zip(rows["solute"], rows["waters"], strict=True)) == {(22, 233)}
-
-
-@miniature(
-    "mixture", mixture, "--method hmc --time 0.9 --settling 0.06", "--method langevin --time 0.9 --settling 0.06"
-)
-def mixtures(found):
-    rows = found["rows"]
-    # Means of 0.9 ps after a sudden start.
-    assert rows["conf_rotation"].between(150, 450).all()
-    assert rows["density"].between(0.8, 1.2).all()
-    assert found["tests"]["group"].tolist() == 2 * ["translation", "rotation", "flexible molecules"]
-    assert (found["tests"]["mean"] >= 0).all()
-
-
 @miniature("water", paper_command, "water --quick", patches=((water_runs, "QUICK", WATER),))
 def errors_of_schemes(found):
     """Between 0.5 and 1 fs the slopes are the orders, but for higher ones and one short run; MRDL lies on SIER2.
@@ -329,21 +240,11 @@ def boxes(tmp_path_factory):
     app.PDBFile.writeFile(topology, positions * unit.nanometer, str(place / "box.pdb"))
     named = place / "named.pdb"
     named.write_text("REMARK  99 FORCEFIELD tip3p.xml\n" + (place / "box.pdb").read_text())
-    (place / "lattice").mkdir()
-    return {
-        "box": write_lattice(place / "lattice" / "box.pdb"),
-        "liquid_64": place / "box.pdb",
-        "tip3p_64": named,
-        "dipeptide": DIPEPTIDE,
-    }
+    return {"tip3p_64": named, "dipeptide": DIPEPTIDE}
 
 
-@pytest.mark.parametrize("name", representatives(MINIATURES, "exactness"))
+@pytest.mark.parametrize("name", representatives(MINIATURES, "heat-bath"))
 def test_in_miniature(name, boxes, tmp_path, monkeypatch, capsys):
-    if name == "mixture":
-        pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
-        # The start that it would make takes long.
-        shutil.copy(DIPEPTIDE, tmp_path / "mixture.pdb")
     made = MINIATURES[name]
     for patch in made.patches:
         monkeypatch.setattr(*patch)

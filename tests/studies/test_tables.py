@@ -1,4 +1,4 @@
-"""Analysis in studies: pooled runs, points with errors, costs, laws, and refusals of a pool."""
+"""Analysis in studies: points with errors, speeds and laws."""
 
 import math
 
@@ -6,103 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from studies import equipartition, schemes, speed, step_study, timing, whole_run
-from studies.equipartition import MEASURED
-from studies.hmc import solvated
-from studies.speed import Turn
-
-# --- acceptance -------------------------------------------------------------------------------------------------------
-
-
-def test_a_trajectory_that_could_not_be_followed_is_rejected():
-    row = solvated.statistics([0.1, math.nan])
-    assert row["acceptance"] == pytest.approx(0.5 * math.exp(-0.1))
-    assert math.isnan(row["spread"])
-
-
-def test_the_law_of_acceptance_by_size():
-    """Boxes whose spreads are 0.01 for each root of the number of atoms."""
-    rows = pd.DataFrame({"atoms": [100, 400], "spread": [0.1, 0.2], "trials": [50, 50]})
-    rows = rows.assign(moving="all", scheme="sier4g", masses="3", per_force=2.0, solute=10, waters=30)
-    (law,) = solvated.laws(rows).to_dict("records")
-    assert law["one"] == pytest.approx(0.01)
-    # An acceptance of 0.5 is that of a spread of 1.349.
-    assert law["atoms_50"] == pytest.approx(134.9**2, rel=1e-3)
-
-
-# --- temperatures -----------------------------------------------------------------------------------------------------
-
-
-def run_of(mean, error, time, predicted=math.nan, broken=""):
-    measured = dict.fromkeys(MEASURED, mean) | {f"{name}_error": error for name in MEASURED}
-    place = {"method": "SIER4", "step": 4.0, "fs_per_force": 1.0, "time": time}
-    return place | measured | {"drift": mean, "predicted": predicted, "broken": broken}
-
-
-def pooled(*rows):
-    (result,) = equipartition.pooled(pd.DataFrame(rows)).to_dict("records")
-    return result
-
-
-def test_replicas_are_pooled_by_their_lengths():
-    """Three times the length weighs as much, and has a standard error less by the square root of it."""
-    row = pooled(run_of(1.0, 0.3, 30.0), run_of(2.0, 0.3 * 3**0.5, 10.0))
-    assert row["time"] == 40.0
-    # The best estimate of all, whose error is that of one run of 40 ps.
-    assert (row["difference"], row["difference_error"]) == pytest.approx((1.25, 0.3 * (3 / 4) ** 0.5))
-    assert row["drift"] == pytest.approx(1.25)
-    assert math.isnan(row["predicted"])
-    parts = run_of(1.0, 0.3, 30.0, -2.0), run_of(1.0, 0.3, 10.0, -1.0), run_of(1.0, 0.3, 10.0)
-    assert pooled(*parts)["predicted"] == -1.5
-    assert pooled(run_of(1.0, 0.3, 30.0), run_of(0.0, 1.0, 10.0, broken="too hot"))["broken"] == "too hot"
-
-
-# --- schemes ----------------------------------------------------------------------------------------------------------
-
-
-def test_points_are_means_over_starts_with_their_errors():
-    names = ["liquid", "method", "fs_per_force", "percent", "broken"]
-    runs = [("A", "OpenMM Verlet", 2.0, 0.9, ""), ("A", "OpenMM Verlet", 2.0, 1.1, "")]
-    runs += [("A", "X", 4.0, 1.0, ""), ("A", "X", 4.0, 2.0, ""), ("B", "X", 4.0, 3.0, "")]
-    runs += [("A", "Y", 4.0, 1.0, ""), ("A", "Y", 4.0, math.nan, "too long")]
-    same = {"order": 2, "forces": 1, "step": 4.0, "drift": 0.0}
-    rows = schemes.points(pd.DataFrame(runs, columns=names).assign(**same)).set_index(["liquid", "method"])
-    verlet, x, y = (rows.loc["A", name] for name in ("OpenMM Verlet", "X", "Y"))
-    # The standard error of two values is half their difference.
-    assert (verlet["percent"], verlet["percent_error"]) == pytest.approx((1.0, 0.1))
-    assert (verlet["relative"], verlet["relative_error"]) == (1.0, 0.0)
-    assert (x["relative"], x["relative_error"]) == pytest.approx((1.5, 1.5 * math.hypot(0.5 / 1.5, 0.1)))
-    assert x["starts"] == 2
-    assert math.isnan(y["percent"])
-    assert y["broken"] == "too long"
-    # One start has no error, and a liquid without Verlet nothing to be divided by.
-    assert math.isnan(rows.loc[("B", "X"), "percent_error"])
-    assert math.isnan(rows.loc[("B", "X"), "relative"])
-
-
-# --- steps and costs --------------------------------------------------------------------------------------------------
-
-
-def point(method, h, forces=1, box="spce-512", time=180.0, **found):
-    place = {"box": box, "method": method, "step": forces * h, "fs_per_force": h, "runs": 2, "time": time}
-    unknown = dict.fromkeys((name for key in step_study.MEASURED for name in (key, f"{key}_error")), math.nan)
-    given = {name: x for key, pair in found.items() for name, x in zip((key, f"{key}_error"), pair, strict=True)}
-    return place | unknown | given
-
-
-def test_errors_are_shared_by_rows_of_one_box_and_method():
-    rows = [
-        point("SIER2", 4.0, time=90.0, density=(1.0, 0.002), energy=(-46.0, math.nan)),
-        point("SIER2", 1.0, time=10.0, density=(0.99, 0.001), energy=(-47.0, math.nan)),
-        point("SIER4G", 1.0, 3, density=(0.99, 0.007)),
-    ]
-    result = step_study.with_shared_errors(pd.DataFrame(rows))
-    # (90^2 0.002^2 + 10^2 0.001^2)/100 is the square of the error of 1 ps.
-    factor = math.sqrt(0.000325)
-    assert list(result["density"]) == [1.0, 0.99, 0.99]
-    assert list(result["density_error"]) == pytest.approx([factor / 90**0.5, factor / 10**0.5, 0.007])
-    # An error that no row has stays unknown.
-    assert result["energy_error"].isna().all()
+from studies import frame, speed, timing, whole_run
 
 
 def power_law(factor, power):
@@ -125,16 +29,28 @@ def test_median_comes_with_its_standard_error(rng):
 
 def test_a_speed_is_simulated_time_over_what_it_took():
     """2 fs in 1 ms of processor time and 2 ms of wall time."""
-    turns = {
-        speed.REFERENCE: np.array(3 * [Turn(2.0, 0.002, 0.001)]),
-        speed.BATH_REFERENCE: np.array(3 * [Turn(8.0, 0.004, 0.002)]),
-        "other": np.array(3 * [Turn(12.0, 0.004, 0.003)]),
-    }
-    reference, _, own = speed.rows_of(turns, "CPU")
+    times = {"Verlet": [0.002, 0.001], "LangevinMiddle": [0.004, 0.002], "other": [0.004, 0.003]}
+    durations = {"Verlet": 2.0, "LangevinMiddle": 8.0, "other": 12.0}
+    rounds = {name: np.array(3 * [each]) for name, each in times.items()}
+    references = {"over": "Verlet", "over_middle": "LangevinMiddle"}
+    reference, _, own = timing.compared(rounds, durations, references, "CPU")
     # 1 fs/ms is 86.4 ns/day.
     assert (reference["ns_per_day"], reference["ns_per_day_processor"]) == pytest.approx((86.4, 172.8))
     assert (own["over"], own["over_middle"]) == pytest.approx((2.0, 1.0))
-    assert speed.rows_of(turns, "CUDA")[2]["over"] == pytest.approx(3.0)
+    assert (own["microseconds"], own["over_error"]) == pytest.approx((3000, 0))
+    assert timing.compared(rounds, durations, references, "CUDA")[2]["over"] == pytest.approx(3.0)
+
+
+def test_points_are_means_over_starts_with_their_errors():
+    """One start has no error, and where one broke down there is no mean."""
+    runs = pd.DataFrame({"percent": [0.9, 1.1], "broken": ["", ""]})
+    row = frame.over_starts(runs, ["percent"])
+    # The standard error of two values is half their difference.
+    assert (row["starts"], row["percent"], row["percent_error"]) == pytest.approx((2, 1.0, 0.1))
+    assert math.isnan(frame.over_starts(runs[:1], ["percent"])["percent_error"])
+    broken = frame.over_starts(pd.DataFrame({"percent": [1.0, math.nan], "broken": ["", "hot"]}), ["percent"])
+    assert math.isnan(broken["percent"])
+    assert broken["broken"] == "hot"
 
 
 def test_speed_at_an_error_is_that_of_the_step_that_has_it(monkeypatch):

@@ -17,6 +17,8 @@ from tests.support.waters import array, droplet, periodic_system, platform, sett
 pytest.importorskip("openmmtools", reason="pip install openmm-sier[validation]")
 from openmmtools import cache, mcmc, multistate, states
 
+pytestmark = pytest.mark.thorough
+
 FEMTOSECOND, KELVIN, KILOJOULE = unit.femtosecond, unit.kelvin, unit.kilojoule_per_mole
 FRICTION = 20 / unit.picosecond
 
@@ -68,7 +70,6 @@ def box():
     return settled("box-59", *periodic_system(removeCMMotion=False))[1:]
 
 
-@pytest.mark.thorough
 def test_the_cache_gives_what_it_is_asked_for(box):
     """In every order of two of them: each has a Context of its own, and is found again."""
     state = state_at(box)
@@ -168,7 +169,6 @@ def test_moves_of_integrators_without_a_bath(drop, kind, least, most):
 LADDER, ITERATIONS, STEPS = (250, 300, 350), 130, 25
 
 
-@pytest.mark.thorough
 def test_replica_exchange(drop, tmp_path):
     """Replicas change places, and each state has its temperature.
 

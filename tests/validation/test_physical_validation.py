@@ -17,6 +17,8 @@ from tests.support.waters import context_at, droplet, phase_point, relaxed
 physical_validation = pytest.importorskip("physical_validation", reason="pip install openmm-sier[validation]")
 data = physical_validation.data
 
+pytestmark = pytest.mark.thorough
+
 TEMPERATURE, FRICTION = 297.0, 20.0
 MOLECULES, FRAMES = 27, 300
 
@@ -83,7 +85,6 @@ def distances(found):
     return np.array([total, *parts])
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(("scheme", "step"), STEPS.items(), ids=[scheme.name for scheme in STEPS])
 def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step):
     result = sampled(drop, scheme, step)
@@ -95,7 +96,6 @@ def test_kinetic_energies_are_those_of_the_canonical_ensemble(drop, scheme, step
     assert min(parts) > 1e-11
 
 
-@pytest.mark.thorough
 def test_too_long_a_step_of_second_order_is_found_out(drop):
     """With a kick after the bath the rotation is colder by 2.8 K * 4.5^2 = 57 K, 20 standard errors."""
     half = Stage(DRIFT, 0.5)

@@ -150,9 +150,9 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             yield archive
     except ContentError as error:
-        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run: {error}") from None
+        raise _damaged(path, str(error)) from None
     except _UNREADABLE as error:
-        raise records.RecordError(f"{path} is not a checkpoint of openmm-sier run, or was cut off") from error
+        raise _damaged(path, "it cannot be read, or was cut off") from error
 
 
 def _part(archive: zipfile.ZipFile, name: str) -> IO[bytes]:

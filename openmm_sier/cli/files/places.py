@@ -28,7 +28,7 @@ def check_place(path: Path, inputs: Iterable[FilePath], outputs: Iterable[Path] 
     if path.exists() and not path.is_file():
         raise RunError(f"{path} is not a regular file")
     if not path.parent.is_dir():
-        raise RunError(f"there is no directory {path.parent} for {path.name}")
+        raise RunError(f"there is no directory {path.parent} for {path.name}: make it, or give another name")
 
 
 def refuse_to_replace(path: Path) -> None:

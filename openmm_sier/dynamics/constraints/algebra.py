@@ -67,7 +67,8 @@ class Constraints:
         if not sensible.all():
             raise ConstraintError(
                 f"the constraint of {self._name(*self.pairs[sensible.argmin()])} joins a body to itself, is there "
-                f"twice, or has no positive length, got {self.lengths[sensible.argmin()]}"
+                f"twice, or has no positive length, got {self.lengths[sensible.argmin()]} nm: remove it, or set its "
+                "length"
             )
         self.members = np.unique(self.pairs)
         self.groups = np.full(len(self.masses), -1)

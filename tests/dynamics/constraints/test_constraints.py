@@ -238,7 +238,7 @@ def describe(body):
     ("pairs", "lengths", "message"),
     [
         ([(0, 0)], [0.1], "atom 100, atom 100 joins a body to itself"),
-        ([(0, 1), (1, 2)], [0.1, -0.1], "atom 101, atom 102 .* no positive length, got -0.1"),
+        ([(0, 1), (1, 2)], [0.1, -0.1], "atom 101, atom 102 .* no positive length, got -0.1 nm: remove it"),
         ([(0, 1)], [np.nan], "got nan"),
         ([(1, 2), (0, 1), (1, 0)], [0.1, 0.2, 0.2], "atom 101, atom 100 .* is there twice"),
     ],

@@ -1,4 +1,4 @@
-"""Speed of chains of beads with rigid domains, in a bath."""
+"""Speed of a sheet of chains of beads with rigid domains, in a bath, for GPUs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import openmm
 
 from openmm_sier import SIERLangevinIntegrator, with_frames
 from openmm_sier.inputs.equilibration import make_context
+from studies import timing
 from studies.domains import chain
 from studies.domains.methods import METHODS, Made
 from studies.domains.models import INTERACTIONS, Model
-from studies.gpu.settings import GpuSettings
-from studies.gpu.speed import speeds
 from studies.units import md
 
 #: What ratios are taken over.
@@ -27,14 +26,19 @@ FRICTION = 1.0
 STEPS = {"langevinmiddle": (10.0, 60.0), "frames": (40.0,)}
 
 
-def timed(settings: GpuSettings) -> list[dict[str, Any]]:
+def timed(settings: Any) -> list[dict[str, Any]]:
     """Return a row for each method in a sheet of chains.
+
+    Args:
+        settings: of `studies.gpu`.
 
     Raises:
         ValueError: the number of chains is no square.
     """
-    chains = settings.chains or 0
-    model = chain.sheet(_edge(chains))
+    edge = math.isqrt(settings.chains)
+    if edge * edge != settings.chains:
+        raise ValueError(f"chains: expected a square such as 64, got {settings.chains}")
+    model = chain.sheet(edge)
     for system in (model.rigid, model.network):
         _divide_groups(system)
     contexts, durations = {}, {}
@@ -46,8 +50,8 @@ def timed(settings: GpuSettings) -> list[dict[str, Any]]:
     for engine, step in (("native", 40.0), ("exact", 60.0)):
         called = f"SIER2, {'frames' if engine == 'native' else 'exact engine'}, {step:g} fs"
         contexts[called], durations[called] = _context(_own(model, engine, step), settings), step
-    rows = speeds(contexts, durations, REFERENCE, settings)
-    return [{"chains": chains, "beads": len(model.positions)} | row for row in rows]
+    rows = timing.speeds(contexts, durations, {"over": REFERENCE}, settings.rounds, settings.turn)
+    return [{"chains": settings.chains, "beads": len(model.positions), "method": row.pop("name")} | row for row in rows]
 
 
 def _divide_groups(system: openmm.System) -> None:
@@ -55,13 +59,6 @@ def _divide_groups(system: openmm.System) -> None:
     nonbonded = [force for force in system.getForces() if isinstance(force, openmm.CustomNonbondedForce)]
     for number, force in enumerate(nonbonded):
         force.setForceGroup(INTERACTIONS + 4 * number)
-
-
-def _edge(chains: int) -> int:
-    edge = math.isqrt(chains)
-    if edge * edge != chains:
-        raise ValueError(f"chains: expected a square such as 64, got {chains}")
-    return edge
 
 
 def _own(model: Model, engine: str, step: float) -> Made:
@@ -76,7 +73,7 @@ def _own(model: Model, engine: str, step: float) -> Made:
     return Made(framed.system, integrator, np.asarray(md(framed.positions)), framed)
 
 
-def _context(moving: Made, settings: GpuSettings) -> openmm.Context:
+def _context(moving: Made, settings: Any) -> openmm.Context:
     context = make_context(moving.system, moving.integrator, settings.platform)
     context.setPositions(moving.positions)
     context.setVelocitiesToTemperature(settings.temperature, settings.seed)

@@ -1,1 +1,0 @@
-"""The native engine compared with the exact one: accuracy and cost."""
