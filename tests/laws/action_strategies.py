@@ -74,6 +74,12 @@ def changes(kind):
 
 
 @functools.cache
+def several(kind, least=0, most=3):
+    """Return a strategy of some changes with an integrator of a kind."""
+    return st.lists(changes(kind), min_size=least, max_size=most).map(tuple)
+
+
+@functools.cache
 def pasts(kind):
     """Return a strategy of what was done before, steps that were interrupted among it."""
     interrupted = st.builds(InterruptedStep, st.integers(1, 2), st.integers(1, 200))
@@ -96,5 +102,6 @@ def refused(kind):
 
 @functools.cache
 def actions(kind):
-    """Return a strategy of all actions with an integrator of a kind."""
-    return st.one_of(changes(kind), changes(kind), asked(kind), refused(kind))
+    """Return a strategy of several actions of all kinds with an integrator of a kind."""
+    one = st.one_of(changes(kind), changes(kind), asked(kind), refused(kind))
+    return st.lists(one, min_size=2, max_size=8).map(tuple)

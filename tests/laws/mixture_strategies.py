@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -26,9 +28,10 @@ from tests.laws.molecules import (
 )
 
 #: Most particles of a mixture.
-PARTICLES = 40
+PARTICLES = 30
 
 
+@functools.cache
 def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     """Draw a molecule of any kind, the simplest first, with or without named bodies."""
     ions = st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans())
@@ -80,6 +83,7 @@ def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
     return tuple(drawn[: max(1, int((totals <= PARTICLES).sum()))])
 
 
+@functools.cache
 def mixtures(
     surroundings: tuple[str, ...] = SURROUNDINGS,
     prepared: tuple[str, ...] = PREPARATIONS,

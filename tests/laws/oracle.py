@@ -9,10 +9,21 @@ SciPy's DOP853 keeps errors below `ACCURACY`, as velocity Verlet at 0.02 fs does
 from __future__ import annotations
 
 import numpy as np
-import openmm
 from scipy.integrate import solve_ivp
 
-from tests.laws.mixtures import Built, angular_velocity, constrained_pairs, gradients, masses_of, multipliers
+from tests.laws.mechanics import (
+    angular_momentum,
+    centre_of,
+    constrained_pairs,
+    cross,
+    gradients,
+    inverse_inertia,
+    masses_of,
+    multipliers,
+    virtual_sites,
+)
+from tests.laws.mixtures import Built
+from tests.support.waters import phase_point, plain_context
 
 #: Error of a step relative to positions and velocities, and absolutely.
 ACCURACY = 1e-11
@@ -32,10 +43,13 @@ class Oracle:
         self._pairs = place[pairs]
         self._x = built.positions
         self._v = built.velocities
-        self._centres = [self._masses[body] @ self._x[body] / self._masses[body].sum() for body in self._bodies]
+        self._centres = [centre_of(self._masses[body], self._x[body]) for body in self._bodies]
         self._shapes = [self._x[body] - centre for body, centre in zip(self._bodies, self._centres, strict=True)]
-        reference = openmm.Platform.getPlatform("Reference")
-        self._context = openmm.Context(built.system, openmm.VerletIntegrator(0.001), reference)
+        self._mobilities = [
+            inverse_inertia(self._masses[body], shape) for body, shape in zip(self._bodies, self._shapes, strict=True)
+        ]
+        self._context = plain_context(built.system, built.positions)
+        self._has_sites = bool(virtual_sites(built.system))
 
     def positions(self, time: float) -> np.ndarray:
         """Return positions (N, 3) in nm after a time in ps; those of virtual sites are in their places."""
@@ -43,16 +57,20 @@ class Oracle:
             self._derivative, (0, time), self._start(), method="DOP853", rtol=ACCURACY, atol=ACCURACY, first_step=1e-4
         )
         assert solution.success, solution.message
-        self._context.setPositions(self._atoms(solution.y[:, -1]))
-        self._context.computeVirtualSites()
-        return self._context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+        self._place(self._atoms(solution.y[:, -1]))
+        return phase_point(self._context)[0]
+
+    def _place(self, x: np.ndarray) -> None:
+        self._context.setPositions(x)
+        if self._has_sites:
+            self._context.computeVirtualSites()
 
     def _start(self) -> np.ndarray:
         parts = [self._x[self._points], self._v[self._points]]
         for body, centre, shape in zip(self._bodies, self._centres, self._shapes, strict=True):
             masses, v = self._masses[body], self._v[body]
-            momentum = (masses[:, None] * np.cross(shape, v)).sum(axis=0)
-            parts += [centre[None], (masses @ v / masses.sum())[None], np.eye(3), momentum[None]]
+            momentum = angular_momentum(masses, shape, v)
+            parts += [centre[None], centre_of(masses, v)[None], np.eye(3), momentum[None]]
         return np.concatenate([part.ravel() for part in parts])
 
     def _split(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, ...]]]:
@@ -72,17 +90,18 @@ class Oracle:
 
     def _derivative(self, _time: float, y: np.ndarray) -> np.ndarray:
         x = self._atoms(y)
-        self._context.setPositions(x)
-        self._context.computeVirtualSites()
+        self._place(x)
         forces = self._context.getState(forces=True).getForces(asNumpy=True)._value
         points, v, states = self._split(y)
         parts = [v, self._accelerations(points, v, forces[self._points])]
-        for body, (centre, velocity, turn, momentum) in zip(self._bodies, states, strict=True):
-            masses, r = self._masses[body], x[body] - centre
-            spin = angular_velocity(masses, r, momentum)
-            turning = np.cross(spin, turn.T).T
-            torque = np.cross(r, forces[body]).sum(axis=0)
-            parts += [velocity[None], (forces[body].sum(axis=0) / masses.sum())[None], turning, torque[None]]
+        for body, mobility, (centre, velocity, turn, momentum) in zip(
+            self._bodies, self._mobilities, states, strict=True
+        ):
+            spin = turn @ (mobility @ (momentum @ turn))
+            turning = cross(spin, turn.T).T
+            torque = cross(x[body] - centre, forces[body]).sum(axis=0)
+            force = forces[body].sum(axis=0) / self._masses[body].sum()
+            parts += [velocity[None], force[None], turning, torque[None]]
         return np.concatenate([part.ravel() for part in parts])
 
     def _accelerations(self, x: np.ndarray, v: np.ndarray, forces: np.ndarray) -> np.ndarray:

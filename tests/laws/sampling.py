@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import openmm
@@ -16,20 +16,35 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.ensembles import VelocityRescaling
 from tests.laws.exact_models import FAST, Assembly, Conditions, Exact, FastBonds, Wells
 from tests.laws.linear_maps import Oscillator, in_bath
+from tests.laws.mechanics import centre_of, masses_of
 from tests.support.seeded import seeded
-
-#: Blocks of a series, of which its standard error is estimated.
-BLOCKS = 200
+from tests.support.waters import platform as platform_of
 
 #: Largest correlation of neighbouring blocks, which the standard error takes into account.
 CORRELATED = 0.6
 
-#: Samples at most.
-MOST = 6400
 
-#: Standard errors. Student's distribution for 200 blocks has 1e-10 beyond 6.9, so that a right program fails in one of
-#: some 30 averages with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth.
-BOUND = 7.5
+class Length(NamedTuple):
+    """How long a series is, and how far its averages may be off.
+
+    Attributes:
+        blocks: of which standard errors are estimated.
+        most: rows.
+        bound: in standard errors.
+        least: steps that let a barostat find the size of its moves, in strides.
+    """
+
+    blocks: int
+    most: int
+    bound: float
+    least: int
+
+
+#: Student's distribution for 200 blocks has 1e-10 beyond 6.9, so that a right program fails in one of some 30 averages
+#: with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth. For 64 blocks these are 7.7
+#: and a fifth, and hundreds of mixtures find what one of them does not.
+LONG = Length(200, 6400, 7.5, 800)
+BRIEF = Length(64, 512, 10.0, 400)
 
 #: Margins of averages of anharmonic motions, by the square of their pace. SIER2 is exact where they are harmonic, and
 #: cosines of dipoles with a pace of 0.3 were right within 0.2 %. Where constraints are solved in each drift, these are
@@ -148,17 +163,19 @@ class Rescaling:
         return SIERThermostatIntegrator(bath, self.step, self.scheme, engine=self.engine, **options)
 
 
-Method = Bath | Trials | Rescaling
+Sampler = Bath | Trials | Rescaling
 
 
-class Run:
+class Series:
     """A Context of an assembly, at a draw of its exact distribution.
 
     Attributes:
         exact: exact averages of a row of `rows`, by name.
     """
 
-    def __init__(self, method: Method, kinds: tuple, copies: int, seed: int, platform: str):
+    def __init__(
+        self, method: Sampler, kinds: tuple, copies: int, seed: int, platform: str = "Reference", length: Length = LONG
+    ):
         """
         Args:
             method: of the sampling.
@@ -166,8 +183,10 @@ class Run:
             copies: of each.
             seed: of places and of the integrator.
             platform: name of the platform.
+            length: of the series.
         """
         self._method = method
+        self._length = length
         self._kinds = kinds
         self._thermal = GAS_CONSTANT * method.temperature
         assembly = Assembly(np.random.default_rng(seed), is_pressed=bool(method.pressure))
@@ -181,9 +200,7 @@ class Run:
         )
         self._integrator = self._make_integrator(kinds, seed)
         self._context = self._make_context(seed, platform)
-        self._masses = np.array(
-            [assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())]
-        )
+        self._masses = masses_of(assembly.system)
         # The motion of the centre of mass stays as it is where nothing holds it.
         self._is_held = any(not kind.is_free for kind in kinds)
         self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
@@ -193,7 +210,7 @@ class Run:
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
         options, method, assembly = {}, self._method, self._assembly
-        if assembly.bodies:
+        if method.engine == "exact":
             options["bodies"] = RigidBodies.from_system(
                 assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
             )
@@ -210,8 +227,7 @@ class Run:
         return seeded(method.integrator(**options), seed + 1)
 
     def _make_context(self, seed: int, platform: str) -> openmm.Context:
-        on = openmm.Platform.getPlatformByName(platform)
-        context = openmm.Context(self._assembly.system, self._integrator, on)
+        context = openmm.Context(self._assembly.system, self._integrator, platform_of(platform))
         context.setPositions(np.concatenate(self._assembly.positions))
         context.setVelocitiesToTemperature(self._method.temperature, seed + 1)
         return context
@@ -292,12 +308,12 @@ class Run:
 
     def _kinetic(self, v: np.ndarray) -> np.ndarray:
         """Return kinetic energies over their mean, without that of a free centre of mass, (s,), of (s, N, 3)."""
-        centre = np.zeros((1, 3)) if self._is_held else self._masses @ v / self._masses.sum()
+        centre = np.zeros((1, 3)) if self._is_held else centre_of(self._masses, v)
         return ((v - centre[:, None]) ** 2).sum(axis=2) @ self._masses / (self._freedoms * self._thermal)
 
     def prepare(self) -> None:
         """Go on until the start is forgotten, and make trials so short that a third of them is accepted."""
-        made = 50 if self._method.pressure != "barostat" else 800
+        made = 50 if self._method.pressure != "barostat" else self._length.least
         self._integrator.step(made * self.stride)
         if not self._method.is_exact:
             return
@@ -312,41 +328,45 @@ class Run:
         So they do in the few averages of rescaling, above all in how fast it forgets, and where rejections find momenta
         that last.
         """
+        blocks = self._length.blocks
         if self._method.pressure:
-            return 2 * BLOCKS
+            return 2 * blocks
+        if self._length is BRIEF:
+            return 4 * blocks
         if "K kept" in self.exact:
-            return 64 * BLOCKS
+            return 64 * blocks
         lasts = isinstance(self._method, Trials) and self._method.share > 0.5
-        return 16 * BLOCKS if lasts or not self._method.is_ergodic else 4 * BLOCKS
+        return 16 * blocks if lasts or not self._method.is_ergodic else 4 * blocks
 
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""
         self.prepare()
         rows = self.rows(self._first_rows())
-        while _means(rows)[2].max() > CORRELATED and len(rows) < MOST:
+        blocks = self._length.blocks
+        while _means(rows, blocks)[2].max() > CORRELATED and len(rows) < self._length.most:
             rows = np.concatenate([rows, self.rows(len(rows))])
-        found, errors, _ = _means(rows)
+        found, errors, _ = _means(rows, blocks)
         values, margins = np.array(list(self.exact.values())).T
         beyond = np.sign(found - values) * np.maximum(np.abs(found - values) - margins, 0.0)
         # Averages that do not vary, such as a sum of squares of cosines, have the error of rounding.
         return dict(zip(self.exact, beyond / (errors + 1e-12), strict=True))
 
 
-def _means(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _means(rows: np.ndarray, blocks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return means of columns, their standard errors, and correlations of neighbouring blocks.
 
     The errors are those of blocks whose correlation decays exponentially.
     """
-    blocks = rows.reshape(BLOCKS, -1, rows.shape[1]).mean(axis=1)
-    off = blocks - blocks.mean(axis=0)
+    means = rows.reshape(blocks, -1, rows.shape[1]).mean(axis=1)
+    off = means - means.mean(axis=0)
     variances = (off**2).mean(axis=0)
     correlations = (off[1:] * off[:-1]).mean(axis=0) / np.where(variances > 0, variances, 1.0)
     kept = np.clip(correlations, 0.0, 0.95)
-    errors = np.sqrt(variances / (BLOCKS - 1) * (1 + kept) / (1 - kept))
-    return blocks.mean(axis=0), errors, correlations
+    errors = np.sqrt(variances / (blocks - 1) * (1 + kept) / (1 - kept))
+    return means.mean(axis=0), errors, correlations
 
 
-def _margin(method: Method, pace: float) -> float:
+def _margin(method: Sampler, pace: float) -> float:
     """Return a bound of relative errors of averages of a motion: twice that of a harmonic one, and `ERROR`."""
     if method.is_exact:
         return 0.0

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import strategies as st
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from tests.laws.examples import WITH_BODIES
 from tests.laws.law import Law
 from tests.laws.methods import Method, method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import TEMPERATURE, Mixture
 from tests.laws.runs import Run, end, started
-from tests.laws.test_requests import WITH_BODIES
 
 #: ps: a step in which a bath of `FRICTION`, 1/ps, draws a fifth of the momenta.
 SHORT, FRICTION = 0.0001, 2000.0

@@ -10,19 +10,14 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
-from tests.laws.action_strategies import changes, pasts
-from tests.laws.actions import (
-    Action,
-    Load,
-    Save,
-    Step,
-)
+from tests.laws.action_strategies import pasts, several
+from tests.laws.actions import Action, Load, Save, Step
+from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
 from tests.laws.runs import ROUNDING, Run, assert_alike, started
-from tests.laws.test_requests import EVERY_CHANGE, SIMPLE, WITH_BODIES
 
 
 @dataclass(frozen=True)
@@ -46,9 +41,8 @@ class Future:
             followed(run, action)
         other = run.at_same_view()
         if self.misplaced:
-            sites = [i for i in range(len(run.masses)) if run.system.isVirtualSite(i)]
             positions = run.view().positions
-            positions[sites] += 0.05
+            positions[run.sites] += 0.05
             other.context.setPositions(positions)
         other.saved = list(run.saved)
         for action in (*self.future, Step(2)):
@@ -130,18 +124,16 @@ def followed(run: Run, action: Action) -> str | None:
 @st.composite
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
-    some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(several(method.kind)), platform)
 
 
 @st.composite
 def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
-    some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
     past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
-    return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
+    return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(several(method.kind)), platform)
 
 
 #: A method whose step begins with the forces of the end of the last one.

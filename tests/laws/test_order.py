@@ -19,13 +19,15 @@ from openmm_sier import FramedSystem, SIERIntegrator, prepare_system, with_frame
 from openmm_sier.dynamics.schemes import CATALOGUE
 from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.law import Law
+from tests.laws.mechanics import centre_of, masses_of, rigid_velocities
 from tests.laws.mixture_strategies import mixtures
-from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, angular_velocity, is_frozen, masses_of
+from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, is_frozen
 from tests.laws.oracle import Oracle
 from tests.support import opencl
+from tests.support.waters import platform
 
 #: ps: length of the trajectories, and steps.
-TIME, STEPS = 0.008, (0.0005, 0.00025)
+TIME, STEPS = 0.004, (0.0005, 0.00025)
 
 #: nm. Smaller errors say nothing. OpenMM rounds lengths of SETTLE and of frames to single precision, 6e-8 of 0.2 nm. In
 #: boxes forces end at the cut-off: a jump of 1 kJ/mol/nm displaces a hydrogen that crosses it within a step of 0.25 fs
@@ -86,8 +88,7 @@ class Order:
         apart = found - expected
         if self.mixture.remover:
             # Forces of PME move the centre of mass a little, which the remover stops.
-            masses = masses_of(built.system)
-            apart -= masses @ apart / masses.sum()
+            apart -= centre_of(masses_of(built.system), apart)
         return float(np.abs(apart).max())
 
     def _ends(self, built: Built, engine: str) -> Iterator[np.ndarray]:
@@ -101,7 +102,7 @@ class Order:
         scheme = CATALOGUE[self.scheme]
         integrator = SIERIntegrator(STEPS[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
         precision = {} if self.platform in HOST_PLATFORMS else {"Precision": "double"}
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform(self.platform), precision)
+        context = openmm.Context(system, integrator, platform(self.platform), precision)
         for step in STEPS:
             integrator.setStepSize(step)
             context.setPositions(x)
@@ -124,11 +125,8 @@ def framed_velocities(framed: FramedSystem, built: Built) -> np.ndarray:
     velocities = np.zeros((framed.system.getNumParticles(), 3))
     velocities[: framed.numAtoms] = built.velocities
     for frame in framed.frames:
-        m, x, v = masses[frame.atoms], built.positions[frame.atoms], built.velocities[frame.atoms]
-        centre = m @ x / m.sum()
-        momentum = (m[:, None] * np.cross(x - centre, v)).sum(axis=0)
-        spin = angular_velocity(m, x - centre, momentum)
-        velocities[frame.particles] = m @ v / m.sum() + np.cross(spin, framed.positions[frame.particles] - centre)
+        of_atoms = masses[frame.atoms], built.positions[frame.atoms], built.velocities[frame.atoms]
+        velocities[frame.particles] = rigid_velocities(*of_atoms, framed.positions[frame.particles])
         velocities[frame.atoms] = 0
     return velocities
 

@@ -125,6 +125,7 @@ class ExactEngine(PointVerbs):
         is_other = moved or (are_set and not self._has(now.velocities, self.forces.velocities))
         if is_other:
             point = self._reader.point(now, self._stored_point(point), point, moved)
+            self._is_unstored = self._is_unstored or point is not self._stored
         if Changes.FAST in self.changes:
             self.motion = self._new_motion()
         if point is not None:
