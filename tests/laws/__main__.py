@@ -18,6 +18,7 @@ import warnings
 from tests.laws import (
     test_averages,
     test_completed_steps,
+    test_damping,
     test_energies,
     test_future,
     test_order,
@@ -32,10 +33,12 @@ from tests.support import opencl
 #: All laws by their names.
 MODULES = (
     test_order,
+    test_damping,
     test_preparing,
     test_requests,
     test_future,
     test_completed_steps,
+    test_damping,
     test_energies,
     test_averages,
     test_readers,

@@ -102,6 +102,25 @@ def mixtures(
     )
 
 
+@functools.cache
+def mixtures_without_vibrations() -> st.SearchStrategy[Mixture]:
+    """Draw a Mixture in vacuum of molecules with constraints and without bonds and angles, beside others."""
+    held = st.one_of(
+        st.builds(Chain, st.integers(3, 5), st.integers(0, 1), st.just("bonds"), st.just(False)),
+        st.builds(Ring, st.integers(4, 6)),
+        st.builds(Star, st.integers(2, 3), st.sampled_from(["none", "constraint"]), st.just(False)),
+    )
+    others = st.one_of(
+        held,
+        st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans()),
+        st.just(Water()),
+        st.builds(Body, st.sampled_from(list(SHAPES))),
+        st.builds(WithSite, held, st.sampled_from(["two", "three"])),
+    )
+    drawn = st.tuples(held, st.lists(others, min_size=1, max_size=2)).map(lambda each: (each[0], *each[1]))
+    return st.builds(Mixture, drawn, st.integers(0, 2**16))
+
+
 @st.composite
 def moved(draw: st.DrawFn, ways: st.SearchStrategy[Method]) -> tuple[Mixture, Method]:
     """Draw a method of some, and a mixture that its engine moves: only the exact one moves named bodies."""

@@ -15,6 +15,13 @@ def evaluated(system: openmm.System, x: np.ndarray, platform: str = "Reference")
     return state.getPotentialEnergy()._value, forces
 
 
+def rigid_atoms(system: openmm.System, bodies: RigidBodies) -> list[list[int]]:
+    """Return the atoms with mass of each rigid body of several atoms."""
+    masses = masses_of(system)
+    massive = [[i for i in cluster if masses[i] > 0] for cluster in sorted(clusters(bodies))]
+    return [atoms for atoms in massive if len(atoms) > 1]
+
+
 def clusters(bodies: RigidBodies) -> set[tuple[int, ...]]:
     """Return the atoms of each body."""
     return {tuple(sorted(atoms)) for species in bodies.species for atoms in species.atoms.tolist()}

@@ -9,6 +9,7 @@ import openmm
 from hypothesis import reject
 
 from tests.laws.mechanics import allowed_motions, centre_of, constrained_pairs, masses_of, virtual_sites
+from tests.laws.readings import rigid_atoms
 from tests.support.restarts import clock_and_box, full_state
 from tests.support.waters import phase_point, plain_context, platform
 
@@ -81,6 +82,7 @@ class Run:
         mixture, method, name: of which it is made: Systems, integrator and platform.
         settings: setters of the integrator that were called and their arguments.
         saved: what was saved, for later.
+        hardness: factor on the constants of bonds.
         drawn, repeats: the last action that drew velocities, and whether it was the one before too.
     """
 
@@ -90,6 +92,7 @@ class Run:
         self.name = name
         self.settings = list(settings)
         self.saved = []
+        self.hardness = 1.0
         self.drawn = None
         self.repeats = False
         self.built = built = mixture.build()
@@ -172,14 +175,30 @@ class Run:
         """Return a new run that users cannot distinguish from this one, but for the random numbers to come."""
         other = self.twin()
         update_shares(other, [self.pull.getParticleParameters(k)[1] for k in range(self.pull.getNumParticles())])
+        other.harden_bonds(self.hardness)
         self.view().show_in(other.context)
         return other
 
-    def continued(self, integrator, settings, saved):
-        """Return this run in a new Context with another integrator, which has settings, and with what was saved."""
+    def harden_bonds(self, factor):
+        """Multiply the constants of harmonic bonds in the System and in the Context."""
+        self.hardness *= factor
+        for force in self.system.getForces():
+            if isinstance(force, openmm.HarmonicBondForce):
+                for k in range(force.getNumBonds()):
+                    *bond, constant = force.getBondParameters(k)
+                    force.setBondParameters(k, *bond, factor * constant)
+                force.updateParametersInContext(self.context)
+
+    def continued(self, system, integrator, settings, saved):
+        """Return this run in a new Context of its System as it was, with another integrator and what was saved.
+
+        The integrator has settings.
+        """
         other = copy.copy(self)
+        other.system = openmm.XmlSerializer.clone(system)
+        vars(other).pop("pull", None)
         other.settings, other.saved = list(settings), list(saved)
-        other.integrator, other.context = integrator, self.bind(integrator)
+        other.integrator, other.context = integrator, other.bind(integrator)
         return other
 
     def save(self, way):
@@ -198,9 +217,7 @@ class Run:
     def rigid(self):
         """Atoms with mass of each rigid body of several atoms."""
         bodies = self.integrator.bodies if self.method.engine == "exact" else self.built.bodies
-        lists = [] if bodies is None else [atoms for species in bodies.species for atoms in species.atoms.tolist()]
-        massive = [[i for i in atoms if self.masses[i] > 0] for atoms in lists]
-        return [atoms for atoms in massive if len(atoms) > 1]
+        return [] if bodies is None else rigid_atoms(self.system, bodies)
 
     def projected(self, view):
         """Return the velocities of atoms with mass that are nearest to those of a view, in kinetic energy."""

@@ -225,5 +225,6 @@ def test_more_averages_are_exact(number):
 
 
 @pytest.mark.thorough
+@pytest.mark.hundreds
 def test_averages_of_any_mixture_are_exact():
     LAW.hold(MANY)

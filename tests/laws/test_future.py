@@ -91,6 +91,7 @@ class Restart:
         # OpenMM's noise is only in checkpoints.
         load = run.save("checkpoint" if run.method.draws_from_openmm else self.way)
         saved, settings = list(run.saved), list(run.settings)
+        system = openmm.XmlSerializer.clone(run.system)
         copied, written = copy.deepcopy(run.integrator), openmm.XmlSerializer.serialize(run.integrator)
         makers = {
             "settings": lambda: run.method.make(run.built.bodies, settings),
@@ -99,7 +100,7 @@ class Restart:
         }
 
         def again() -> Run:
-            other = run.continued(makers[self.by](), settings, saved)
+            other = run.continued(system, makers[self.by](), settings, saved)
             if self.aged and (self.way == "checkpoint" or not run.method.is_random):
                 other.context.setPositions(run.built.positions)
                 other.context.setVelocities(run.built.velocities)
