@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 import openmm
+from scipy.stats import chi, norm
 
 from openmm_sier import RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, SIERThermostatIntegrator
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
@@ -19,6 +20,9 @@ from tests.laws.linear_maps import Oscillator, in_bath
 from tests.laws.mechanics import centre_of, masses_of
 from tests.support.seeded import seeded
 from tests.support.waters import platform as platform_of
+
+#: Averages of kinds that depend on the motion of the centre of mass.
+WITH_CENTRE = ("translation", "translation^2", "p^2", "qp", "kinetic", "kinetic^2")
 
 #: Largest correlation of neighbouring blocks, which the standard error takes into account.
 CORRELATED = 0.6
@@ -106,6 +110,7 @@ class Trials:
         steps: of a trial.
         share: factor that momenta keep in a trial.
         chances: extra ones.
+        remover: whether a CMMotionRemover stops the centre of mass.
     """
 
     scheme: str = "sier2v2"
@@ -117,6 +122,7 @@ class Trials:
     temperature: float = 300.0
     pressure: str = ""
     substeps: int | None = None
+    remover: bool = False
 
     is_exact: ClassVar[bool] = True
     is_ergodic: ClassVar[bool] = True
@@ -194,6 +200,7 @@ class Series:
         for kind in kinds:
             kind.put(assembly, copies, at)
         self._assembly = assembly
+        self._is_stopped = isinstance(method, Trials) and method.remover
         self._pressure = (assembly.molecules + 1) * self._thermal / assembly.box**3
         self._has_memory = (
             method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
@@ -202,7 +209,7 @@ class Series:
         self._context = self._make_context(seed, platform)
         self._masses = masses_of(assembly.system)
         # The motion of the centre of mass stays as it is where nothing holds it.
-        self._is_held = any(not kind.is_free for kind in kinds)
+        self._is_held = not self._is_stopped and any(not kind.is_free for kind in kinds)
         self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
         #: Steps from one sample to the next.
         self.stride = self._strides()
@@ -214,6 +221,8 @@ class Series:
             options["bodies"] = RigidBodies.from_system(
                 assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
             )
+        if self._is_stopped:
+            assembly.system.addForce(openmm.CMMotionRemover(1))
         if any(isinstance(kind, FastBonds) for kind in kinds):
             options["fastForceGroups"] = {FAST}
         if method.pressure:
@@ -254,13 +263,15 @@ class Series:
                 result |= {f"{number} {name}": exact for name, exact in part.exact.items()}
                 if self._has_memory:
                     result |= {f"{number} {name}": exact for name, exact in (part.remembered or {}).items()}
-        if not self._method.is_ergodic:
-            freedoms = self._freedoms
+        freedoms = self._freedoms
+        if self._is_stopped:
+            result = {name: exact for name, exact in result.items() if name.split()[1] not in WITH_CENTRE}
+        if self._is_stopped or not self._method.is_ergodic:
             result |= {"K": Exact(1.0), "K^2": Exact(1 + 2 / freedoms)}
-            if not self._is_held:
-                # Without forces the kinetic energy changes by the bath alone.
-                kept = math.exp(-self._method.rate * self._method.every)
-                result |= {"K kept": Exact(2 / freedoms * kept)}
+        if not self._method.is_ergodic and not self._is_held:
+            # Without forces the kinetic energy changes by the bath alone, and velocities by a factor.
+            kept = math.exp(-self._method.rate * self._method.every)
+            result |= {"K kept": Exact(2 / freedoms * kept), "reversed": Exact(_reversed(kept, freedoms))}
         if self._method.pressure:
             molecules = assembly.molecules
             result |= {
@@ -304,7 +315,17 @@ class Series:
         scaled = self._pressure * volumes / self._thermal / (self._assembly.molecules + 1)
         result = {"K": kinetic, "K^2": kinetic**2, "PV": scaled, "(PV)^2": scaled**2, "1/PV": 1 / scaled}
         # The first row has none before it.
-        return result | {"K kept": (kinetic - 1) * (np.concatenate([kinetic[1:2], kinetic[:-1]]) - 1)}
+        result["K kept"] = (kinetic - 1) * (np.concatenate([kinetic[1:2], kinetic[:-1]]) - 1)
+        v = self._of_molecules_alone(v)
+        along = (v * np.concatenate([v[1:2], v[:-1]])).sum(axis=1)
+        return result | {"reversed": (along < 0).astype(float)}
+
+    def _of_molecules_alone(self, v: np.ndarray) -> np.ndarray:
+        """Return velocities of the molecules of the first kind relative to their mean, (s, 3n), of (s, N, 3)."""
+        atoms = self._assembly.parts[0].atoms
+        masses = self._masses[atoms[0]]
+        centres = centre_of(masses, v[:, atoms])
+        return (centres - centres.mean(axis=1, keepdims=True)).reshape(len(v), -1)
 
     def _kinetic(self, v: np.ndarray) -> np.ndarray:
         """Return kinetic energies over their mean, without that of a free centre of mass, (s,), of (s, N, 3)."""
@@ -333,8 +354,6 @@ class Series:
             return 2 * blocks
         if self._length is BRIEF:
             return 4 * blocks
-        if "K kept" in self.exact:
-            return 64 * blocks
         lasts = isinstance(self._method, Trials) and self._method.share > 0.5
         return 16 * blocks if lasts or not self._method.is_ergodic else 4 * blocks
 
@@ -350,6 +369,15 @@ class Series:
         beyond = np.sign(found - values) * np.maximum(np.abs(found - values) - margins, 0.0)
         # Averages that do not vary, such as a sum of squares of cosines, have the error of rounding.
         return dict(zip(self.exact, beyond / (errors + 1e-12), strict=True))
+
+
+def _reversed(kept: float, freedoms: int) -> float:
+    """Return the probability that velocity rescaling reverses velocities, of which it keeps a part.
+
+    Along the old velocities, of a norm with the chi distribution, is a normal deviate of the width sqrt(1 - kept).
+    """
+    nodes = chi.ppf((np.arange(4000) + 0.5) / 4000, freedoms)
+    return float(norm.cdf(-math.sqrt(kept / (1 - kept)) * nodes).mean())
 
 
 def _means(rows: np.ndarray, blocks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -153,7 +153,9 @@ def trials(draw):
     )
     kinds += draw(st.lists(others, min_size=0 if pressure else 1, max_size=2, unique_by=type))
     substeps = draw(chosen(None, 1, 3)) if has_bonds(kinds) else None
-    method = Trials(scheme, engine, number, share, chances, draw(steps), draw(temperatures), pressure, substeps)
+    # The motion of the centre of mass is a part of that of few molecules alone.
+    at = draw(steps), draw(temperatures), pressure, substeps, draw(st.booleans())
+    method = Trials(scheme, engine, number, share, chances, *at)
     return Experiment(method, tuple(kinds), draw(copies(pressure, 8, 30)), draw(seeds))
 
 
@@ -196,7 +198,10 @@ EXAMPLES = [
     Experiment(Trials("sier2", chances=1, share=0.5), (Chains(pace=0.1), Wells(pace=0.7)), 10),
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
     Experiment(Rescaling(rate=0.5, every=2), (Wells(pace=0.8),), 1),
-    Experiment(Rescaling(engine="native", rate=0.5, every=2), (Free(pace=0.1),), 4),
+    Experiment(Rescaling(rate=1.0, every=2), (Free("pair", named=True, pace=0.1),), 3),
+    Experiment(Rescaling(engine="native", rate=1.0, every=2), (Free(pace=0.1),), 4),
+    Experiment(Trials("sier2", steps=2, share=0.9, remover=True), (Wells(pace=0.9),), 2),
+    Experiment(Trials("sier2", "native", steps=2, share=0.9, remover=True), (Wells(pace=0.9),), 2),
 ]
 
 #: Slower ones.

@@ -66,6 +66,7 @@ class Setting:
 
     Attributes:
         aged: whether steps were made before, and undone by a checkpoint.
+        loaded: whether a checkpoint of before the setter is loaded after it, which brings back no setting.
     """
 
     mixture: Mixture
@@ -73,6 +74,7 @@ class Setting:
     setting: Set
     aged: bool = False
     platform: str = "Reference"
+    loaded: bool = False
 
     def check(self) -> None:
         run = started(self.mixture, self.method, self.platform)
@@ -81,7 +83,11 @@ class Setting:
             start = run.context.createCheckpoint()
             end(run)
             run.context.loadCheckpoint(start)
-        found = outcome(run) if tried(run, self.setting) else None
+        before = run.context.createCheckpoint()
+        is_accepted = tried(run, self.setting)
+        if self.loaded:
+            run.context.loadCheckpoint(before)
+        found = outcome(run) if is_accepted else None
         for other, settings in self.others(run.method):
             try:
                 expected = outcome(Run(self.mixture, other, self.platform, settings))
@@ -132,7 +138,7 @@ def requests(draw: st.DrawFn, platform: str) -> Requests:
 def settings(platform: str) -> st.SearchStrategy[Setting]:
     return moved(methods()).flatmap(
         lambda drawn: st.builds(
-            Setting, *map(st.just, drawn), setters_of(drawn[1].kind), st.booleans(), st.just(platform)
+            Setting, *map(st.just, drawn), setters_of(drawn[1].kind), st.booleans(), st.just(platform), st.booleans()
         )
     )
 
@@ -179,6 +185,7 @@ def test_every_setter_does_what_the_argument_does(simple, engine):
     for name in setters(simple.cls):
         setting = Setting(Mixture((Water(),)), replace(simple, engine=engine), Set(name, values_of(name)[0]), True)
         setting.check()
+        replace(setting, aged=False, loaded=True).check()
         if name not in WITHOUT_EFFECT:
             setting.check_effect()
 
