@@ -355,7 +355,7 @@ class Series:
         if self._length is BRIEF:
             return 4 * blocks
         lasts = isinstance(self._method, Trials) and self._method.share > 0.5
-        return 16 * blocks if lasts or not self._method.is_ergodic else 4 * blocks
+        return 16 * blocks if lasts or self._is_stopped or not self._method.is_ergodic else 4 * blocks
 
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""

@@ -200,8 +200,8 @@ EXAMPLES = [
     Experiment(Rescaling(rate=0.5, every=2), (Wells(pace=0.8),), 1),
     Experiment(Rescaling(rate=1.0, every=2), (Free("pair", named=True, pace=0.1),), 3),
     Experiment(Rescaling(engine="native", rate=1.0, every=2), (Free(pace=0.1),), 4),
-    Experiment(Trials("sier2", steps=2, share=0.9, remover=True), (Wells(pace=0.9),), 2),
-    Experiment(Trials("sier2", "native", steps=2, share=0.9, remover=True), (Wells(pace=0.9),), 2),
+    Experiment(Trials("sier2", steps=2, share=0.5, remover=True), (Wells(pace=0.9),), 2),
+    Experiment(Trials("sier2", "native", steps=2, share=0.5, remover=True), (Wells(pace=0.9),), 2),
 ]
 
 #: Slower ones.
