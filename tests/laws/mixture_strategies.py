@@ -103,7 +103,7 @@ def mixtures(
 
 
 @functools.cache
-def mixtures_without_vibrations() -> st.SearchStrategy[Mixture]:
+def mixtures_without_vibrations(named: bool = True) -> st.SearchStrategy[Mixture]:
     """Draw a Mixture in vacuum of molecules with constraints and without bonds and angles, beside others."""
     held = st.one_of(
         st.builds(Chain, st.integers(3, 5), st.integers(0, 1), st.just("bonds"), st.just(False)),
@@ -114,7 +114,7 @@ def mixtures_without_vibrations() -> st.SearchStrategy[Mixture]:
         held,
         st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans()),
         st.just(Water()),
-        st.builds(Body, st.sampled_from(list(SHAPES))),
+        st.builds(Body, st.sampled_from(list(SHAPES) if named else HELD_BY_CONSTRAINTS), st.just(named)),
         st.builds(WithSite, held, st.sampled_from(["two", "three"])),
     )
     drawn = st.tuples(held, st.lists(others, min_size=1, max_size=2)).map(lambda each: (each[0], *each[1]))

@@ -346,15 +346,14 @@ class Series:
     def _first_rows(self) -> int:
         """Return a number of rows: few with moves of the volume, which are slow, and many where faults show little.
 
-        So they do in the few averages of rescaling, above all in how fast it forgets, and where rejections find momenta
-        that last.
+        So they do in the few averages of rescaling, where rejections find momenta that last, and in second chances.
         """
         blocks = self._length.blocks
         if self._method.pressure:
             return 2 * blocks
         if self._length is BRIEF:
             return 4 * blocks
-        lasts = isinstance(self._method, Trials) and self._method.share > 0.5
+        lasts = isinstance(self._method, Trials) and (self._method.share > 0.5 or self._method.chances > 1)
         return 16 * blocks if lasts or self._is_stopped or not self._method.is_ergodic else 4 * blocks
 
     def distances(self) -> dict[str, float]:

@@ -197,6 +197,7 @@ EXAMPLES = [
     Experiment(Trials("sier2", steps=3, share=0.9), (Wells(pace=0.7),), 30),
     Experiment(Trials("sier2", chances=1, share=0.5), (Chains(pace=0.1), Wells(pace=0.7)), 10),
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
+    Experiment(Trials("sier2", steps=1, chances=2, share=0.5), (Wells(pace=1.6),), 8),
     Experiment(Rescaling(rate=0.5, every=2), (Wells(pace=0.8),), 1),
     Experiment(Rescaling(rate=1.0, every=2), (Free("pair", named=True, pace=0.1),), 3),
     Experiment(Rescaling(engine="native", rate=1.0, every=2), (Free(pace=0.1),), 4),

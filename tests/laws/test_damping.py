@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from openmm_sier import RigidBodies, SIERLangevinIntegrator
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.law import Law
-from tests.laws.mixture_strategies import mixtures
+from tests.laws.mixture_strategies import mixtures, mixtures_without_vibrations
 from tests.laws.mixtures import Mixture
 from tests.laws.oracle import End, Oracle
 from tests.laws.readings import rigid_atoms
@@ -93,9 +93,11 @@ class Damping:
 def cases(draw: st.DrawFn, platform: str) -> Damping:
     """Draw a mixture in vacuum that is not prepared, and a bath, above all one in the middle of a drift."""
     turning = draw(st.sampled_from([None, None, 50.0, 0.0]))
-    mixture = replace(draw(mixtures(("vacuum",), ("no",), named=turning is not None)), remover=0)
+    named = turning is not None
+    # Without vibrations, whose errors are larger, heat shows what constraints leave of velocities.
+    mixture = draw(st.one_of(mixtures_without_vibrations(named), mixtures(("vacuum",), ("no",), named)))
     scheme = draw(st.one_of(st.just("sier2"), st.sampled_from(list(CATALOGUE))))
-    return Damping(mixture, scheme, draw(st.sampled_from([200.0, 50.0])), turning, platform)
+    return Damping(replace(mixture, remover=0), scheme, draw(st.sampled_from([200.0, 50.0])), turning, platform)
 
 
 LAW = Law("damping", cases, few=15)
