@@ -26,6 +26,7 @@ from tests.laws import (
     test_readers,
     test_refusals,
     test_requests,
+    test_reversal,
 )
 from tests.laws.law import Broken, Law
 from tests.support import opencl
@@ -34,6 +35,7 @@ from tests.support import opencl
 MODULES = (
     test_order,
     test_damping,
+    test_reversal,
     test_preparing,
     test_requests,
     test_future,

@@ -138,6 +138,11 @@ def lengths_that_contradict_each_other(built: Built, system: openmm.System) -> l
     return [*_found(built, system, built.named), *_bound(built, system, None)]
 
 
+def constraint_of_no_particle(built: Built, system: openmm.System) -> list[Attempt]:
+    system.addConstraint(WATER, system.getNumParticles(), 0.1)
+    return [*_found(built, system, built.named), *_bound(built, system, None)]
+
+
 def negative_mass(built: Built, system: openmm.System) -> list[Attempt]:
     system.setParticleMass(int(np.flatnonzero(masses_of(system))[-1]), -1.0)
     return _bound(built, system, None)
@@ -181,6 +186,7 @@ FAULTS = {
         bodies_of_another_system,
         prepared_for_bodies_that_are_not_given,
         lengths_that_contradict_each_other,
+        constraint_of_no_particle,
         negative_mass,
         drude_particles,
         heat_bath_of_single_atoms,
@@ -202,7 +208,7 @@ def cases(draw: st.DrawFn, platform: str) -> Faulty:
     return Faulty(mixture, draw(st.sampled_from(list(FAULTS))))
 
 
-LAW = Law("refusals", cases, few=15)
+LAW = Law("refusals", cases, few=16)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
