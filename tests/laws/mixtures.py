@@ -135,6 +135,12 @@ def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:
         first += len(each.masses)
 
 
+def harden(context: openmm.Context) -> None:
+    """Give the global parameter of bonds, where there is one, another value than the one with which Contexts begin."""
+    if "hard" in dict(context.getParameters()):
+        context.setParameter("hard", 1.1)
+
+
 def is_frozen(mixture: Mixture) -> bool:
     """Return whether a mixture has atoms without mass that are no virtual sites, so that momentum is not conserved."""
     parts = [molecule.parts() for molecule in mixture.molecules]

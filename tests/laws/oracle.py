@@ -25,7 +25,7 @@ from tests.laws.mechanics import (
     multipliers,
     virtual_sites,
 )
-from tests.laws.mixtures import Built
+from tests.laws.mixtures import Built, harden
 from tests.support.waters import phase_point, plain_context
 
 #: Error of a step relative to positions and velocities, and absolutely.
@@ -75,6 +75,7 @@ class Oracle:
             inverse_inertia(self._masses[body], shape) for body, shape in zip(self._bodies, self._shapes, strict=True)
         ]
         self._context = plain_context(built.system, built.positions)
+        harden(self._context)
         self._has_sites = bool(virtual_sites(built.system))
 
     def kicked(self, time: float) -> np.ndarray:

@@ -21,7 +21,7 @@ from openmm_sier.engines.snapshot import HOST_PLATFORMS
 from tests.laws.law import Law
 from tests.laws.mechanics import centre_of, masses_of, rigid_velocities
 from tests.laws.mixture_strategies import mixtures, mixtures_without_vibrations
-from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, is_frozen
+from tests.laws.mixtures import HEAVY, SURROUNDINGS, Built, Mixture, harden, is_frozen
 from tests.laws.oracle import Oracle
 from tests.support import opencl
 from tests.support.waters import platform
@@ -112,6 +112,7 @@ class Order:
         integrator = SIERIntegrator(self._steps[0], scheme, bodies=bodies, engine=engine, substeps=self.substeps)
         precision = {} if self.platform in HOST_PLATFORMS else {"Precision": "double"}
         context = openmm.Context(system, integrator, platform(self.platform), precision)
+        harden(context)
         for step in self._steps:
             integrator.setStepSize(step)
             context.setPositions(x)
