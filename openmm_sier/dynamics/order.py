@@ -6,9 +6,9 @@ Runge-Kutta-Nystroem schemes: [B, [B, [B, A]]] = 0 for a kick B and a drift A, s
 the momenta (see `_reduced`).
 """
 
+import functools
 import itertools
 import math
-from collections.abc import Sequence
 
 from openmm_sier.dynamics.stages import DRIFT, KICK, Stage
 
@@ -23,7 +23,8 @@ HIGHEST_GRADIENT_ORDER = 4
 Word = tuple[str, ...]
 
 
-def order_of(stages: Sequence[Stage]) -> int:
+@functools.cache
+def order_of(stages: tuple[Stage, ...]) -> int:
     """Return the largest n for which the stages of a step are the exact motion up to and including h^n."""
     coefficients: dict[Word, float] = {(): 1.0}
     for stage in stages:

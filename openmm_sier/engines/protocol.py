@@ -53,12 +53,20 @@ class Engine(Verbs):
         self.step_check(method, self._groups, self._context)
         self.changes = Changes.NONE
 
+    def record(self, changes: Changes) -> None:
+        """Record changes, which the next step takes over. What was read of other bonds is forgotten at once."""
+        self.changes |= changes
+        if Changes.BONDS in changes:
+            self._bonds = None
+            self.step_check.forget_vibrations()
+
     def changes_by(self, force: openmm.Force) -> Changes:
         """Return what is changed by other parameters of a Force of the System."""
         changes = Changes.FORCES
         if self.method.fast_groups >> self._force_groups.get(int(force.this), 0) & 1:
             changes |= Changes.FAST
-        if any(isinstance(part.force, openmm.HarmonicBondForce) for part in with_inner_forces(force)):
+        bonded = openmm.HarmonicBondForce, openmm.HarmonicAngleForce
+        if any(isinstance(part.force, bonded) for part in with_inner_forces(force)):
             changes |= Changes.BONDS
         return changes
 
@@ -169,8 +177,6 @@ class Engine(Verbs):
         Raises:
             RigidityError: it cuts one that constraints or bonds would pull together.
         """
-        if Changes.BONDS in self.changes:
-            self._bonds = None
         system = self._context.getSystem()
         if self._bonds is None and system.usesPeriodicBoundaryConditions():
             self._bonds = Bonds.of_system(system)

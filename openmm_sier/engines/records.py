@@ -52,7 +52,7 @@ class Changes(Flag):
         BOX: the box was set.
         FORCES: the potential was changed.
         FAST: forces that act within drifts were changed, or which ones do.
-        BONDS: bonds that keep molecules together were changed.
+        BONDS: harmonic bonds or angles were changed, of which bonds keep molecules together.
         VARIABLES: a checkpoint or State has brought the variables of the integrator.
         HISTORY: the next step must depend only on the contents of the Context, as after a restart.
         SETTINGS: settings, parameters or the clock were changed, or a step failed.

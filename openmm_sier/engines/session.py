@@ -195,7 +195,7 @@ class Session:
         """Record a change of some kind, which the next step takes over."""
         if self._engine is None:
             return
-        self._engine.changes |= change
+        self._engine.record(change)
         if Changes.ATOMS in change:
             self.watch.forget()
 

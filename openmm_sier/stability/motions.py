@@ -8,6 +8,7 @@ larger bodies, are slower.
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -94,15 +95,14 @@ class Motions:
     """The fastest motions of a System.
 
     Motions within bodies and along constraints do not count. The periods of HarmonicBondForces are read from the
-    System, as it is when the Context is created. Each of these bonds is treated separately, which gives its period to
-    1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Of the angles
-    of HarmonicAngleForces only those between constrained bonds count: others are slower than their bonds by a factor of
-    two. Of forces between molecules only those with charges count, and the Lennard-Jones terms of NonbondedForces.
-    Forces of expressions or collective variables are measured by `measure`, at positions.
+    System, and again after `updateParametersInContext`. Each of these bonds is treated separately, which gives its
+    period to 1 % for hydrogens; bonds between heavy atoms that share an atom (CO2) vibrate up to a quarter faster. Of
+    the angles of HarmonicAngleForces only those between constrained bonds count: others are slower than their bonds by
+    a factor of two. Of forces between molecules only those with charges count, and the Lennard-Jones terms of
+    NonbondedForces. Forces of expressions or collective variables are measured by `measure`, at positions.
 
     Attributes:
         bodies: all that move in the System.
-        harmonic: the fastest bond of each HarmonicBondForce, and such an angle of each HarmonicAngleForce.
         measured: the fastest motion by each Force that was measured.
         librations: the fastest swing by each Force with charges.
         spin: of the slimmest rigid body; None if no body turns.
@@ -131,12 +131,20 @@ class Motions:
         is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
         owners = _owners(system, self._linked, rigid)
-        found = harmonic_vibrations(forces, self._mobility, owners, links.constraints)
-        self.harmonic = [self._motion(*vibration) for vibration in found]
+        self._find_vibrations = partial(harmonic_vibrations, forces, self._mobility, owners, links.constraints)
         self.measured: list[Motion] = []
         self.unknown = _described([entry for entry in forces if _is_unknown(entry)])
         self.spin = _slimmest(system, bodies, rigid, is_alone)
         self._to_measure = [entry for entry in forces if _is_measured(entry)]
+
+    @cached_property
+    def harmonic(self) -> list[Motion]:
+        """The fastest bond of each HarmonicBondForce, and such an angle of each HarmonicAngleForce."""
+        return [self._motion(*vibration) for vibration in self._find_vibrations()]
+
+    def forget_vibrations(self) -> None:
+        """Read `harmonic` from the System again when it is asked for: parameters were changed."""
+        vars(self).pop("harmonic", None)
 
     @property
     def vibrations(self) -> list[Motion]:

@@ -47,6 +47,12 @@ class StepCheck:
         self._known: tuple[IntegrationMethod | None, int, float] = (None, 0, 0.0)
         self._warnings: set[str] = set()
 
+    def forget_vibrations(self) -> None:
+        """Read harmonic vibrations from the System again when they are asked for: their parameters were changed."""
+        self._motions.forget_vibrations()
+        self._checked = ()
+        self._known = None, 0, 0.0
+
     def inner_step(self, method: IntegrationMethod, groups: int) -> float:
         """Return the inner step of a method, ps; `groups` are the integration force groups, a bit mask.
 

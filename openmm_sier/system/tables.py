@@ -190,9 +190,21 @@ def constraints(system: openmm.System) -> Constraints:
     """Return the acting constraints in the System's order, without repeated ones.
 
     Constraints between frozen atoms do not act, and OpenMM refuses those between a frozen and a moving atom.
+
+    Raises:
+        openmm.OpenMMException: a constraint has a particle that does not exist, of which OpenMM speaks only when a
+            Context is made.
     """
     table = numeric_rows(system, "getConstraintParameters", system.getNumConstraints(), 3)
     pairs, lengths = np.sort(table[:, :2].astype(np.int64), axis=1), table[:, 2]
+    count = system.getNumParticles()
+    wrong = (pairs < 0) | (pairs >= count)
+    if wrong.any():
+        number = int(wrong.any(axis=1).argmax())
+        raise openmm.OpenMMException(
+            f"Constraint {number} has particle {pairs[number][wrong[number]][0]}, and the System has {count} "
+            "particles, from 0 on: correct it with system.setConstraintParameters, or add the particles first"
+        )
     acting = (masses(system)[pairs] > 0).all(axis=1)
     pairs, lengths = pairs[acting], lengths[acting]
     distinct = first_of_each(pairs)

@@ -18,6 +18,7 @@ import warnings
 from tests.laws import (
     test_averages,
     test_completed_steps,
+    test_damping,
     test_energies,
     test_future,
     test_order,
@@ -25,6 +26,7 @@ from tests.laws import (
     test_readers,
     test_refusals,
     test_requests,
+    test_reversal,
 )
 from tests.laws.law import Broken, Law
 from tests.support import opencl
@@ -32,10 +34,13 @@ from tests.support import opencl
 #: All laws by their names.
 MODULES = (
     test_order,
+    test_damping,
+    test_reversal,
     test_preparing,
     test_requests,
     test_future,
     test_completed_steps,
+    test_damping,
     test_energies,
     test_averages,
     test_readers,

@@ -9,6 +9,7 @@ from tests.laws.actions import (
     ApplyConstraints,
     ApplyVelocityConstraints,
     DrawVelocities,
+    HardenBonds,
     InterruptedStep,
     Load,
     Minimize,
@@ -63,6 +64,7 @@ def changes(kind):
         st.builds(SetBox, st.sampled_from([1.01, 1.02])),
         st.builds(SetParameter, st.just("pull"), st.sampled_from([3.0, -2.0])),
         st.builds(UpdateParameters, st.sampled_from([0.2, -0.3])),
+        st.builds(HardenBonds, st.sampled_from([2.0, 0.5])),
         st.builds(Minimize, st.integers(1, 3)),
         st.just(ApplyConstraints()),
         st.just(ApplyVelocityConstraints()),
@@ -71,6 +73,12 @@ def changes(kind):
         st.builds(Reinitialize, st.booleans()),
         setters_of(kind),
     )
+
+
+@functools.cache
+def several(kind, least=0, most=3):
+    """Return a strategy of some changes with an integrator of a kind."""
+    return st.lists(changes(kind), min_size=least, max_size=most).map(tuple)
 
 
 @functools.cache
@@ -96,5 +104,6 @@ def refused(kind):
 
 @functools.cache
 def actions(kind):
-    """Return a strategy of all actions with an integrator of a kind."""
-    return st.one_of(changes(kind), changes(kind), asked(kind), refused(kind))
+    """Return a strategy of several actions of all kinds with an integrator of a kind."""
+    one = st.one_of(changes(kind), changes(kind), asked(kind), refused(kind))
+    return st.lists(one, min_size=2, max_size=8).map(tuple)

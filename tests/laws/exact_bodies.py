@@ -9,10 +9,11 @@ import numpy as np
 import openmm
 
 from tests.laws.exact_models import Assembly, Conditions, Exact, Part, add_external
+from tests.laws.mechanics import angular_momentum, centre_of, cross, principal_axes
 from tests.support.oracles import random_attitudes
 
 #: Coordinates of rigid bodies, nm, and relative masses of their atoms. No two moments of "corner" are equal.
-SHAPES = {
+COORDINATES = {
     "triangle": (((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (-0.03, 0.08, 0.0)), (8.0, 1.0, 2.0)),
     "pair": (((0.0, 0.0, 0.0), (0.0, 0.0, 0.11)), (3.0, 2.0)),
     "corner": (((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.13, 0.0), (0.0, 0.0, 0.07)), (1.0, 2.0, 3.0, 4.0)),
@@ -29,8 +30,8 @@ class Frame:
     """
 
     def __init__(self, shape: str, pace: float, at: Conditions):
-        coordinates, weights = (np.array(each) for each in SHAPES[shape])
-        places, moments = _principal(coordinates, weights)
+        coordinates, weights = (np.array(each) for each in COORDINATES[shape])
+        places, moments = principal_axes(weights, coordinates)
         # The masses make the thermal turn of a step about the slimmest axis the pace.
         scale = at.thermal * (at.step / pace) ** 2 / moments[moments > 1e-12].min()
         self.places = places
@@ -42,7 +43,7 @@ class Frame:
     def _basis(places: np.ndarray) -> np.ndarray:
         """Return three vectors of each body as columns, of places (..., k, 3)."""
         one, two = places[..., 1, :] - places[..., 0, :], places[..., 2, :] - places[..., 0, :]
-        return np.stack([one, two, _cross(one, two)], axis=-1)
+        return np.stack([one, two, cross(one, two)], axis=-1)
 
     def attitudes(self, x: np.ndarray) -> np.ndarray:
         """Return rotations (..., 3, 3) from the frame to the lab, of atoms (..., k, 3)."""
@@ -51,13 +52,9 @@ class Frame:
     def momentum(self, x, v) -> np.ndarray:
         return self.masses @ v
 
-    def angular_momentum(self, x, v) -> np.ndarray:
-        """Return the angular momenta about the centres of mass in the lab frame, (..., 3)."""
-        return _angular_momentum(self.masses, x, v)
-
     def energies(self, x, v, thermal) -> dict[str, np.ndarray]:
         """Return kinetic energies of translation and about each axis in kT/2, and squares of that of translation."""
-        p, L = self.momentum(x, v), self.angular_momentum(x, v)
+        p, L = self.momentum(x, v), angular_momentum(self.masses, x, v)
         square = p * p / (self.masses.sum() * thermal)
         result = {"translation": square.mean(axis=-1), "translation^2": (square * square).mean(axis=-1)}
         if self._inverse is None:
@@ -69,29 +66,6 @@ class Frame:
         result = {"translation": Exact(1.0, margin), "translation^2": Exact(3.0, 6 * margin)}
         turns = ["rotation"] if self._inverse is None else [f"rotation {axis}" for axis in range(3)]
         return result | dict.fromkeys(turns, Exact(1.0, margin))
-
-
-def _principal(coordinates: np.ndarray, masses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates along the principal axes, and the moments."""
-    arms = coordinates - masses @ coordinates / masses.sum()
-    tensor = np.einsum(
-        "k,kab->ab", masses, (arms**2).sum(1)[:, None, None] * np.eye(3) - arms[:, :, None] * arms[:, None]
-    )
-    moments, axes = np.linalg.eigh(tensor)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
-    return arms @ axes, np.where(moments > 1e-12 * moments.max(), moments, 0.0)
-
-
-def _cross(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-    """Return cross products; NumPy's function takes several times as long for a few vectors."""
-    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(two, -1, 0)
-    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
-
-
-def _angular_momentum(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the angular momenta of molecules about their centres of mass, (..., 3)."""
-    centre = masses @ x / masses.sum()
-    return masses @ _cross(x - centre[..., None, :], v)
 
 
 def _turning(energies: np.ndarray) -> dict[str, np.ndarray]:
@@ -121,8 +95,8 @@ class Free:
         assembly.molecules += n
 
         def remember(x0, v0, x, v):
-            p, L = (frame.momentum(x0, v0), frame.angular_momentum(x0, v0))
-            later = frame.momentum(x, v), frame.angular_momentum(x, v)
+            p, L = (frame.momentum(x0, v0), angular_momentum(frame.masses, x0, v0))
+            later = frame.momentum(x, v), angular_momentum(frame.masses, x, v)
             scale = frame.masses.sum() * at.thermal, frame.moments.sum() / 3 * at.thermal
             return {
                 "p kept": (p * later[0]).mean(axis=-1) / scale[0],
@@ -216,7 +190,7 @@ def _towards(rng, axis: np.ndarray, cosines: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Tethered:
+class Suspended:
     """Bodies of six atoms with springs to their places, V = k (dr)^2/2 - c tr A, and three different moments.
 
     Attributes:
@@ -257,9 +231,9 @@ class Tethered:
         def observe(x, v):
             centre = x.mean(axis=-2)
             across = (x[..., :3, :] - x[..., 3:, :]) / (2 * arms[:, None])
-            L = _angular_momentum(weights, x, v)
+            L = angular_momentum(weights, x, v)
             in_frame = (across @ L[..., None])[..., 0]
-            velocity = weights @ v / mass
+            velocity = centre_of(weights, v)
             result = {
                 "q^2": ((centre - centres[:, 0]) ** 2).mean(axis=-1) * spring / at.thermal,
                 "translation": (velocity**2).mean(axis=-1) * mass / at.thermal,
@@ -285,9 +259,9 @@ def _from_density(rng, grid: np.ndarray, density: np.ndarray, n: int) -> np.ndar
 
 def _rotations(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return rotations about unit axes (n, 3), by Rodrigues' formula."""
-    cross = np.cross(np.eye(3)[None], axes[:, None])
+    crossed = np.cross(np.eye(3)[None], axes[:, None])
     sines, cosines = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.eye(3) + sines * cross + (1 - cosines) * cross @ cross
+    return np.eye(3) + sines * crossed + (1 - cosines) * crossed @ crossed
 
 
 @dataclass(frozen=True)

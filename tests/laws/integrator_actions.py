@@ -13,6 +13,7 @@ from openmm import unit
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from tests.laws.actions import Action
 from tests.laws.runs import REFUSALS, names
+from tests.support.waters import plain_context
 
 #: OpenMM's setters for users; the others change the program, which users of the package do not write.
 SETTERS_OF_OPENMM = ("setConstraintTolerance", "setRandomNumberSeed", "setIntegrationForceGroups")
@@ -201,8 +202,7 @@ class Refused(Action):
 def _other_state(run):
     system = openmm.System()
     system.addParticle(1.0)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.5), openmm.Platform.getPlatformByName("Reference"))
-    context.setPositions([openmm.Vec3(1, 2, 3)])
+    context = plain_context(system, [openmm.Vec3(1, 2, 3)])
     context.setTime(7.0)
     return context.getState(positions=True, velocities=True, parameters=True)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -26,9 +28,10 @@ from tests.laws.molecules import (
 )
 
 #: Most particles of a mixture.
-PARTICLES = 40
+PARTICLES = 30
 
 
+@functools.cache
 def molecules(named: bool = True) -> st.SearchStrategy[Molecule]:
     """Draw a molecule of any kind, the simplest first, with or without named bodies."""
     ions = st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans())
@@ -80,6 +83,7 @@ def _few(drawn: list[Molecule]) -> tuple[Molecule, ...]:
     return tuple(drawn[: max(1, int((totals <= PARTICLES).sum()))])
 
 
+@functools.cache
 def mixtures(
     surroundings: tuple[str, ...] = SURROUNDINGS,
     prepared: tuple[str, ...] = PREPARATIONS,
@@ -96,6 +100,25 @@ def mixtures(
         st.sampled_from([0, 1, 3]),
         st.sampled_from(prepared),
     )
+
+
+@functools.cache
+def mixtures_without_vibrations(named: bool = True) -> st.SearchStrategy[Mixture]:
+    """Draw a Mixture in vacuum of molecules with constraints and without bonds and angles, beside others."""
+    held = st.one_of(
+        st.builds(Chain, st.integers(3, 5), st.integers(0, 1), st.just("bonds"), st.just(False)),
+        st.builds(Ring, st.integers(4, 6)),
+        st.builds(Star, st.integers(2, 3), st.sampled_from(["none", "constraint"]), st.just(False)),
+    )
+    others = st.one_of(
+        held,
+        st.builds(Ion, st.sampled_from([1.0, -1.0]), st.booleans()),
+        st.just(Water()),
+        st.builds(Body, st.sampled_from(list(SHAPES) if named else HELD_BY_CONSTRAINTS), st.just(named)),
+        st.builds(WithSite, held, st.sampled_from(["two", "three"])),
+    )
+    drawn = st.tuples(held, st.lists(others, min_size=1, max_size=2)).map(lambda each: (each[0], *each[1]))
+    return st.builds(Mixture, drawn, st.integers(0, 2**16))
 
 
 @st.composite

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import openmm
@@ -13,8 +14,10 @@ from scipy.spatial.transform import Rotation
 from openmm_sier import Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system.find_bodies import UnknownShapeError
+from tests.laws.mechanics import centre_of, constrained_pairs, gradients, masses_of, multipliers, rigid_velocities
 from tests.laws.molecules import Molecule
 from tests.laws.parts import Parts
+from tests.support.waters import phase_point, plain_context
 
 #: nm: between molecules at least; radius of the cut-off.
 GAP, CUTOFF = 0.25, 0.7
@@ -79,7 +82,11 @@ class Mixture:
     prepared: str = "no"
 
     def build(self) -> Built:
-        """Make the System, its positions and its velocities, the same ones each time."""
+        """Return the System, its positions and its velocities, the same ones each time, in a System of their own."""
+        built = _built(self)
+        return replace(built, system=openmm.XmlSerializer.clone(built.system))
+
+    def _make(self) -> Built:
         rng = np.random.default_rng(self.seed)
         parts = [molecule.parts() for molecule in self.molecules]
         plain = _particles(parts)
@@ -96,13 +103,19 @@ class Mixture:
         velocities = _velocities(system, positions, named, rng)
         if self.remover:
             masses = masses_of(system)
-            velocities[masses > 0] -= masses @ velocities / masses.sum()
+            velocities[masses > 0] -= centre_of(masses, velocities)
         names = tuple(
             f"{type(molecule).__name__} {number}, particle {i}"
             for number, molecule in enumerate(self.molecules)
             for i in range(len(parts[number].masses))
         )
         return Built(system, plain, positions, velocities, named, bodies, names, preparation)
+
+
+@lru_cache(maxsize=8)
+def _built(mixture: Mixture) -> Built:
+    """Make what a mixture describes. Most cases make it several times, and none changes anything but `system`."""
+    return mixture._make()
 
 
 def _bodies(system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray) -> RigidBodies | None:
@@ -122,9 +135,10 @@ def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:
         first += len(each.masses)
 
 
-def masses_of(system: openmm.System) -> np.ndarray:
-    """Return masses (N,) in dalton."""
-    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+def harden(context: openmm.Context) -> None:
+    """Give the global parameter of bonds, where there is one, another value than the one with which Contexts begin."""
+    if "hard" in dict(context.getParameters()):
+        context.setParameter("hard", 1.1)
 
 
 def is_frozen(mixture: Mixture) -> bool:
@@ -168,29 +182,6 @@ def _placed(parts: list[Parts], rng: np.random.Generator) -> np.ndarray:
     return placed + 0.01
 
 
-def constrained_pairs(system: openmm.System) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs (K, 2) of particles with a mass, and their constrained lengths in nm."""
-    rows = [system.getConstraintParameters(k) for k in range(system.getNumConstraints())]
-    rows = [row for row in rows if system.getParticleMass(row[0])._value and system.getParticleMass(row[1])._value]
-    pairs = np.array([row[:2] for row in rows], dtype=int).reshape(-1, 2)
-    return pairs, np.array([row[2]._value for row in rows])
-
-
-def gradients(pairs: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return half of the derivatives (K, N, 3) of the squared lengths of constraints."""
-    result = np.zeros((len(pairs), *x.shape))
-    apart = x[pairs[:, 0]] - x[pairs[:, 1]]
-    result[np.arange(len(pairs)), pairs[:, 0]] = apart
-    result[np.arange(len(pairs)), pairs[:, 1]] = -apart
-    return result
-
-
-def multipliers(rows: np.ndarray, weighted: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve the equations of constraints, which may be redundant."""
-    matrix = weighted.reshape(len(rows), -1) @ rows.reshape(len(rows), -1).T
-    return np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ right
-
-
 def _satisfied(system: openmm.System, x: np.ndarray) -> np.ndarray:
     """Return positions at which constraints hold to rounding and virtual sites are in their places."""
     masses = masses_of(system)
@@ -202,10 +193,9 @@ def _satisfied(system: openmm.System, x: np.ndarray) -> np.ndarray:
         excess = (((x[pairs[:, 0]] - x[pairs[:, 1]]) ** 2).sum(axis=1) - lengths**2) / 2
         weighted = rows * inverse
         x = x - np.tensordot(multipliers(rows, weighted, excess), weighted, 1)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = plain_context(system, x)
     context.computeVirtualSites()
-    return context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+    return phase_point(context)[0]
 
 
 def _velocities(
@@ -222,27 +212,8 @@ def _velocities(
         weighted = rows * inverse[None, :, None]
         v = v - np.tensordot(multipliers(rows, weighted, rows.reshape(len(rows), -1) @ v.ravel()), weighted, 1)
     for body in map(list, named):
-        v[body] = _rigid(masses[body], x[body], v[body])
+        v[body] = rigid_velocities(masses[body], x[body], v[body])
     return v
-
-
-def angular_velocity(masses: np.ndarray, r: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-    """Return the angular velocity of a body, about no axis on which all atoms are.
-
-    Args:
-        masses: (k,).
-        r: (k, 3), from the centre of mass.
-        momentum: (3,), the angular momentum.
-    """
-    inertia = np.einsum("k,kij->ij", masses, (r**2).sum(axis=1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
-    return np.linalg.pinv(inertia, rcond=1e-10, hermitian=True) @ momentum
-
-
-def _rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the velocities (k, 3) of a rigid body with the momentum and angular momentum of its atoms."""
-    r = x - masses @ x / masses.sum()
-    momentum = (masses[:, None] * np.cross(r, v)).sum(axis=0)
-    return masses @ v / masses.sum() + np.cross(angular_velocity(masses, r, momentum), r)
 
 
 # --- forces -----------------------------------------------------------------------------------------------------------

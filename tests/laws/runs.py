@@ -8,8 +8,10 @@ import numpy as np
 import openmm
 from hypothesis import reject
 
+from tests.laws.mechanics import allowed_motions, centre_of, constrained_pairs, masses_of, virtual_sites
+from tests.laws.readings import rigid_atoms
 from tests.support.restarts import clock_and_box, full_state
-from tests.support.waters import phase_point, platform
+from tests.support.waters import phase_point, plain_context, platform
 
 #: Errors by which the package and OpenMM refuse what users ask for.
 REFUSALS = (openmm.OpenMMException, ValueError, TypeError)
@@ -25,10 +27,6 @@ SAME = {"exact": (0.0, 0.0), "native": ROUNDING["native"]}
 
 #: Factor on the edges of boxes.
 ROOM = 1.1
-
-#: Motions of a body that are smaller than this part of the largest are those of a line about itself, from which its
-#: atoms may be off by 1e-5 nm. Constraints that others imply change by less than this.
-LINE, REDUNDANT = 1e-3, 1e-7
 
 
 class View:
@@ -84,6 +82,7 @@ class Run:
         mixture, method, name: of which it is made: Systems, integrator and platform.
         settings: setters of the integrator that were called and their arguments.
         saved: what was saved, for later.
+        hardness: factor on the constants of bonds.
         drawn, repeats: the last action that drew velocities, and whether it was the one before too.
     """
 
@@ -93,6 +92,7 @@ class Run:
         self.name = name
         self.settings = list(settings)
         self.saved = []
+        self.hardness = 1.0
         self.drawn = None
         self.repeats = False
         self.built = built = mixture.build()
@@ -127,7 +127,16 @@ class Run:
 
     @cached_property
     def masses(self):
-        return np.array([self.system.getParticleMass(i)._value for i in range(self.system.getNumParticles())])
+        return masses_of(self.system)
+
+    @cached_property
+    def sites(self):
+        return virtual_sites(self.system)
+
+    @cached_property
+    def constraints(self):
+        """Pairs (K, 2) of atoms that move, and lengths in nm."""
+        return constrained_pairs(self.system)
 
     @cached_property
     def pull(self):
@@ -166,14 +175,30 @@ class Run:
         """Return a new run that users cannot distinguish from this one, but for the random numbers to come."""
         other = self.twin()
         update_shares(other, [self.pull.getParticleParameters(k)[1] for k in range(self.pull.getNumParticles())])
+        other.harden_bonds(self.hardness)
         self.view().show_in(other.context)
         return other
 
-    def continued(self, integrator, settings, saved):
-        """Return this run in a new Context with another integrator, which has settings, and with what was saved."""
+    def harden_bonds(self, factor):
+        """Multiply the constants of harmonic bonds in the System and in the Context."""
+        self.hardness *= factor
+        for force in self.system.getForces():
+            if isinstance(force, openmm.HarmonicBondForce):
+                for k in range(force.getNumBonds()):
+                    *bond, constant = force.getBondParameters(k)
+                    force.setBondParameters(k, *bond, factor * constant)
+                force.updateParametersInContext(self.context)
+
+    def continued(self, system, integrator, settings, saved):
+        """Return this run in a new Context of its System as it was, with another integrator and what was saved.
+
+        The integrator has settings.
+        """
         other = copy.copy(self)
+        other.system = openmm.XmlSerializer.clone(system)
+        vars(other).pop("pull", None)
         other.settings, other.saved = list(settings), list(saved)
-        other.integrator, other.context = integrator, self.bind(integrator)
+        other.integrator, other.context = integrator, other.bind(integrator)
         return other
 
     def save(self, way):
@@ -192,71 +217,33 @@ class Run:
     def rigid(self):
         """Atoms with mass of each rigid body of several atoms."""
         bodies = self.integrator.bodies if self.method.engine == "exact" else self.built.bodies
-        lists = [] if bodies is None else [atoms for species in bodies.species for atoms in species.atoms.tolist()]
-        massive = [[i for i in atoms if self.masses[i] > 0] for atoms in lists]
-        return [atoms for atoms in massive if len(atoms) > 1]
-
-    @property
-    def constraints(self):
-        """Pairs of atoms at least one of which moves, and lengths in nm."""
-        found = []
-        for k in range(self.system.getNumConstraints()):
-            i, j, length = self.system.getConstraintParameters(k)
-            if self.masses[i] or self.masses[j]:
-                found.append((i, j, length._value))
-        return found
-
-    def allowed(self, positions):
-        """Return an orthonormal basis of the allowed velocities times the roots of the masses, (3N, freedoms)."""
-        root = np.sqrt(self.masses)
-        owned = {i for atoms in self.rigid for i in atoms}
-        columns = [np.eye(3 * len(root))[3 * i + k] for i in np.flatnonzero(root) if i not in owned for k in range(3)]
-        for atoms in self.rigid:
-            centred = positions - np.average(positions[atoms], axis=0, weights=self.masses[atoms])
-            motions = np.zeros((6, len(root), 3))
-            for k in range(3):
-                motions[k, atoms, k] = root[atoms]
-                motions[3 + k, atoms] = root[atoms, None] * np.cross(np.eye(3)[k], centred[atoms])
-            basis, sizes, _ = np.linalg.svd(motions.reshape(6, -1).T, full_matrices=False)
-            columns += list(basis.T[sizes > LINE * sizes.max()])
-        basis = np.array(columns).T
-        rows = []
-        for i, j, _ in self.constraints:
-            row = np.zeros((len(root), 3))
-            for one, sign in ((i, 1), (j, -1)):
-                if root[one]:
-                    row[one] = (
-                        sign * (positions[i] - positions[j]) / np.linalg.norm(positions[i] - positions[j]) / root[one]
-                    )
-            rows.append(row.ravel() @ basis)
-        if not rows:
-            return basis
-        _, sizes, kernel = np.linalg.svd(np.array(rows))
-        # The rows of constraints within a rigid body are rounding.
-        scale = 1 / root[root > 0].max()
-        return basis @ kernel[np.sum(sizes > REDUNDANT * scale) :].T
+        return [] if bodies is None else rigid_atoms(self.system, bodies)
 
     def projected(self, view):
         """Return the velocities of atoms with mass that are nearest to those of a view, in kinetic energy."""
-        basis, root = self.allowed(view.positions), np.sqrt(self.masses)[:, None]
+        basis, root = self._allowed(view), np.sqrt(self.masses)[:, None]
         weighted = (basis @ (basis.T @ (root * view.velocities).ravel())).reshape(-1, 3)
         return np.divide(weighted, root, out=np.zeros_like(weighted), where=root > 0)
 
     def freedoms(self, view):
-        return self.allowed(view.positions).shape[1]
+        return self._allowed(view).shape[1]
+
+    def _allowed(self, view):
+        return allowed_motions(self.masses, view.positions, self.rigid, self.constraints[0])
 
     def kinetic_energy(self, view):
         return self.kinetic_energy_of(view.velocities)
 
     def kinetic_energy_of(self, velocities, without_centre=False):
         """Return the kinetic energy of velocities, perhaps without that of the centre of mass, kJ/mol."""
-        centre = self.masses @ velocities / self.masses.sum() if without_centre else np.zeros(3)
+        centre = centre_of(self.masses, velocities) if without_centre else np.zeros(3)
         return 0.5 * float(np.sum(self.masses[:, None] * (velocities - centre) ** 2))
 
     def potential_energy(self):
         """Return the potential energy at the positions, as OpenMM computes it in another Context, kJ/mol."""
-        context = openmm.Context(self.system, openmm.VerletIntegrator(0.001), platform(self.name))
-        self.view().show_in(context)
+        view = self.view()
+        context = plain_context(self.system, view.positions, self.name)
+        view.show_in(context)
         return context.getState(energy=True).getPotentialEnergy()._value
 
     def assert_rigid(self, view, tolerance, moves=True):
@@ -267,7 +254,7 @@ class Run:
             tolerance: relative, for positions; velocities may be wrong by ten times this and their largest.
             moves: whether velocities are looked at.
         """
-        pairs = [(i, j, length) for i, j, length in self.constraints]
+        pairs = [(i, j, length) for (i, j), length in zip(*self.constraints, strict=True)]
         at_start = self.built.positions
         for atoms in self.rigid:
             pairs += [(i, j, np.linalg.norm(at_start[i] - at_start[j])) for i, j in combinations(atoms, 2)]

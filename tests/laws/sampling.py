@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import openmm
+from scipy.stats import chi, norm
 
 from openmm_sier import RigidBodies, SIERHMCIntegrator, SIERLangevinIntegrator, SIERThermostatIntegrator
 from openmm_sier.dynamics.constants import BAR, GAS_CONSTANT
@@ -16,20 +17,38 @@ from openmm_sier.dynamics.schemes import CATALOGUE, Scheme
 from openmm_sier.ensembles import VelocityRescaling
 from tests.laws.exact_models import FAST, Assembly, Conditions, Exact, FastBonds, Wells
 from tests.laws.linear_maps import Oscillator, in_bath
+from tests.laws.mechanics import centre_of, masses_of
 from tests.support.seeded import seeded
+from tests.support.waters import platform as platform_of
 
-#: Blocks of a series, of which its standard error is estimated.
-BLOCKS = 200
+#: Averages of kinds that depend on the motion of the centre of mass.
+WITH_CENTRE = ("translation", "translation^2", "p^2", "qp", "kinetic", "kinetic^2")
 
 #: Largest correlation of neighbouring blocks, which the standard error takes into account.
 CORRELATED = 0.6
 
-#: Samples at most.
-MOST = 6400
 
-#: Standard errors. Student's distribution for 200 blocks has 1e-10 beyond 6.9, so that a right program fails in one of
-#: some 30 averages with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth.
-BOUND = 7.5
+class Length(NamedTuple):
+    """How long a series is, and how far its averages may be off.
+
+    Attributes:
+        blocks: of which standard errors are estimated.
+        most: rows.
+        bound: in standard errors.
+        least: steps that let a barostat find the size of its moves, in strides.
+    """
+
+    blocks: int
+    most: int
+    bound: float
+    least: int
+
+
+#: Student's distribution for 200 blocks has 1e-10 beyond 6.9, so that a right program fails in one of some 30 averages
+#: with 1e-9 at most; the correlation of blocks makes the error uncertain by another tenth. For 64 blocks these are 7.7
+#: and a fifth, and hundreds of mixtures find what one of them does not.
+LONG = Length(200, 6400, 7.5, 800)
+BRIEF = Length(64, 512, 10.0, 400)
 
 #: Margins of averages of anharmonic motions, by the square of their pace. SIER2 is exact where they are harmonic, and
 #: cosines of dipoles with a pace of 0.3 were right within 0.2 %. Where constraints are solved in each drift, these are
@@ -91,6 +110,7 @@ class Trials:
         steps: of a trial.
         share: factor that momenta keep in a trial.
         chances: extra ones.
+        remover: whether a CMMotionRemover stops the centre of mass.
     """
 
     scheme: str = "sier2v2"
@@ -102,6 +122,7 @@ class Trials:
     temperature: float = 300.0
     pressure: str = ""
     substeps: int | None = None
+    remover: bool = False
 
     is_exact: ClassVar[bool] = True
     is_ergodic: ClassVar[bool] = True
@@ -148,17 +169,19 @@ class Rescaling:
         return SIERThermostatIntegrator(bath, self.step, self.scheme, engine=self.engine, **options)
 
 
-Method = Bath | Trials | Rescaling
+Sampler = Bath | Trials | Rescaling
 
 
-class Run:
+class Series:
     """A Context of an assembly, at a draw of its exact distribution.
 
     Attributes:
         exact: exact averages of a row of `rows`, by name.
     """
 
-    def __init__(self, method: Method, kinds: tuple, copies: int, seed: int, platform: str):
+    def __init__(
+        self, method: Sampler, kinds: tuple, copies: int, seed: int, platform: str = "Reference", length: Length = LONG
+    ):
         """
         Args:
             method: of the sampling.
@@ -166,8 +189,10 @@ class Run:
             copies: of each.
             seed: of places and of the integrator.
             platform: name of the platform.
+            length: of the series.
         """
         self._method = method
+        self._length = length
         self._kinds = kinds
         self._thermal = GAS_CONSTANT * method.temperature
         assembly = Assembly(np.random.default_rng(seed), is_pressed=bool(method.pressure))
@@ -175,17 +200,16 @@ class Run:
         for kind in kinds:
             kind.put(assembly, copies, at)
         self._assembly = assembly
+        self._is_stopped = isinstance(method, Trials) and method.remover
         self._pressure = (assembly.molecules + 1) * self._thermal / assembly.box**3
         self._has_memory = (
             method.keeps is not None and not method.pressure and any(part.remembered for part in assembly.parts)
         )
         self._integrator = self._make_integrator(kinds, seed)
         self._context = self._make_context(seed, platform)
-        self._masses = np.array(
-            [assembly.system.getParticleMass(i)._value for i in range(assembly.system.getNumParticles())]
-        )
+        self._masses = masses_of(assembly.system)
         # The motion of the centre of mass stays as it is where nothing holds it.
-        self._is_held = any(not kind.is_free for kind in kinds)
+        self._is_held = not self._is_stopped and any(not kind.is_free for kind in kinds)
         self._freedoms = assembly.freedoms - (0 if self._is_held else 3)
         #: Steps from one sample to the next.
         self.stride = self._strides()
@@ -193,10 +217,12 @@ class Run:
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
         options, method, assembly = {}, self._method, self._assembly
-        if assembly.bodies:
+        if method.engine == "exact":
             options["bodies"] = RigidBodies.from_system(
                 assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
             )
+        if self._is_stopped:
+            assembly.system.addForce(openmm.CMMotionRemover(1))
         if any(isinstance(kind, FastBonds) for kind in kinds):
             options["fastForceGroups"] = {FAST}
         if method.pressure:
@@ -210,8 +236,7 @@ class Run:
         return seeded(method.integrator(**options), seed + 1)
 
     def _make_context(self, seed: int, platform: str) -> openmm.Context:
-        on = openmm.Platform.getPlatformByName(platform)
-        context = openmm.Context(self._assembly.system, self._integrator, on)
+        context = openmm.Context(self._assembly.system, self._integrator, platform_of(platform))
         context.setPositions(np.concatenate(self._assembly.positions))
         context.setVelocitiesToTemperature(self._method.temperature, seed + 1)
         return context
@@ -238,13 +263,15 @@ class Run:
                 result |= {f"{number} {name}": exact for name, exact in part.exact.items()}
                 if self._has_memory:
                     result |= {f"{number} {name}": exact for name, exact in (part.remembered or {}).items()}
-        if not self._method.is_ergodic:
-            freedoms = self._freedoms
+        freedoms = self._freedoms
+        if self._is_stopped:
+            result = {name: exact for name, exact in result.items() if name.split()[1] not in WITH_CENTRE}
+        if self._is_stopped or not self._method.is_ergodic:
             result |= {"K": Exact(1.0), "K^2": Exact(1 + 2 / freedoms)}
-            if not self._is_held:
-                # Without forces the kinetic energy changes by the bath alone.
-                kept = math.exp(-self._method.rate * self._method.every)
-                result |= {"K kept": Exact(2 / freedoms * kept)}
+        if not self._method.is_ergodic and not self._is_held:
+            # Without forces the kinetic energy changes by the bath alone, and velocities by a factor.
+            kept = math.exp(-self._method.rate * self._method.every)
+            result |= {"K kept": Exact(2 / freedoms * kept), "reversed": Exact(_reversed(kept, freedoms))}
         if self._method.pressure:
             molecules = assembly.molecules
             result |= {
@@ -288,16 +315,26 @@ class Run:
         scaled = self._pressure * volumes / self._thermal / (self._assembly.molecules + 1)
         result = {"K": kinetic, "K^2": kinetic**2, "PV": scaled, "(PV)^2": scaled**2, "1/PV": 1 / scaled}
         # The first row has none before it.
-        return result | {"K kept": (kinetic - 1) * (np.concatenate([kinetic[1:2], kinetic[:-1]]) - 1)}
+        result["K kept"] = (kinetic - 1) * (np.concatenate([kinetic[1:2], kinetic[:-1]]) - 1)
+        v = self._of_molecules_alone(v)
+        along = (v * np.concatenate([v[1:2], v[:-1]])).sum(axis=1)
+        return result | {"reversed": (along < 0).astype(float)}
+
+    def _of_molecules_alone(self, v: np.ndarray) -> np.ndarray:
+        """Return velocities of the molecules of the first kind relative to their mean, (s, 3n), of (s, N, 3)."""
+        atoms = self._assembly.parts[0].atoms
+        masses = self._masses[atoms[0]]
+        centres = centre_of(masses, v[:, atoms])
+        return (centres - centres.mean(axis=1, keepdims=True)).reshape(len(v), -1)
 
     def _kinetic(self, v: np.ndarray) -> np.ndarray:
         """Return kinetic energies over their mean, without that of a free centre of mass, (s,), of (s, N, 3)."""
-        centre = np.zeros((1, 3)) if self._is_held else self._masses @ v / self._masses.sum()
+        centre = np.zeros((1, 3)) if self._is_held else centre_of(self._masses, v)
         return ((v - centre[:, None]) ** 2).sum(axis=2) @ self._masses / (self._freedoms * self._thermal)
 
     def prepare(self) -> None:
         """Go on until the start is forgotten, and make trials so short that a third of them is accepted."""
-        made = 50 if self._method.pressure != "barostat" else 800
+        made = 50 if self._method.pressure != "barostat" else self._length.least
         self._integrator.step(made * self.stride)
         if not self._method.is_exact:
             return
@@ -309,44 +346,54 @@ class Run:
     def _first_rows(self) -> int:
         """Return a number of rows: few with moves of the volume, which are slow, and many where faults show little.
 
-        So they do in the few averages of rescaling, above all in how fast it forgets, and where rejections find momenta
-        that last.
+        So they do in the few averages of rescaling, where rejections find momenta that last, and in second chances.
         """
+        blocks = self._length.blocks
         if self._method.pressure:
-            return 2 * BLOCKS
-        if "K kept" in self.exact:
-            return 64 * BLOCKS
-        lasts = isinstance(self._method, Trials) and self._method.share > 0.5
-        return 16 * BLOCKS if lasts or not self._method.is_ergodic else 4 * BLOCKS
+            return 2 * blocks
+        if self._length is BRIEF:
+            return 4 * blocks
+        lasts = isinstance(self._method, Trials) and (self._method.share > 0.5 or self._method.chances > 1)
+        return 16 * blocks if lasts or self._is_stopped or not self._method.is_ergodic else 4 * blocks
 
     def distances(self) -> dict[str, float]:
         """Return the distances of averages from the exact ones, beyond the margins, in standard errors."""
         self.prepare()
         rows = self.rows(self._first_rows())
-        while _means(rows)[2].max() > CORRELATED and len(rows) < MOST:
+        blocks = self._length.blocks
+        while _means(rows, blocks)[2].max() > CORRELATED and len(rows) < self._length.most:
             rows = np.concatenate([rows, self.rows(len(rows))])
-        found, errors, _ = _means(rows)
+        found, errors, _ = _means(rows, blocks)
         values, margins = np.array(list(self.exact.values())).T
         beyond = np.sign(found - values) * np.maximum(np.abs(found - values) - margins, 0.0)
         # Averages that do not vary, such as a sum of squares of cosines, have the error of rounding.
         return dict(zip(self.exact, beyond / (errors + 1e-12), strict=True))
 
 
-def _means(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _reversed(kept: float, freedoms: int) -> float:
+    """Return the probability that velocity rescaling reverses velocities, of which it keeps a part.
+
+    Along the old velocities, of a norm with the chi distribution, is a normal deviate of the width sqrt(1 - kept).
+    """
+    nodes = chi.ppf((np.arange(4000) + 0.5) / 4000, freedoms)
+    return float(norm.cdf(-math.sqrt(kept / (1 - kept)) * nodes).mean())
+
+
+def _means(rows: np.ndarray, blocks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return means of columns, their standard errors, and correlations of neighbouring blocks.
 
     The errors are those of blocks whose correlation decays exponentially.
     """
-    blocks = rows.reshape(BLOCKS, -1, rows.shape[1]).mean(axis=1)
-    off = blocks - blocks.mean(axis=0)
+    means = rows.reshape(blocks, -1, rows.shape[1]).mean(axis=1)
+    off = means - means.mean(axis=0)
     variances = (off**2).mean(axis=0)
     correlations = (off[1:] * off[:-1]).mean(axis=0) / np.where(variances > 0, variances, 1.0)
     kept = np.clip(correlations, 0.0, 0.95)
-    errors = np.sqrt(variances / (BLOCKS - 1) * (1 + kept) / (1 - kept))
-    return blocks.mean(axis=0), errors, correlations
+    errors = np.sqrt(variances / (blocks - 1) * (1 + kept) / (1 - kept))
+    return means.mean(axis=0), errors, correlations
 
 
-def _margin(method: Method, pace: float) -> float:
+def _margin(method: Sampler, pace: float) -> float:
     """Return a bound of relative errors of averages of a motion: twice that of a harmonic one, and `ERROR`."""
     if method.is_exact:
         return 0.0

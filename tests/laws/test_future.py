@@ -10,19 +10,14 @@ import openmm
 import pytest
 from hypothesis import strategies as st
 
-from tests.laws.action_strategies import changes, pasts
-from tests.laws.actions import (
-    Action,
-    Load,
-    Save,
-    Step,
-)
+from tests.laws.action_strategies import pasts, several
+from tests.laws.actions import Action, Load, Save, Step
+from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
 from tests.laws.law import Law
 from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures
 from tests.laws.mixtures import Mixture
 from tests.laws.runs import ROUNDING, Run, assert_alike, started
-from tests.laws.test_requests import EVERY_CHANGE, SIMPLE, WITH_BODIES
 
 
 @dataclass(frozen=True)
@@ -46,9 +41,8 @@ class Future:
             followed(run, action)
         other = run.at_same_view()
         if self.misplaced:
-            sites = [i for i in range(len(run.masses)) if run.system.isVirtualSite(i)]
             positions = run.view().positions
-            positions[sites] += 0.05
+            positions[run.sites] += 0.05
             other.context.setPositions(positions)
         other.saved = list(run.saved)
         for action in (*self.future, Step(2)):
@@ -97,6 +91,7 @@ class Restart:
         # OpenMM's noise is only in checkpoints.
         load = run.save("checkpoint" if run.method.draws_from_openmm else self.way)
         saved, settings = list(run.saved), list(run.settings)
+        system = openmm.XmlSerializer.clone(run.system)
         copied, written = copy.deepcopy(run.integrator), openmm.XmlSerializer.serialize(run.integrator)
         makers = {
             "settings": lambda: run.method.make(run.built.bodies, settings),
@@ -105,7 +100,7 @@ class Restart:
         }
 
         def again() -> Run:
-            other = run.continued(makers[self.by](), settings, saved)
+            other = run.continued(system, makers[self.by](), settings, saved)
             if self.aged and (self.way == "checkpoint" or not run.method.is_random):
                 other.context.setPositions(run.built.positions)
                 other.context.setVelocities(run.built.velocities)
@@ -130,18 +125,16 @@ def followed(run: Run, action: Action) -> str | None:
 @st.composite
 def futures(draw: st.DrawFn, platform: str) -> Future:
     method = draw(methods(("SIERIntegrator",)))
-    some = st.lists(changes(method.kind), max_size=3).map(tuple)
-    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(some), platform)
+    return Future(draw(mixtures()), method, draw(pasts(method.kind)), draw(several(method.kind)), platform)
 
 
 @st.composite
 def restarts(draw: st.DrawFn, platform: str) -> Restart:
     method = draw(methods())
-    some = st.lists(changes(method.kind), max_size=3).map(tuple)
     # A seed is for the next Context, and so for a restart from a State.
     past = tuple(action for action in draw(pasts(method.kind)) if getattr(action, "name", "") != "setRandomNumberSeed")
     way, by = draw(st.sampled_from(["checkpoint", "State", "XML"])), draw(st.sampled_from(["settings", "copy", "XML"]))
-    return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(some), platform)
+    return Restart(draw(mixtures()), method, past, way, by, draw(st.booleans()), draw(several(method.kind)), platform)
 
 
 #: A method whose step begins with the forces of the end of the last one.

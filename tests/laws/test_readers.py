@@ -20,7 +20,8 @@ from tests.laws import writers
 from tests.laws.law import Law
 from tests.laws.mixtures import Built, Mixture
 from tests.laws.molecules import Chain, Ion, Molecule, Water, WithSite
-from tests.laws.test_preparing import clusters, evaluated
+from tests.laws.readings import clusters, evaluated
+from tests.support.waters import context_at, plain_context
 
 #: kJ/mol. AMBER rounds charges and positions to 1e-8 of some 10^3 kJ/mol. Bonds of waters to their sites, which GROMACS
 #: does not have, are a percent longer than 0.02 nm, 0.004 kJ/mol each in five waters at most. A term that is lost or a
@@ -55,8 +56,7 @@ class Read:
             residues.append(writers.Residue(name, tuple(range(first, first + len(names))), names))
             first += len(names)
         terms = writers.Terms(built.plain)
-        context = openmm.Context(built.plain, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-        context.setPositions(built.positions)
+        context = plain_context(built.plain, built.positions)
         writers.write(
             directory,
             prmtop=writers.prmtop(terms, residues),
@@ -89,11 +89,8 @@ def names_of(molecule: Molecule) -> tuple[str, tuple[str, ...]]:
 def seen(system: openmm.System, x: np.ndarray, velocities: np.ndarray) -> dict[str, object]:
     """Return what must not depend on files: bodies, degrees of freedom, temperature and energy."""
     bodies = RigidBodies.from_system(system)
-    integrator = SIERIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
-    context.setVelocities(velocities)
-    kelvins = integrator.computeSystemTemperature()._value
+    context = context_at(system, SIERIntegrator(0.001), (x, velocities))
+    kelvins = context.getIntegrator().computeSystemTemperature()._value
     energy, _ = evaluated(system, x)
     return {
         "bodies": clusters(bodies),

@@ -12,15 +12,17 @@ from hypothesis import strategies as st
 
 from openmm_sier import RigidBodies, SIERIntegrator, prepare_system
 from tests.laws.law import Law
+from tests.laws.mechanics import masses_of
 from tests.laws.mixture_strategies import mixtures
-from tests.laws.mixtures import Built, Mixture, masses_of
+from tests.laws.mixtures import Built, Mixture
 from tests.laws.molecules import Body, Water
+from tests.support.waters import context_at, platform
 
 Attempt = Callable[[], object]
 
 
 @dataclass(frozen=True)
-class Refused:
+class Faulty:
     """A mixture with a fault.
 
     Attributes:
@@ -72,9 +74,7 @@ def _bound(built: Built, system: openmm.System, bodies: RigidBodies | None) -> l
 
     def step(engine: str) -> None:
         integrator = SIERIntegrator(0.001, bodies=bodies, engine=engine)
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-        context.setPositions(built.positions)
-        integrator.step(1)
+        context_at(system, integrator, (built.positions, built.velocities), steps=1)
 
     return [lambda: step("exact"), lambda: step("native")]
 
@@ -122,7 +122,7 @@ def bodies_of_another_system(built: Built, system: openmm.System) -> list[Attemp
         other.removeForce(force)
     return [
         lambda: prepare_system(other, bodies),
-        lambda: openmm.Context(other, SIERIntegrator(0.001, bodies=bodies), openmm.Platform.getPlatform("Reference")),
+        lambda: openmm.Context(other, SIERIntegrator(0.001, bodies=bodies), platform()),
     ]
 
 
@@ -135,6 +135,11 @@ def lengths_that_contradict_each_other(built: Built, system: openmm.System) -> l
     first = next(k for k in range(system.getNumConstraints()) if system.getConstraintParameters(k)[0] >= WATER)
     i, j, _ = system.getConstraintParameters(first)
     system.setConstraintParameters(first, i, j, 0.4)
+    return [*_found(built, system, built.named), *_bound(built, system, None)]
+
+
+def constraint_of_no_particle(built: Built, system: openmm.System) -> list[Attempt]:
+    system.addConstraint(WATER, system.getNumParticles(), 0.1)
     return [*_found(built, system, built.named), *_bound(built, system, None)]
 
 
@@ -164,9 +169,7 @@ def impossible_hydrogens(built: Built, system: openmm.System) -> list[Attempt]:
 
 
 def bound_system(built: Built, system: openmm.System) -> list[Attempt]:
-    context = openmm.Context(
-        system, SIERIntegrator(0.001, bodies=built.bodies), openmm.Platform.getPlatform("Reference")
-    )
+    context = openmm.Context(system, SIERIntegrator(0.001, bodies=built.bodies), platform())
     # The bound System is that of the Context, which lives as long as the attempt.
     return [lambda: (context, prepare_system(context.getSystem(), built.named))]
 
@@ -183,6 +186,7 @@ FAULTS = {
         bodies_of_another_system,
         prepared_for_bodies_that_are_not_given,
         lengths_that_contradict_each_other,
+        constraint_of_no_particle,
         negative_mass,
         drude_particles,
         heat_bath_of_single_atoms,
@@ -194,22 +198,22 @@ FAULTS = {
 
 
 @st.composite
-def cases(draw: st.DrawFn, platform: str) -> Refused:
+def cases(draw: st.DrawFn, platform: str) -> Faulty:
     """Draw a mixture with a named body and a molecule of water, and a fault."""
     others = draw(mixtures(("vacuum", "cut-off"), ("no",)))
     shape = draw(st.sampled_from(["bent", "line"]))
     form = others.form if others.form != "none" else "plain"
     molecules = (Body(shape), Water(), *others.molecules)
     mixture = Mixture(molecules, others.seed, others.surroundings, form, others.remover)
-    return Refused(mixture, draw(st.sampled_from(list(FAULTS))))
+    return Faulty(mixture, draw(st.sampled_from(list(FAULTS))))
 
 
-LAW = Law("refusals", cases, few=15)
+LAW = Law("refusals", cases, few=16)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_refused(fault):
-    Refused(Mixture((Body("bent"), Water())), fault).check()
+    Faulty(Mixture((Body("bent"), Water())), fault).check()
 
 
 @LAW.numbers()

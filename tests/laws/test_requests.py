@@ -10,29 +10,14 @@ import pytest
 from hypothesis import strategies as st
 
 from tests.laws.action_strategies import actions, setters_of
-from tests.laws.actions import (
-    Action,
-    ApplyConstraints,
-    ApplyVelocityConstraints,
-    DrawVelocities,
-    Load,
-    Minimize,
-    Reinitialize,
-    Save,
-    SetBoth,
-    SetBox,
-    SetParameter,
-    SetPositions,
-    SetVelocities,
-    Step,
-    UpdateParameters,
-)
+from tests.laws.actions import Action, Step
+from tests.laws.examples import EVERY_CHANGE, SIMPLE, WITH_BODIES
 from tests.laws.integrator_actions import Ask, Set, questions, setters, values_of
 from tests.laws.law import Law
-from tests.laws.methods import Method, method, methods
+from tests.laws.methods import Method, methods
 from tests.laws.mixture_strategies import mixtures, moved
 from tests.laws.mixtures import Mixture
-from tests.laws.molecules import Body, Chain, Water, WithSite
+from tests.laws.molecules import Water
 from tests.laws.runs import REFUSALS, SAME, Run, assert_alike, end, started
 
 
@@ -81,6 +66,7 @@ class Setting:
 
     Attributes:
         aged: whether steps were made before, and undone by a checkpoint.
+        loaded: whether a checkpoint of before the setter is loaded after it, which brings back no setting.
     """
 
     mixture: Mixture
@@ -88,6 +74,7 @@ class Setting:
     setting: Set
     aged: bool = False
     platform: str = "Reference"
+    loaded: bool = False
 
     def check(self) -> None:
         run = started(self.mixture, self.method, self.platform)
@@ -96,7 +83,11 @@ class Setting:
             start = run.context.createCheckpoint()
             end(run)
             run.context.loadCheckpoint(start)
-        found = outcome(run) if tried(run, self.setting) else None
+        before = run.context.createCheckpoint()
+        is_accepted = tried(run, self.setting)
+        if self.loaded:
+            run.context.loadCheckpoint(before)
+        found = outcome(run) if is_accepted else None
         for other, settings in self.others(run.method):
             try:
                 expected = outcome(Run(self.mixture, other, self.platform, settings))
@@ -141,27 +132,15 @@ def outcome(run: Run) -> tuple | None:
 @st.composite
 def requests(draw: st.DrawFn, platform: str) -> Requests:
     method = draw(methods())
-    return Requests(
-        draw(mixtures()), method, tuple(draw(st.lists(actions(method.kind), min_size=2, max_size=8))), platform
-    )
+    return Requests(draw(mixtures()), method, draw(actions(method.kind)), platform)
 
 
 def settings(platform: str) -> st.SearchStrategy[Setting]:
     return moved(methods()).flatmap(
         lambda drawn: st.builds(
-            Setting, *map(st.just, drawn), setters_of(drawn[1].kind), st.booleans(), st.just(platform)
+            Setting, *map(st.just, drawn), setters_of(drawn[1].kind), st.booleans(), st.just(platform), st.booleans()
         )
     )
-
-
-#: Methods by which every setter is tried.
-SIMPLE = [
-    method("SIERIntegrator", stepSize=0.001),
-    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, stepSize=0.001),
-    method("SIERLangevinIntegrator", temperature=300.0, frictionCoeff=3.0, rotationalFriction=3.0, stepSize=0.001),
-    method("SIERHMCIntegrator", temperature=300.0, schemeStepSize=0.001, stepsPerTrial=2),
-    method("SIERThermostatIntegrator", temperature=300.0, rate=5.0, every=1, stepSize=0.001),
-]
 
 
 #: Setters that change a short run of a molecule of water only where they happen to: noise of the next Context, another
@@ -183,34 +162,6 @@ ARGUMENTS = [
     (SIMPLE[4], {"every": 2}),
     (SIMPLE[4], {"pressure": 1e3, "barostatInterval": 1}),
 ]
-
-#: Actions that change something, and mixtures in which bodies are named or held by constraints.
-EVERY_CHANGE = [
-    DrawVelocities(300.0, 1),
-    SetVelocities(1),
-    ApplyVelocityConstraints(),
-    SetPositions(0, 1, 1e-5),
-    ApplyConstraints(),
-    SetBoth(SetPositions(1, 2, 0.0), SetVelocities(2)),
-    SetBox(1.02),
-    SetParameter("pull", 3.0),
-    SetParameter("hard", 1.2),
-    UpdateParameters(0.2),
-    Save("checkpoint"),
-    Minimize(2),
-    Load(0),
-    Reinitialize(True),
-]
-WITH_BODIES = {
-    "free": Mixture((Water("flexible"), Chain(3)), 0, "PME"),
-    "named": Mixture(
-        (Body("bent"), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", "custom", prepared="yes"
-    ),
-    "held": Mixture(
-        (Body("bent", named=False), WithSite(Water(), "out"), Chain(3, 1, "hydrogens")), 0, "cut-off", prepared="yes"
-    ),
-}
-
 
 REQUESTS = Law("requests", requests, few=15)
 SETTINGS = Law("settings", settings, few=5)
@@ -234,6 +185,7 @@ def test_every_setter_does_what_the_argument_does(simple, engine):
     for name in setters(simple.cls):
         setting = Setting(Mixture((Water(),)), replace(simple, engine=engine), Set(name, values_of(name)[0]), True)
         setting.check()
+        replace(setting, aged=False, loaded=True).check()
         if name not in WITHOUT_EFFECT:
             setting.check_effect()
 

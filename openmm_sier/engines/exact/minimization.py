@@ -4,6 +4,7 @@ OpenMM's LocalEnergyMinimizer moves atoms and keeps only the System's constraint
 rigid only because they were named.
 """
 
+import math
 from collections.abc import Callable, Collection
 from itertools import islice
 from typing import Any
@@ -37,7 +38,8 @@ def minimize_bodies(
 ) -> None:
     """Minimize the energy of a Context's rigid bodies, as `openmm.LocalEnergyMinimizer.minimize` does for atoms.
 
-    Only positions change. Where this raises an error they are not those of the start.
+    Only positions change. Where this raises an error they are not those of the start. The first steps find the length
+    of a step, so that a few iterations can end with more energy than that of the start: then bodies stay at the start.
 
     Args:
         context: openmm.Context.
@@ -57,11 +59,21 @@ def minimize_bodies(
     if unit.is_quantity(tolerance):
         tolerance = tolerance.value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
     points = descent(bodies, forces, start.q, start.A)
+    before = math.nan
     for number, point in enumerate(islice(points, iterations + 1 if iterations else None)):
+        if not number:
+            before = _energy(context)
         if point.rms <= tolerance or (reporter is not None and _report(context, reporter, number)):
             break
         if signals:
             at_signal()
+    if _energy(context) > before:
+        forces(start.q, start.A)
+
+
+def _energy(context: openmm.Context) -> float:
+    """Return the potential energy at the positions that the Context has, kJ/mol."""
+    return openmm.Context.getState(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
 
 
 def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:

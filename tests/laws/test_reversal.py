@@ -1,0 +1,62 @@
+"""Reversal: with reversed velocities a run at constant energy goes back to its start.
+
+No other trajectory is needed for that, so that mixtures of any kind and size can be tried. A step that begins with
+forces or sites of another place, or whose operations are no palindrome, does not come back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from hypothesis import strategies as st
+
+from tests.laws.law import Law
+from tests.laws.methods import Method, methods
+from tests.laws.mixture_strategies import moved
+from tests.laws.mixtures import Mixture
+from tests.laws.runs import started
+from tests.support.waters import phase_point
+
+#: Number of steps there, and back.
+STEPS = 5
+
+#: nm: rounding, and the relative tolerance of 1e-9 of OpenMM's solvers, which SETTLE's single precision exceeds. Forces
+#: of single precision differ by 1e-7 where positions differ by rounding. A force of the place before displaces an atom
+#: by 1e-5 nm or more.
+MISSED = {"exact": 1e-9, "native": 1e-7}
+MISSED_IN_SINGLE_PRECISION = 1e-6
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """A mixture that goes there and back by a method at constant energy."""
+
+    mixture: Mixture
+    method: Method
+    platform: str = "Reference"
+
+    def check(self) -> None:
+        run = started(self.mixture, self.method, self.platform)
+        start, _ = phase_point(run.context)
+        for _ in range(2):
+            run.integrator.step(STEPS)
+            run.context.setVelocities(-phase_point(run.context)[1])
+        end, _ = phase_point(run.context)
+        missed = float(np.abs(end - start).max())
+        allowed = MISSED[run.method.engine] if self.platform == "Reference" else MISSED_IN_SINGLE_PRECISION
+        assert missed < allowed, f"{run.method.engine} engine: the start is missed by {missed:.1e} nm"
+
+
+def cases(platform: str) -> st.SearchStrategy[Reversal]:
+    """Draw a mixture without a CMMotionRemover, whose action has no reverse, and a method."""
+    drawn = moved(methods(("SIERIntegrator",)))
+    return drawn.map(lambda pair: Reversal(replace(pair[0], remover=0), pair[1], platform))
+
+
+LAW = Law("reversal", cases, few=15)
+
+
+@LAW.numbers()
+def test_reversed_velocities_lead_back_to_the_start(examples):
+    LAW.hold(examples)
