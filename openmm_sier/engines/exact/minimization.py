@@ -72,8 +72,9 @@ def minimize_bodies(
 
 
 def _energy(context: openmm.Context) -> float:
-    """Return the potential energy at the positions that the Context has, kJ/mol."""
-    return openmm.Context.getState(context, energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    """Return the potential energy of the forces that move the bodies where the Context is, kJ/mol."""
+    groups = context.getIntegrator().getIntegrationForceGroups()
+    return potential_of(openmm.Context.getState(context, energy=True, groups=groups))
 
 
 def _report(context: openmm.Context, reporter: openmm.MinimizationReporter, number: int) -> bool:
