@@ -87,4 +87,5 @@ class Law:
 
     def numbers(self) -> pytest.MarkDecorator:
         """Parametrize a test by `examples`, the number of them."""
-        return pytest.mark.parametrize("examples", [self.few, pytest.param(MANY, marks=pytest.mark.thorough)])
+        many = pytest.param(MANY, marks=[pytest.mark.thorough, pytest.mark.hundreds])
+        return pytest.mark.parametrize("examples", [self.few, many])
