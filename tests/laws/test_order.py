@@ -161,7 +161,7 @@ def slow_cases(draw: st.DrawFn, platform: str) -> Order:
 
 
 LAW = Law("order", cases, few=18)
-SLOW = Law("slow order", slow_cases, few=8)
+SLOW = Law("slow-order", slow_cases, few=8)
 
 
 @LAW.numbers()
