@@ -16,6 +16,7 @@ from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
+from openmm_sier.dynamics.motion import Bearings
 from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
@@ -117,6 +118,8 @@ class BodySet:
         columns: slice of the bodies of each species.
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
+        translates: whether each body moves along x, y and z, (3, n).
+        turns: whether each body turns about its principal axes, (3, n).
         molecules: molecule index of each body, (n,).
         moved: largest distance by which an atom was moved to give bodies of a kind one geometry, nm.
         sites: the atoms, with their positions in the bodies.
@@ -156,6 +159,10 @@ class BodySet:
         self._check()
         self.masses = np.repeat([s.mass for s in self.species], counts)
         self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
+        translates = np.array([s.motion.translations for s in self.species], dtype=bool)
+        self.translates = np.repeat(translates.reshape(-1, 3).T, counts, axis=1)
+        turns = np.array([s.turns for s in self.species], dtype=bool)
+        self.turns = np.repeat(turns.reshape(-1, 3).T, counts, axis=1)
         sites, fractions = sites_of(self.species, self.columns)
         self.sites = sites
         self._fractions = fractions
@@ -164,6 +171,11 @@ class BodySet:
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
             raise ValueError(
                 f"{self.describe(extended[0])} is linked to another body, but links join only single atoms"
+            )
+        if linked.size and (held := linked[~self.translates[:, linked].all(axis=0)]).size:
+            raise ValueError(
+                f"{self.describe(held[0])} has constraints to other atoms, and a type that does not move along all "
+                "axes: replace the constraints by stiff bonds, or freeze the atom"
             )
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
@@ -198,6 +210,12 @@ class BodySet:
     def dof(self) -> int:
         """Number of degrees of freedom of all bodies."""
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
+
+    @cached_property
+    def bearings(self) -> Bearings | None:
+        """Bearings of bodies that do not move along and about all axes; None if there are none."""
+        moves_freely = self.translates.all(axis=0) & (self.turns == (self.moments > 0)).all(axis=0)
+        return None if moves_freely.all() else Bearings(self.translates, self.turns, np.flatnonzero(~moves_freely))
 
     @cached_property
     def flexible(self) -> np.ndarray:
@@ -336,10 +354,15 @@ class BodySet:
             NotFiniteError: one of them is not finite.
         """
         velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
-        return self.masses * velocity, self.masses * moment
+        p, L = self.masses * velocity, self.masses * moment
+        if self.bearings is not None:
+            self.bearings.remove(p, L, A)
+        return p, L
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> Pair:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
+
+        Bearings take up those along which a body does not move.
 
         Args:
             forces: forces on the particles, (N, 3), kJ/mol/nm. Forces on virtual sites must already be passed on to
@@ -354,7 +377,10 @@ class BodySet:
             NotFiniteError: one of them is not finite.
         """
         chosen = self.sites if sites is None else sites
-        return self._sum_over_sites("force on", chosen, forces, A, chosen.ones)
+        F, tau = self._sum_over_sites("force on", chosen, forces, A, chosen.ones)
+        if self.bearings is not None:
+            self.bearings.remove(F, tau, A)
+        return F, tau
 
     def _sum_over_sites(
         self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray
@@ -397,8 +423,8 @@ class BodySet:
 
     @cached_property
     def inverse_moments(self) -> np.ndarray:
-        """Inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is zero."""
-        return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
+        """Inverse moments, (3, n), 1/(dalton nm^2); zero about axes about which a body does not turn."""
+        return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.turns)
 
     @cached_property
     def point_particles(self) -> np.ndarray:
@@ -418,17 +444,25 @@ class BodySet:
         return translation, rotation
 
     @cached_property
-    def mass(self) -> float:
-        """Total mass of all bodies, dalton."""
-        return float(self.masses.sum())
+    def moving_masses(self) -> np.ndarray:
+        """Masses of the bodies along x, y and z, (3, n), dalton; zero along axes along which a body does not move."""
+        return np.broadcast_to(self.masses, (3, self.n)) if self.translates.all() else self.masses * self.translates
+
+    @cached_property
+    def moving_mass(self) -> np.ndarray:
+        """Total mass of the bodies that move along x, y and z, (3,), dalton."""
+        return self.moving_masses.sum(axis=1)
 
     def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Return the velocity of the total centre of mass, (3,), nm/ps, for momenta (3, n); zero without bodies."""
-        return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
+        """Return the velocity of the centre of mass of all that moves, (3,), nm/ps, for momenta (3, n).
+
+        It is zero along axes along which no body moves.
+        """
+        return np.divide(p.sum(axis=1), self.moving_mass, out=np.zeros(3), where=self.moving_mass > 0)
 
     def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
-        """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
-        p = state.p + self.masses * velocity[:, None]
+        """Return the state with a velocity, (3,), nm/ps, added to all that moves."""
+        p = state.p + self.moving_masses * velocity[:, None]
         return BodyState(state.q, p, state.A, state.L, state.cache)
 
     def stopped(self, state: BodyState) -> tuple[BodyState, float]:
@@ -437,13 +471,13 @@ class BodySet:
         return self.shifted(state, -velocity), -self.energy_of_shift(velocity, -velocity)
 
     def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
-        """Return the energy gain when a velocity is added to all bodies, kJ/mol.
+        """Return the energy gain when a velocity is added to all that moves, kJ/mol.
 
         Args:
             centre: previous velocity of the centre of mass, (3,), nm/ps.
             velocity: added velocity, (3,), nm/ps.
         """
-        return self.mass * float((centre + 0.5 * velocity) @ velocity)
+        return float(self.moving_mass @ ((centre + 0.5 * velocity) * velocity))
 
     def total_momenta(self, state: BodyState) -> Pair:
         """Return the total momentum and total angular momentum about the origin, each (3,)."""

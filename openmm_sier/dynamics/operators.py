@@ -128,6 +128,9 @@ def kick(bodies: BodySet, forces: Forces, displacement: Displacement | None = No
         if shift and displacement is not None:
             columns = displacement.without_torque
             L[:, columns] = state.L[:, columns]
+        if shift and bodies.bearings is not None:
+            # The torque about the centre has parts along axes that the torque of the displaced body had not.
+            bodies.bearings.remove(p, L, state.A)
         return BodyState(state.q, p, state.A, L, state.cache)
 
     return apply
@@ -138,10 +141,10 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
 
     The operator raises ValueError for a state with another number of bodies.
     """
-    in_order = all((np.diff(species.moments) >= 0).all() for species in bodies.species)
+    in_order = all((np.diff(species.rotation_moments) >= 0).all() for species in bodies.species)
     if rotation is not exact or not in_order:
         return _drift_by(bodies, rotation)
-    rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
+    rates = np.array([axes_of(species.rotation_moments).rates for species in bodies.species]).reshape(-1, 3)
     edges = np.array([0, *(columns.stop for columns in bodies.columns)], dtype=np.int64)
     tables = edges, rates, bodies.inverse_masses
     n, shape = bodies.n, (3, bodies.n)
@@ -163,8 +166,9 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         A, L = state.A.copy(), state.L.copy()
         for species, columns in zip(bodies.species, bodies.columns, strict=True):
-            if species.moments.any():
-                A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], species.moments, h)
+            moments = species.rotation_moments
+            if moments.any():
+                A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], moments, h)
         return BodyState(state.q + (h * bodies.inverse_masses) * state.p, state.p, A, L)
 
     return apply

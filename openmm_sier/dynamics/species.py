@@ -10,6 +10,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
+from openmm_sier.dynamics.motion import Motion
 from openmm_sier.dynamics.sites import AlikeSites, Sites
 
 #: A moment below this fraction of the largest one is that of a line; sites this close to an axis, as a
@@ -36,6 +37,12 @@ ONE_PLACE = 1e-9
 #: Moments that differ by more than this part of the largest are not those of the masses; lines are made exact by less.
 OTHER_MOMENT = 1e-6
 
+#: Moments about two axes about which a body turns, and not about the third, may differ by this part of the larger one.
+EQUAL_MOMENTS = 1e-9
+
+#: A line that is inclined to the z axis by a smaller angle, in radians, is along it.
+ALONG = 1e-6
+
 
 def _direction(coordinates: np.ndarray) -> float:
     """Return the sign that brings the first of the outermost atoms along an axis onto its positive side.
@@ -47,6 +54,18 @@ def _direction(coordinates: np.ndarray) -> float:
     # Symmetric atoms are equally far out to rounding.
     first = coordinates[np.argmax(distances >= 0.9 * distances.max())]
     return -1.0 if first < 0 else 1.0
+
+
+def _last_axis_along_z(A: np.ndarray) -> np.ndarray:
+    """Return attitudes (3, 3, m) of lines with the last axis as near to z as it can be, since any across them will do.
+
+    That of a line along z stays as it is.
+    """
+    line = A[0]
+    last = np.array([0.0, 0.0, 1.0])[:, None] - line[2] * line
+    length = np.linalg.norm(last, axis=0)
+    last = np.where(length > ALONG, last / np.maximum(length, ALONG), A[2])
+    return np.stack([line, np.cross(last, line, axis=0), last])
 
 
 class RigidityError(ValueError):
@@ -62,6 +81,7 @@ class Species:
         masses: (k,), dalton.
         sites: atom positions in the principal frame, (3, k), nm.
         moments: principal moments, (3,), ascending, dalton nm^2; exact zeros for a line or a point.
+        motion: along which axes the bodies move, and about which they turn.
 
     Raises:
         ValueError: the arrays have other shapes, or the moments are not those of the masses at the sites: velocities of
@@ -72,6 +92,7 @@ class Species:
     masses: np.ndarray
     sites: np.ndarray
     moments: np.ndarray
+    motion: Motion = Motion.FREE
 
     def __post_init__(self) -> None:
         k = self.masses.size
@@ -84,6 +105,12 @@ class Species:
             raise ValueError(
                 f"moments must be those of the masses at their places, {expected} dalton nm^2, got {self.moments}. For "
                 "other moments give the body other masses, as openmm_sier.set_inertia does"
+            )
+        turning = self.moments[self.turns]
+        if turning.size and not self.turns_freely and np.ptp(turning) > EQUAL_MOMENTS * turning.max():
+            raise ValueError(
+                f"bodies that turn about two of three axes must have equal moments about these, got {turning} dalton "
+                "nm^2: let them turn about one axis, or about all"
             )
 
     @classmethod
@@ -134,8 +161,30 @@ class Species:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of one body: 3 for a point, 5 for a line and 6 otherwise."""
-        return 3 + int(np.count_nonzero(self.moments))
+        """Degrees of freedom of one body: of a free one 3 for a point, 5 for a line and 6 otherwise."""
+        return sum(self.motion.translations) + int(np.count_nonzero(self.turns))
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Whether the bodies turn about each principal axis, (3,)."""
+        return (self.moments > 0) & self.motion.rotations
+
+    @property
+    def turns_freely(self) -> bool:
+        """Whether the bodies turn about all axes about which they have a moment."""
+        return bool((self.turns == (self.moments > 0)).all())
+
+    @cached_property
+    def rotation_moments(self) -> np.ndarray:
+        """Moments of the free rotation, (3,), dalton nm^2: the principal ones, or three equal ones of the motion.
+
+        A body that turns about one axis has all of its angular momentum along this axis. With three equal moments it
+        turns about the axis uniformly, as it should, and rounding errors do not grow. So does a body that turns about
+        two axes with equal moments, as a line does.
+        """
+        if self.turns_freely:
+            return self.moments
+        return np.full(3, self.moments[self.turns].max(initial=0.0))
 
     @cached_property
     def tolerance(self) -> float:
@@ -173,6 +222,8 @@ class Species:
         u, _, vt = np.linalg.svd(correlation)
         u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
         attitudes = np.ascontiguousarray((u @ vt).transpose(1, 2, 0))
+        if self.moments[0] == 0 and not self.turns_freely:
+            attitudes = _last_axis_along_z(attitudes)
         return attitudes, self._misfit(arms, attitudes)
 
     def _misfit(self, arms: np.ndarray, A: np.ndarray) -> np.ndarray:

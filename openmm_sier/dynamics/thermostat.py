@@ -64,7 +64,7 @@ class OrnsteinUhlenbeck(Thermostat):
 
     def operator(self, bodies: BodySet, tally: Tally) -> Operator:
         thermal = GAS_CONSTANT * self.temperature
-        spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
+        spreads = np.sqrt(thermal * bodies.moving_masses), np.sqrt(thermal * bodies.moments * bodies.turns)
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)

@@ -243,7 +243,7 @@ class IntegratorImpl:
         bodies, requested = self.settings.bodies, self.settings.engine
         engine = make_engine(requested, context, self.method(), tally, bodies, self.program)
         self.ensemble.check(system, engine)
-        self.session.take(engine)
+        self.session.take(engine, system)
         # A Context that was reinitialized with its state keeps its seed.
         if self.ensemble.is_random and not tally.seed:
             tally.seed = self.integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1

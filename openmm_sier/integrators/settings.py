@@ -18,6 +18,7 @@ import openmm
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.motion import Motion
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
@@ -194,13 +195,24 @@ def from_json(table: Any) -> Settings:
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     """Return all numbers of bodies exactly, without the names of residues."""
-    arrays = [{field.name: getattr(kind, field.name).tolist() for field in fields(kind)} for kind in bodies.species]
-    return {"particles": bodies.n_particles, "species": arrays}
+    return {"particles": bodies.n_particles, "species": [_table_of_species(kind) for kind in bodies.species]}
+
+
+def _table_of_species(species: Species) -> dict[str, Any]:
+    values = {field.name: getattr(species, field.name) for field in fields(species)}
+    motion = values.pop("motion")
+    return {name: array.tolist() for name, array in values.items()} | {"motion": asdict(motion)}
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
-    species = [Species(**{name: np.array(numbers) for name, numbers in kind.items()}) for kind in table["species"]]
-    return RigidBodies(species, whole_number("particles", table["particles"]))
+    return RigidBodies([_species(kind) for kind in table["species"]], whole_number("particles", table["particles"]))
+
+
+def _species(table: dict[str, Any]) -> Species:
+    values = dict(table)
+    motion = Motion(**values.pop("motion", {}))
+    arrays = {name: np.array(numbers) for name, numbers in values.items()}
+    return Species(**arrays, motion=motion)
 
 
 def _name_of_rotation(function: Rotation) -> str:

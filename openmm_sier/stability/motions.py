@@ -361,7 +361,7 @@ def _charges(force: openmm.Force) -> np.ndarray:
 
 def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
     """Return the spin about the smallest moment of inertia; only fields turn a single molecule."""
-    moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
+    moments = [float(species.moments[species.turns].min(initial=math.inf)) for species in rigid]
     smallest = min(moments, default=math.inf)
     if smallest == math.inf:
         return None

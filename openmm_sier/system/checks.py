@@ -149,6 +149,21 @@ def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
                 "mass, or was left out of `bodies`. Leave out `pressure`, or give the particle a mass and restrain it "
                 "by a force"
             )
+    refuse_places(bodies, "pressure=…")
+
+
+def refuse_places(bodies: BodySet, barostat: str) -> None:
+    """Refuse bodies that do not move along all axes, where a barostat, of this name, moves all centres.
+
+    Raises:
+        openmm.OpenMMException: there is such a body.
+    """
+    held = np.flatnonzero(~bodies.translates.all(axis=0))
+    if held.size:
+        raise openmm.OpenMMException(
+            f"At constant pressure all bodies move with the box, but {bodies.describe(held[0])} does not move along "
+            f"all axes: leave out the {barostat}, or give its type another motion and restrain it by a force"
+        )
 
 
 def refuse_scaled_atoms(system: openmm.System) -> None:
@@ -170,8 +185,11 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
 
     Raises:
         RigidityError: a barostat scales atoms one by one, or moves molecules of one body apart.
+        openmm.OpenMMException: there is a barostat, and a body that does not move along all axes.
     """
     extended = [species for species in bodies.species if species.atoms.shape[1] > 1]
+    for barostat in barostats(system):
+        refuse_places(bodies, type(barostat).__name__)
     if not extended or not barostats(system):
         return
     refuse_scaled_atoms(system)

@@ -105,6 +105,8 @@ class BodyForces:
         F, tau = np.empty(q.shape), np.empty(q.shape)
         if kernels.atoms.collect(self.bodies.n, self._vectors, A, *self._weighted_sites, F, tau):
             raise self._not_finite("force on", F, tau)
+        if self.bodies.bearings is not None:
+            self.bodies.bearings.remove(F, tau, A)
         return F, tau
 
     def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> Pair:

@@ -18,7 +18,9 @@ from openmm_sier.system import tables
 
 
 def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
-    """Return whether every distance inside every body is constrained."""
+    """Return whether every distance inside every body is constrained, and no body has bearings."""
+    if bodies.bearings is not None:
+        return False
     constraints = tables.constraints(system)
     return all(held.all() for held in constraints.hold(species.atoms for species in bodies.species))
 
