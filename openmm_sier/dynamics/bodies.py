@@ -221,11 +221,6 @@ class BodySet:
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")
-        for s in self.species:
-            if not (s.masses > 0).all():
-                raise ValueError(
-                    f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
-                )
 
     def restricted(self, bodies: np.ndarray) -> "BodySet":
         """Return a subset of the bodies with the constraints between them. Atoms keep their indices.
@@ -336,7 +331,12 @@ class BodySet:
             NotFiniteError: one of them is not finite.
         """
         velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
-        return self.masses * velocity, self.masses * moment
+        L = self.masses * moment
+        for s, columns in zip(self.species, self.columns, strict=True):
+            if s.has_other_moments:
+                relative = velocities[s.atoms] - velocity[:, columns].T[:, None]
+                L[:, columns] = s.angular_momenta(relative, A[:, :, columns])
+        return self.masses * velocity, L
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> Pair:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).

@@ -194,13 +194,20 @@ def from_json(table: Any) -> Settings:
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     """Return all numbers of bodies exactly, without the names of residues."""
-    arrays = [{field.name: getattr(kind, field.name).tolist() for field in fields(kind)} for kind in bodies.species]
+    arrays = [
+        {field.name: np.asarray(getattr(kind, field.name)).tolist() for field in fields(kind)}
+        for kind in bodies.species
+    ]
     return {"particles": bodies.n_particles, "species": arrays}
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
-    species = [Species(**{name: np.array(numbers) for name, numbers in kind.items()}) for kind in table["species"]]
+    species = [Species(**{name: _array_or_text(value) for name, value in kind.items()}) for kind in table["species"]]
     return RigidBodies(species, whole_number("particles", table["particles"]))
+
+
+def _array_or_text(value: Any) -> Any:
+    return value if isinstance(value, str) else np.array(value)
 
 
 def _name_of_rotation(function: Rotation) -> str:
