@@ -239,11 +239,6 @@ class BodySet:
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")
-        for s in self.species:
-            if not (s.masses > 0).all():
-                raise ValueError(
-                    f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
-                )
 
     def restricted(self, bodies: np.ndarray) -> "BodySet":
         """Return a subset of the bodies with the constraints between them. Atoms keep their indices.
@@ -355,6 +350,10 @@ class BodySet:
         """
         velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
         p, L = self.masses * velocity, self.masses * moment
+        for s, columns in zip(self.species, self.columns, strict=True):
+            if s.has_other_moments:
+                relative = velocities[s.atoms] - velocity[:, columns].T[:, None]
+                L[:, columns] = s.angular_momenta(relative, A[:, :, columns])
         if self.bearings is not None:
             self.bearings.remove(p, L, A)
         return p, L

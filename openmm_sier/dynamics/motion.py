@@ -80,6 +80,9 @@ class Bearings:
     """Bearings of bodies that do not move along or turn about all axes; they take up forces and torques along the rest.
 
     They take up momenta too, such as those of velocities that a user sets.
+
+    Attributes:
+        columns: of the bodies with bearings, ascending, (k,).
     """
 
     def __init__(self, translations: np.ndarray, rotations: np.ndarray, columns: np.ndarray) -> None:
@@ -87,15 +90,15 @@ class Bearings:
         Args:
             translations: whether each of all bodies moves along x, y and z, (3, n).
             rotations: whether each turns about its principal axes, (3, n).
-            columns: those of the bodies with bearings, (k,).
+            columns: of the bodies with bearings, ascending, (k,).
         """
-        self._columns = columns
+        self.columns = columns
         self._translations = translations[:, columns]
         self._rotations = rotations[:, columns]
 
     def remove(self, p: np.ndarray, L: np.ndarray, A: np.ndarray) -> None:
         """Remove the parts that bearings take up from momenta or forces, and angular momenta or torques, (3, n)."""
-        held = self._columns
+        held = self.columns
         frames = A[:, :, held]
         p[:, held] *= self._translations
         L[:, held] = combine(self._rotations * body_frame(frames, L[:, held]), *frames)

@@ -200,8 +200,8 @@ def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
 
 def _table_of_species(species: Species) -> dict[str, Any]:
     values = {field.name: getattr(species, field.name) for field in fields(species)}
-    motion = values.pop("motion")
-    return {name: array.tolist() for name, array in values.items()} | {"motion": asdict(motion)}
+    arrays = {name: value.tolist() for name, value in values.items() if isinstance(value, np.ndarray)}
+    return {**arrays, "name": species.name, "motion": asdict(species.motion)}
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
@@ -210,9 +210,10 @@ def _bodies(table: dict[str, Any]) -> BodySet:
 
 def _species(table: dict[str, Any]) -> Species:
     values = dict(table)
+    name = str(values.pop("name", ""))
     motion = Motion(**values.pop("motion", {}))
-    arrays = {name: np.array(numbers) for name, numbers in values.items()}
-    return Species(**arrays, motion=motion)
+    arrays = {field: np.array(numbers) for field, numbers in values.items()}
+    return Species(**arrays, name=name, motion=motion)
 
 
 def _name_of_rotation(function: Rotation) -> str:

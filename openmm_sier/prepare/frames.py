@@ -156,8 +156,9 @@ def with_frames(
 
     Raises:
         TypeError: `system` is not a System.
-        ValueError: no body needs a frame, or a Force is neither bonded nor a NonbondedForce, CustomNonbondedForce,
-            CustomCentroidBondForce, CustomExternalForce or CustomCVForce. The message names the Force.
+        ValueError: no body needs a frame; a body does not move along and about all axes; or a Force is neither bonded
+            nor a NonbondedForce, CustomNonbondedForce, CustomCentroidBondForce, CustomExternalForce or CustomCVForce.
+            The message names the Force.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales the position of each atom separately.
     """
@@ -168,6 +169,12 @@ def with_frames(
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
         rigid_bodies = linked(system, bodies)
+        if rigid_bodies.bearings is not None:
+            raise ValueError(
+                "bodies with frames move along and about all axes, unlike the type of "
+                f"{rigid_bodies.describe(rigid_bodies.bearings.columns[0])}: give the type Motion.FREE, or take the "
+                "exact engine without frames"
+            )
         wholeness = Wholeness(system, topology)
         wholeness.refuse_cut(x, [species.atoms for species in rigid_bodies.species], rigid_bodies.describe_atoms)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, combinations
 
 import numpy as np
@@ -23,6 +23,7 @@ from openmm_sier.system.arguments import (
     checked_system,
     quantity_to_float,
 )
+from openmm_sier.system.body_types import BodyType, typed_species
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Clusters, Kind
 from openmm_sier.system.links import Links, joins_a_body, linked, links_of
@@ -93,6 +94,41 @@ class RigidBodies(dynamics.BodySet):
         coordinates = None if positions is None else checked_positions(positions, n)
         return BodyPlan(system, topology, rigid, tolerance).bodies(coordinates)
 
+    @classmethod
+    @tables.read_once()
+    def from_types(
+        cls,
+        system: openmm.System,
+        types: Mapping[BodyType, Sequence[Sequence[int]]],
+        positions: Positions,
+        topology: openmm.app.Topology | None = None,
+    ) -> RigidBodies:
+        """Find the bodies of a System of which some have types, whose shapes they have exactly.
+
+        >>> dimer = BodyType("dimer", [[0, 0, 0], [0.3, 0, 0]], [40, 40])
+        >>> bodies = RigidBodies.from_types(system, {dimer: [[0, 1], [2, 3]]}, positions)
+
+        Other bodies are found as by `from_system`.
+
+        Args:
+            system: the System, in which particles have the masses of their sites.
+            types: for each type lists of particle indices, one for each body, in the order of the sites.
+            positions: positions of all particles, (N, 3), nm or a Quantity, with bodies whole; only their fit to the
+                types is checked.
+            topology: the topology, for residue names in messages.
+
+        Raises:
+            RigidityError: the positions do not fit a type, as the message says by how much; a constraint joins a body
+                to another particle, or has another length than in the type; or see `from_system`.
+            ValueError: a list does not have a particle for each site, a particle is in two lists or has another mass
+                than its site, two types have one name, or positions have the wrong shape.
+            TypeError: `types` is no mapping from types to lists of particle indices.
+        """
+        n = checked_system(system).getNumParticles()
+        coordinates = checked_positions(positions, n)
+        typed = typed_species(system, types, coordinates)
+        return BodyPlan(system, topology, typed=typed).bodies(coordinates)
+
 
 class BodyPlan:
     """Rigid bodies of a System before positions are known.
@@ -109,7 +145,9 @@ class BodyPlan:
         topology: openmm.app.Topology | None = None,
         rigid: Rigid = None,
         tolerance: Quantity | None = None,
+        typed: Sequence[Species] = (),
     ):
+        self._typed = tuple(typed)
         self._warns = tolerance is None
         self._tolerance = geometries.TOLERANCE if tolerance is None else _checked_tolerance(tolerance)
         n = system.getNumParticles()
@@ -149,7 +187,7 @@ class BodyPlan:
                     "positions, as in bodies=RigidBodies.from_system(system, topology, rigid, positions)"
                 )
             positions = np.empty((0, 3))
-        species: list[Species] = []
+        species = list(self._typed)
         moved = [kind.moved for kind in self.kinds]
         self._refuse_unusable([kind.clusters for kind in self.kinds if kind.needs_positions], positions)
         for kind in self.kinds:
@@ -203,10 +241,14 @@ class BodyPlan:
         owner = np.full(self._n, -1)
         if named:
             owner[np.concatenate(named)] = np.repeat(np.arange(len(named)), list(map(len, named)))
+        count = len(named)
+        for kind in self._typed:
+            owner[kind.atoms] = np.arange(count, count + len(kind.atoms))[:, None]
+            count += len(kind.atoms)
         ends = owner[pairs]
         if (joins := ends[:, 0] != ends[:, 1]).any():
             raise joins_a_body(*pairs[joins.argmax()].tolist())
-        inside = np.flatnonzero(ends[:, 0] >= 0)
+        inside = np.flatnonzero((ends[:, 0] >= 0) & (ends[:, 0] < len(named)))
         yield from _named_clusters(named, ends[inside, 0], pairs[inside], lengths[inside])
         free = (self._masses > 0) & (owner < 0)
         for atoms in _rigid_molecules(pairs[ends[:, 0] < 0], self._links):

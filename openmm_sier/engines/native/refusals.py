@@ -61,6 +61,9 @@ def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
     """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if bodies is None:
         return None
+    if bodies.bearings is not None:
+        body = bodies.describe(bodies.bearings.columns[0])
+        return f"moves bodies along and about all axes, unlike the type of {body}: give the type Motion.FREE"
     held = tables.constraints(system).by_pair()
     for atoms in (atoms for species in bodies.species for atoms in species.atoms.tolist()):
         for pair in combinations(sorted(atoms), 2):
