@@ -17,6 +17,7 @@ from openmm_sier.prepare.pme import balance_pme
 from openmm_sier.prepare.preparation import Preparation, prepare_system
 from openmm_sier.system.body_selection import SelectedBodies, select_bodies
 from openmm_sier.system.body_types import BodyType, add_bodies
+from openmm_sier.system.diffusion import rotational_friction, translational_friction
 from openmm_sier.system.find_bodies import RigidBodies
 from openmm_sier.system.molecules import make_whole
 from openmm_sier.version import __version__
@@ -29,4 +30,4 @@ __all__ += ["Tuning", "tune"]
 __all__ += ["BodyState", "BodyType", "RigidBodies", "RigidityError", "SelectedBodies", "make_whole", "select_bodies"]
 __all__ += ["ForceCheck", "ForceDoubt", "ForceFault", "check_forces"]
 __all__ += ["FramedSystem", "Preparation", "__version__", "add_bodies", "balance_pme", "prepare_system"]
-__all__ += ["Motion", "set_inertia", "with_frames"]
+__all__ += ["Motion", "rotational_friction", "set_inertia", "translational_friction", "with_frames"]

@@ -15,6 +15,7 @@ from openmm_sier.dynamics.kernels.formulas import (
     combine,
     cross,
     displacing_rotation,
+    plus,
     rotation_matrix,
     small_sine_cosine,
 )
@@ -25,6 +26,9 @@ from openmm_sier.dynamics.threads import shared
 #: Number of bodies in a tile, which are rotated together, and of its rows. A smaller tile leaves instructions that
 #: handle several bodies unfilled, a larger one takes longer where bodies are few.
 TILE, ROWS = 32, 22
+
+#: The axes of the lab.
+LAB = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 @called
@@ -253,6 +257,105 @@ def bathe(
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
                 new_L[x, n] += twist * A[i, x, n]
+        gain += 0.5 * energy
+    return gain
+
+
+@called
+def decay(rate, h):
+    """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
+    return math.exp(-rate * h), math.sqrt(-math.expm1(-2 * rate * h))
+
+
+@called
+def friction_directions(axes, rates, moves):
+    """Return orthonormal directions along which momenta decay independently of each other, and their rates.
+
+    For a body that moves along all axes of the lab these are its principal axes. For others they are the eigenvectors
+    of the friction tensor in the plane, or on the line, along which the body moves, and a direction without friction.
+
+    Args:
+        axes: rows of the attitude.
+        rates: of friction along the principal axes.
+        moves: whether the body moves along x, y and z.
+    """
+    if moves[0] and moves[1] and moves[2]:
+        return axes, rates
+    held = 0
+    while moves[held]:
+        held += 1
+    j, k = (held + 1) % 3, (held + 2) % 3
+    jj, kk, jk = 0.0, 0.0, 0.0
+    for i in range(3):
+        along_j, along_k = axes[i][j] * moves[j], axes[i][k] * moves[k]
+        jj += rates[i] * along_j * along_j
+        kk += rates[i] * along_k * along_k
+        jk += rates[i] * along_j * along_k
+    angle = 0.5 * math.atan2(2 * jk, jj - kk)
+    mean, half = 0.5 * (jj + kk), math.hypot(0.5 * (jj - kk), jk)
+    c, s = math.cos(angle), math.sin(angle)
+    e, f = LAB[j], LAB[k]
+    first = c * e[0] + s * f[0], c * e[1] + s * f[1], c * e[2] + s * f[2]
+    second = c * f[0] - s * e[0], c * f[1] - s * e[1], c * f[2] - s * e[2]
+    return (first, second, LAB[held]), (mean + half, max(mean - half, 0.0), 0.0)
+
+
+@shared
+@kernel
+def bathe_by_axes(
+    start,
+    stop,
+    p,
+    A,
+    L,
+    h,
+    frictions,
+    spreads,
+    moves,
+    noise,
+    inverse_masses,
+    inverse_moments,
+    new_p,
+    new_L,
+):
+    """Let a heat bath act that has a friction of each axis of each body; return the energy gained.
+
+    Args:
+        start, stop: range of the bodies.
+        p, A, L: momenta, attitudes and angular momenta.
+        h: time, not negative.
+        frictions: of translation along the principal axes, and of rotation about them, (6, n).
+        spreads: thermal standard deviations of a component of momenta, and of angular momenta about the principal
+            axes, (4, n).
+        moves: whether each body moves along x, y and z, (3, n).
+        noise: standard normal numbers, (6, n).
+        inverse_masses: (n,).
+        inverse_moments: (3, n).
+        new_p, new_L: written.
+    """
+    gain = 0.0
+    for n in range(np.uint64(start), np.uint64(stop)):
+        axes = rows_of(A, n)
+        along_axes = frictions[0, n], frictions[1, n], frictions[2, n]
+        directions, rates = friction_directions(axes, along_axes, (moves[0, n], moves[1, n], moves[2, n]))
+        momentum, moment = (p[0, n], p[1, n], p[2, n]), (L[0, n], L[1, n], L[2, n])
+        sum_p, sum_L = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        energy = 0.0
+        for i in range(3):
+            direction = directions[i]
+            along = combine(momentum, direction[0], direction[1], direction[2])
+            kept, width = decay(rates[i], h)
+            new_along = kept * along + width * spreads[0, n] * noise[i, n]
+            energy += (new_along * new_along - along * along) * inverse_masses[n]
+            sum_p = plus(sum_p, (new_along * direction[0], new_along * direction[1], new_along * direction[2]))
+            axis = axes[i]
+            about = combine(moment, axis[0], axis[1], axis[2])
+            kept, width = decay(frictions[3 + i, n], h)
+            new_about = kept * about + width * spreads[1 + i, n] * noise[3 + i, n]
+            energy += (new_about * new_about - about * about) * inverse_moments[i, n]
+            sum_L = plus(sum_L, (new_about * axis[0], new_about * axis[1], new_about * axis[2]))
+        for x in range(3):
+            new_p[x, n], new_L[x, n] = sum_p[x], sum_L[x]
         gain += 0.5 * energy
     return gain
 

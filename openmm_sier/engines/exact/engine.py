@@ -62,6 +62,7 @@ class ExactEngine(PointVerbs):
         self.moving = bodies_of(system, bodies)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
         checks.refuse_hits_on_atoms(system, self.moving)
+        self.accept(method)
         self.step_check = StepCheck(system, self.moving)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
@@ -105,7 +106,13 @@ class ExactEngine(PointVerbs):
     # --- changes by users ---
 
     def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
-        """Accept any method."""
+        """Accept any method whose frictions, if they are those of types, fit the types of the bodies."""
+        if method.bath is None:
+            return
+        try:
+            method.bath.frictions(self.moving)
+        except ValueError as error:
+            raise openmm.OpenMMException(str(error)) from None
 
     def synchronize(self) -> None:
         """Find the phase point and the clock of a Context in which a user may have changed anything.

@@ -1,6 +1,6 @@
 """Refuse what only the exact engine can do."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -52,6 +52,8 @@ def why_not(method: IntegrationMethod, program: Program) -> str | None:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
     if method.rotation is not exact:
         return "has only the exact free-rotation map: leave out `rotation`"
+    if method.bath is not None and isinstance(method.bath.friction, Mapping):
+        return "has one friction for all bodies: give `frictionCoeff` as a number"
     if method.bath is not None and method.bath.rotational_friction != method.bath.friction:
         return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
