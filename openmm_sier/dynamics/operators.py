@@ -12,6 +12,7 @@ import numpy as np
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
+from openmm_sier.dynamics.indices import runs
 from openmm_sier.dynamics.plan import Bath, Drift, Kick, Operation, Project, expanded, plan_step
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
@@ -138,12 +139,11 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
 
     The operator raises ValueError for a state with another number of bodies.
     """
-    in_order = all((np.diff(species.moments) >= 0).all() for species in bodies.species)
+    in_order = bool((np.diff(bodies.moments, axis=0) >= 0).all())
     if rotation is not exact or not in_order:
         return _drift_by(bodies, rotation)
-    rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
-    edges = np.array([0, *(columns.stop for columns in bodies.columns)], dtype=np.int64)
-    tables = edges, rates, bodies.inverse_masses
+    rates = axes_of(bodies.moments).rates
+    tables = runs(rates[0] > 0), rates, bodies.inverse_masses
     n, shape = bodies.n, (3, bodies.n)
 
     def apply(state: BodyState, h: float) -> BodyState:

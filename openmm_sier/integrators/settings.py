@@ -198,12 +198,15 @@ def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
         {field.name: np.asarray(getattr(kind, field.name)).tolist() for field in fields(kind)}
         for kind in bodies.species
     ]
-    return {"particles": bodies.n_particles, "species": arrays}
+    numbers = [kind.tolist() for kind in bodies.numbers]
+    return {"particles": bodies.n_particles, "species": arrays, "numbers": numbers}
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
     species = [Species(**{name: _array_or_text(value) for name, value in kind.items()}) for kind in table["species"]]
-    return RigidBodies(species, whole_number("particles", table["particles"]))
+    # Older versions numbered bodies species by species.
+    numbers = [np.array(kind, dtype=np.int64) for kind in table["numbers"]] if "numbers" in table else None
+    return RigidBodies(species, whole_number("particles", table["particles"]), numbers=numbers)
 
 
 def _array_or_text(value: Any) -> Any:
