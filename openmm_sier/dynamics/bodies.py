@@ -8,7 +8,6 @@ Arrays of atoms have OpenMM's shape (N, 3).
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
+from openmm_sier.dynamics.indices import as_slice
 from openmm_sier.dynamics.motion import Bearings
 from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
@@ -110,12 +110,12 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
 class BodySet:
     """Rigid and point bodies of a system, and the constraints between them.
 
-    Bodies are numbered species by species. Particles without a body (virtual sites, fixed massless particles) are
-    ignored.
+    Particles without a body (virtual sites, fixed massless particles) are ignored.
 
     Attributes:
         species: the kinds of body.
-        columns: slice of the bodies of each species.
+        numbers: indices of the bodies of each species, (m,) for its m bodies.
+        columns: the same as slices where they are evenly spaced.
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
         translates: whether each body moves along x, y and z, (3, n).
@@ -133,6 +133,7 @@ class BodySet:
         links: tuple = ((), ()),
         molecules: np.ndarray | None = None,
         moved: float = 0.0,
+        numbers: Sequence[np.ndarray] | None = None,
     ):
         """
         Args:
@@ -143,6 +144,7 @@ class BodySet:
             molecules: molecule index of each body, (n,). With None, linked bodies form a molecule, and any other body
                 is a molecule.
             moved: largest distance in nm by which an atom was moved to give bodies of a kind one geometry.
+            numbers: indices of the bodies of each species; None numbers them species by species.
 
         Raises:
             ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
@@ -153,17 +155,20 @@ class BodySet:
         self.labels = labels
         self.moved = moved
         counts = [s.atoms.shape[0] for s in self.species]
-        starts = np.cumsum([0, *counts])
-        self.n = int(starts[-1])
-        self.columns = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
-        self._check()
-        self.masses = np.repeat([s.mass for s in self.species], counts)
-        self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        translates = np.array([s.motion.translations for s in self.species], dtype=bool)
-        self.translates = np.repeat(translates.reshape(-1, 3).T, counts, axis=1)
-        turns = np.array([s.turns for s in self.species], dtype=bool)
-        self.turns = np.repeat(turns.reshape(-1, 3).T, counts, axis=1)
-        sites, fractions = sites_of(self.species, self.columns)
+        self.n = sum(counts)
+        order = np.arange(self.n) if numbers is None else np.concatenate([np.empty(0, np.int64), *numbers])
+        self._check(order)
+        self.numbers = tuple(np.split(order, np.cumsum(counts)[:-1])) if counts else ()
+        self.columns = tuple(map(as_slice, self.numbers))
+        self.masses = np.empty(self.n)
+        self.masses[order] = np.repeat([s.mass for s in self.species], counts)
+        self.moments = np.empty((3, self.n))
+        self.moments[:, order] = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
+        motions = np.array([(s.motion.translations, s.turns) for s in self.species], dtype=bool).reshape(-1, 2, 3)
+        translates, turns = np.ascontiguousarray(motions[self._rows[0]].transpose(1, 2, 0))
+        self.translates = translates
+        self.turns = turns
+        sites, fractions = sites_of(self.species, self.numbers)
         self.sites = sites
         self._fractions = fractions
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
@@ -218,20 +223,43 @@ class BodySet:
         return None if moves_freely.all() else Bearings(self.translates, self.turns, np.flatnonzero(~moves_freely))
 
     @cached_property
+    def rotation_moments(self) -> np.ndarray:
+        """Moments of the free rotation, (3, n), dalton nm^2: the principal ones, or three equal ones with bearings.
+
+        A body that turns about one axis has all of its angular momentum along this axis. With three equal moments it
+        turns about the axis uniformly, as it should, and rounding errors do not grow. So does a body that turns about
+        two axes with equal moments, as a line does.
+        """
+        turns_freely = (self.turns == (self.moments > 0)).all(axis=0)
+        if turns_freely.all():
+            return self.moments
+        return np.where(turns_freely, self.moments, (self.moments * self.turns).max(axis=0))
+
+    @cached_property
     def flexible(self) -> np.ndarray:
         """Whether each body shares its molecule with other bodies, (n,), so that the molecule is flexible."""
         _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
         return (counts > 1)[place]
 
     @cached_property
+    def _rows(self) -> np.ndarray:
+        """Species of each body, and its row there, (2, n)."""
+        rows = np.empty((2, self.n), dtype=np.int64)
+        for kind, numbers in enumerate(self.numbers):
+            rows[:, numbers] = np.full(len(numbers), kind), np.arange(len(numbers))
+        return rows
+
+    @cached_property
     def owners(self) -> np.ndarray:
         """Body index of each particle, (N,); -1 without a body."""
         owners = np.full(self.n_particles, -1)
-        for species, columns in zip(self.species, self.columns, strict=True):
-            owners[species.atoms] = np.arange(columns.start, columns.stop)[:, None]
+        for species, numbers in zip(self.species, self.numbers, strict=True):
+            owners[species.atoms] = numbers[:, None]
         return owners
 
-    def _check(self) -> None:
+    def _check(self, order: np.ndarray) -> None:
+        if not np.array_equal(np.sort(order), np.arange(self.n)):
+            raise ValueError(f"the numbers of {self.n} bodies must be 0 to {self.n - 1}, each once, got {order}")
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
         if outside.size:
@@ -250,20 +278,23 @@ class BodySet:
             ConstraintError: a constraint joins a body of the subset to another body.
         """
         indices = np.asarray(bodies, dtype=np.int64)
-        kinds = []
+        places = np.full(self.n, -1)
+        places[indices] = np.arange(len(indices))
+        kinds, numbers = [], []
         for species, columns in zip(self.species, self.columns, strict=True):
-            rows = indices[(indices >= columns.start) & (indices < columns.stop)] - columns.start
+            rows = np.flatnonzero(places[columns] >= 0)
             if rows.size:
                 kinds.append(species.of_atoms(species.atoms[rows]))
+                numbers.append(places[columns][rows])
         between = self.constraints.restricted(indices)
         links = between.pairs, between.lengths
-        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[indices])
+        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[indices], numbers=numbers)
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return the particle indices of a body."""
-        for s, columns in zip(self.species, self.columns, strict=True):
-            if columns.start <= body < columns.stop:
-                return s.atoms[body - columns.start]
+        if 0 <= body < self.n:
+            kind, row = self._rows[:, body]
+            return self.species[kind].atoms[row]
         raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
 
     def describe(self, body: int) -> str:
@@ -306,20 +337,22 @@ class BodySet:
         """Like `fit`, but also return the largest distance of an atom of each body from its site: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
-        for s, columns in zip(self.species, self.columns, strict=True):
+        for s, numbers, columns in zip(self.species, self.numbers, self.columns, strict=True):
             x = positions[s.atoms]
             centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
             q[:, columns] = centre.T
             if not np.isfinite(centre).all():
-                body = columns.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
-                raise RigidityError(f"the positions of {self.describe(body)} are not finite")
+                row = np.isfinite(centre).all(axis=1).argmin()
+                raise RigidityError(f"the positions of {self.describe(int(numbers[row]))} are not finite")
             arms = x - centre[:, None, :]
             A[:, :, columns], misfit[columns] = s.fit(arms, None if previous is None else previous.A[:, :, columns])
         self._refuse_torn(misfit)
         return q, A, misfit
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
-        tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])
+        tolerances = np.empty(self.n)
+        for s, columns in zip(self.species, self.columns, strict=True):
+            tolerances[columns] = s.tolerance
         torn = misfit > tolerances
         if not torn.any():
             return
@@ -385,7 +418,7 @@ class BodySet:
         self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray
     ) -> Pair:
         total, moment = np.empty((3, self.n)), np.empty((3, self.n))
-        tables = sites.sets, sites.places, weights, sites.atoms
+        tables = sites.sets, sites.bodies, sites.places, weights, sites.atoms
         if kernels.atoms.collect(self.n, vectors, A, *tables, total, moment):
             raise NotFiniteError(quantity, np.concatenate([total, moment]), self)
         return total, moment
@@ -405,14 +438,14 @@ class BodySet:
             NotFiniteError: a position is not finite. All positions have been written then.
         """
         chosen = self.sites if sites is None else sites
-        if kernels.atoms.place(self.n, q, A, chosen.sets, chosen.places, chosen.atoms, positions):
+        if kernels.atoms.place(self.n, q, A, *chosen.tables, positions):
             raise NotFiniteError("position of", np.concatenate([q, A.reshape(9, -1)]), self)
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, (N, 3), without changing other particles."""
-        moving, tables = (state.p, state.A, state.L), (self.sites.sets, self.sites.places, self.sites.atoms)
-        kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
+        moving, inverses = (state.p, state.A, state.L), (self.inverse_masses, self.inverse_moments)
+        kernels.atoms.move(self.n, *moving, *inverses, *self.sites.tables, velocities)
         return velocities
 
     @cached_property

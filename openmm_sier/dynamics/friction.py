@@ -35,14 +35,14 @@ def frictions_of(name: str, friction: Friction, bodies: BodySet) -> np.ndarray:
         raise ValueError(
             f"{name} names the type {unknown!r}, but the bodies have {', '.join(sorted(known)) or 'no types'}"
         )
-    for species, columns in zip(bodies.species, bodies.columns, strict=True):
+    for species, numbers in zip(bodies.species, bodies.numbers, strict=True):
         rates = friction.get(species.name, friction.get(OTHERS))
         if rates is None:
             raise ValueError(
-                f"{name} has no friction for {bodies.describe(columns.start)}: name its type, or give a friction for "
+                f"{name} has no friction for {bodies.describe(int(numbers[0]))}: name its type, or give a friction for "
                 f"{OTHERS!r}"
             )
-        result[:, columns] = np.reshape(rates, (3, 1))
+        result[:, numbers] = np.reshape(rates, (3, 1))
     return result
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -225,18 +224,6 @@ class Species:
         return bool((self.turns == (self.moments > 0)).all())
 
     @cached_property
-    def rotation_moments(self) -> np.ndarray:
-        """Moments of the free rotation, (3,), dalton nm^2: the principal ones, or three equal ones of the motion.
-
-        A body that turns about one axis has all of its angular momentum along this axis. With three equal moments it
-        turns about the axis uniformly, as it should, and rounding errors do not grow. So does a body that turns about
-        two axes with equal moments, as a line does.
-        """
-        if self.turns_freely:
-            return self.moments
-        return np.full(3, self.moments[self.turns].max(initial=0.0))
-
-    @cached_property
     def tolerance(self) -> float:
         """Largest distance in nm between an atom and its site at which the body is still recognized."""
         if self.sites.shape[1] <= MOST_COMPARED:
@@ -305,21 +292,29 @@ class Species:
         return np.linalg.norm(arms - places, axis=2).max(axis=1)
 
 
-def sites_of(species: Sequence[Species], slices: Sequence[slice]) -> tuple[Sites, np.ndarray]:
+def sites_of(species: Sequence[Species], bodies: Sequence[np.ndarray]) -> tuple[Sites, np.ndarray]:
     """Return the atoms of bodies, and the fraction of the mass at each site, (k,).
 
-    Consecutive points form one set whatever their masses; any other kind of body has a separate set.
+    All points form one set whatever their masses; any other kind of body has a separate set.
 
     Args:
         species: kinds of body.
-        slices: slice of the bodies of each kind.
+        bodies: indices of the bodies of each kind.
     """
     sets, fractions = [], [np.empty(0)]
-    kinds = zip(species, slices, strict=True)
-    for _, same in groupby(kinds, key=lambda kind: kind[1].start if kind[0].sites.any() else -len(kind[0].masses)):
-        alike, their_slices = zip(*same, strict=True)
-        # Arrays are not copied where there is one.
-        atoms = alike[0].atoms if len(alike) == 1 else np.concatenate([kind.atoms for kind in alike])
-        sets.append(AlikeSites(slice(their_slices[0].start, their_slices[-1].stop), atoms, alike[0].sites))
-        fractions.append(alike[0].masses / alike[0].mass)
+    kinds = list(zip(species, bodies, strict=True))
+    for kind, numbers in kinds:
+        if kind.sites.any():
+            sets.append(AlikeSites(numbers, kind.atoms, kind.sites))
+            fractions.append(kind.masses / kind.mass)
+    of_size: dict[int, list[tuple[Species, np.ndarray]]] = {}
+    for kind, numbers in kinds:
+        if not kind.sites.any():
+            of_size.setdefault(len(kind.masses), []).append((kind, numbers))
+    for alike in of_size.values():
+        points, their_numbers = zip(*alike, strict=True)
+        numbers = np.concatenate(their_numbers)
+        order = np.argsort(numbers)
+        sets.append(AlikeSites(numbers[order], np.concatenate([kind.atoms for kind in points])[order], points[0].sites))
+        fractions.append(points[0].masses / points[0].mass)
     return Sites(sets), np.concatenate(fractions)

@@ -195,7 +195,9 @@ def from_json(table: Any) -> Settings:
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     """Return all numbers of bodies exactly, without the names of residues."""
-    return {"particles": bodies.n_particles, "species": [_table_of_species(kind) for kind in bodies.species]}
+    numbers = [kind.tolist() for kind in bodies.numbers]
+    species = [_table_of_species(kind) for kind in bodies.species]
+    return {"particles": bodies.n_particles, "species": species, "numbers": numbers}
 
 
 def _table_of_species(species: Species) -> dict[str, Any]:
@@ -205,7 +207,10 @@ def _table_of_species(species: Species) -> dict[str, Any]:
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
-    return RigidBodies([_species(kind) for kind in table["species"]], whole_number("particles", table["particles"]))
+    species = [_species(kind) for kind in table["species"]]
+    # Older versions numbered bodies species by species.
+    numbers = [np.array(kind, dtype=np.int64) for kind in table["numbers"]] if "numbers" in table else None
+    return RigidBodies(species, whole_number("particles", table["particles"]), numbers=numbers)
 
 
 def _species(table: dict[str, Any]) -> Species:

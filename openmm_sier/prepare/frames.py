@@ -201,12 +201,12 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
     held = tables.constraints(system).hold(species.atoms for species in bodies.species)
-    for species, columns, is_held in zip(bodies.species, bodies.columns, held, strict=True):
+    for species, numbers, is_held in zip(bodies.species, bodies.numbers, held, strict=True):
         if not species.sites.any():
             continue
         solved = _is_solved(species)
         shape = FrameShape.of(species)
-        for row, body in enumerate(range(columns.start, columns.stop)):
+        for row, body in enumerate(numbers.tolist()):
             if solved and is_held[row]:
                 continue
             particles = np.arange(number, number + len(shape.masses))

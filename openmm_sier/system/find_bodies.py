@@ -45,6 +45,9 @@ class RigidBodies(dynamics.BodySet):
     <RigidBodies: 59 rigid of 3 atoms>
     >>> bodies.dof
     354
+
+    Bodies are numbered as they were listed, followed by those that constraints form and by points, each in the order of
+    their particles.
     """
 
     @classmethod
@@ -201,7 +204,20 @@ class BodyPlan:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        return self._links.link(RigidBodies(species, self._n, self._labels, moved=max(moved, default=0.0)))
+        numbers = self._numbered(species)
+        bodies = RigidBodies(species, self._n, self._labels, moved=max(moved, default=0.0), numbers=numbers)
+        return self._links.link(bodies)
+
+    def _numbered(self, species: Sequence[Species]) -> list[np.ndarray]:
+        """Return the indices of the bodies of each kind: listed ones in their order, then others, then points."""
+        if not species:
+            return []
+        counts = [len(kind.atoms) for kind in species]
+        first = np.concatenate([kind.atoms[:, 0] for kind in species])
+        is_point = np.repeat([kind.atoms.shape[1] == 1 for kind in species], counts)
+        listed = self._list[first]
+        rank = np.where(listed >= 0, listed - self._n, first + self._n * is_point)
+        return np.split(np.argsort(np.argsort(rank)), np.cumsum(counts)[:-1])
 
     # --- which particles ---
 
@@ -245,6 +261,7 @@ class BodyPlan:
         for kind in self._typed:
             owner[kind.atoms] = np.arange(count, count + len(kind.atoms))[:, None]
             count += len(kind.atoms)
+        self._list = owner
         ends = owner[pairs]
         if (joins := ends[:, 0] != ends[:, 1]).any():
             raise joins_a_body(*pairs[joins.argmax()].tolist())

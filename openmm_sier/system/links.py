@@ -89,7 +89,8 @@ class Links:
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
         links = ends[between], lengths[between]
-        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules, bodies.moved)
+        numbering = bodies.moved, bodies.numbers
+        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules, *numbering)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:

@@ -29,9 +29,9 @@ def atoms_of(bodies, state):
 
 def each_body(bodies):
     """Number, atoms and masses of every body."""
-    for kind, columns in zip(bodies.species, bodies.columns, strict=True):
-        for i, atoms in enumerate(kind.atoms):
-            yield columns.start + i, atoms, kind.masses
+    for kind, numbers in zip(bodies.species, bodies.numbers, strict=True):
+        for number, atoms in zip(numbers, kind.atoms, strict=True):
+            yield number, atoms, kind.masses
 
 
 @pytest.fixture

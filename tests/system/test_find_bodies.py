@@ -113,7 +113,7 @@ def test_a_constraint_between_two_molecules_makes_points_of_both():
     system = system_of(WATER, WATER)
     system.addConstraint(0, 3, 0.3)
     bodies = RigidBodies.from_system(system)
-    assert lists(bodies) == [[0], [3], [1], [2], [4], [5]]
+    assert lists(bodies) == [[0], [1], [2], [3], [4], [5]]
     assert bodies.dof == 18 - 7
     assert len(set(bodies.molecules)) == 1
 

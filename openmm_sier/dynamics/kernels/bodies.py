@@ -25,7 +25,7 @@ from openmm_sier.dynamics.threads import shared
 
 #: Number of bodies in a tile, which are rotated together, and of its rows. A smaller tile leaves instructions that
 #: handle several bodies unfilled, a larger one takes longer where bodies are few.
-TILE, ROWS = 32, 22
+TILE, ROWS = 32, 25
 
 #: The axes of the lab.
 LAB = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -40,43 +40,32 @@ def copy(target, source):
 
 @shared
 @kernel
-def rotate(start, stop, A, L, h, edges, rates, new_A):
+def rotate(start, stop, A, L, h, turning, rates, new_A):
     """Rotate bodies freely for a time h; return the number of those with an attitude or L that is not finite.
 
     Args:
         start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
         h: time.
-        edges: the first body of each kind, and the end of the last one, (m + 1,).
-        rates: inverse moments of each kind, descending, three equal ones for lines, zeros for points, (m, 3).
+        turning: first body and end of each run of bodies that turn, (m, 2), ascending; the others are points.
+        rates: inverse moments, descending, three equal ones for lines, (3, n).
         new_A: (3, 3, n), written.
     """
-    return rotate_kinds(start, stop, A, L, h, edges, rates, new_A)
-
-
-@shared
-@kernel
-def rotate_each(start, stop, A, L, h, rates, new_A):
-    """Rotate bodies as `rotate` does, each with its own rates, (3, n)."""
-    broken = 0
-    for n in range(start, stop):
-        broken += rotate_long(n, A, L, h, (rates[0, n], rates[1, n], rates[2, n]), new_A)
-    return broken
+    return rotate_runs(start, stop, A, L, h, turning, rates, new_A)
 
 
 @called
-def rotate_kinds(start, stop, A, L, h, edges, rates, new_A):
-    """Rotate a range of bodies of all kinds; see `rotate`."""
-    broken = 0
+def rotate_runs(start, stop, A, L, h, turning, rates, new_A):
+    """Rotate a range of bodies; see `rotate`."""
+    broken, done = 0, start
     tile = np.ones(ROWS * TILE)
-    for kind in range(len(rates)):
-        first, end = max(start, edges[kind]), min(stop, edges[kind + 1])
-        if first >= end:
-            continue
-        if rates[kind, 0] > 0:
-            broken += rotate_kind(first, end, A, L, h, rates[kind], tile, new_A)
-        else:
-            keep(first, end, A, new_A)
+    for run in range(len(turning)):
+        first, end = max(start, turning[run, 0]), min(stop, turning[run, 1])
+        if first < end:
+            keep(done, first, A, new_A)
+            broken += rotate_run(first, end, A, L, h, rates, tile, new_A)
+            done = end
+    keep(done, stop, A, new_A)
     return broken
 
 
@@ -89,10 +78,9 @@ def keep(start, stop, A, new_A):
 
 
 @called
-def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
-    """Rotate bodies with the same rates, (3,); see `rotate`."""
+def rotate_run(start, stop, A, L, h, rates, tile, new_A):
+    """Rotate a range of bodies that turn; see `rotate`."""
     broken = 0
-    kind_rates = rates[0], rates[1], rates[2]
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
         size = end - first
@@ -102,20 +90,24 @@ def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
                 copy(tile[row : row + size], A[i, j, first:end])
             row = (9 + i) * TILE
             copy(tile[row : row + size], L[i, first:end])
-        rotate_tile(tile, kind_rates, h)
+            row = (22 + i) * TILE
+            copy(tile[row : row + size], rates[i, first:end])
+        rotate_tile(tile, h)
         for i in range(3):
             for j in range(3):
                 row = (12 + 3 * i + j) * TILE
                 copy(new_A[i, j, first:end], tile[row : row + size])
         for n in range(size):
             if tile[21 * TILE + n] == 0:
-                broken += rotate_long(first + n, A, L, h, kind_rates, new_A)
+                broken += rotate_long(first + n, A, L, h, rates, new_A)
     return broken
 
 
 @called
-def rotate_tile(tile, rates, h):
-    """Rotate a tile of bodies freely, from its rows A (9) and L (3) to others: new A (9), and whether it is valid.
+def rotate_tile(tile, h):
+    """Rotate a tile of bodies freely, from its rows A (9), L (3) and rates (3, the last) to others.
+
+    These are the new A (9), and whether it is valid.
 
     The rows of one array have constant distances, and there is no branch or call that is not inlined. So the compiler
     sees that bodies are independent, and handles several with each instruction.
@@ -125,6 +117,7 @@ def rotate_tile(tile, rates, h):
         y = tile[3 * TILE + n], tile[4 * TILE + n], tile[5 * TILE + n]
         z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
         L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
+        rates = tile[22 * TILE + n], tile[23 * TILE + n], tile[24 * TILE + n]
         body_L = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
         turn, _, suffices = free_rotation(body_L, rates, h, small_sine_cosine, SMALL_ANGLE)
         rows = rotation_matrix(turn[0], turn[1], turn[2], turn[3])
@@ -149,7 +142,7 @@ def rotate_long(n, A, L, h, rates, new_A):
         combine(momentum, y[0], y[1], y[2]),
         combine(momentum, z[0], z[1], z[2]),
     )
-    w, i, j, k = long_rotation(body_L, rates, h)
+    w, i, j, k = long_rotation(body_L, (rates[0, n], rates[1, n], rates[2, n]), h)
     put_attitude(n, rotation_matrix(w, i, j, k), (x, y, z), new_A)
     return False
 
@@ -185,10 +178,10 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
 
 @shared
 @kernel
-def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A):
+def drift(start, stop, q, p, A, L, h, turning, rates, inverse_masses, new_q, new_A):
     """Move centres and `rotate` in one call, since a call costs more than a few bodies."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
-    return rotate_kinds(start, stop, A, L, h, edges, rates, new_A)
+    return rotate_runs(start, stop, A, L, h, turning, rates, new_A)
 
 
 @shared

@@ -37,8 +37,8 @@ class BodyForces:
         n = system.getNumParticles()
         self._has_virtual_sites = tables.virtual_sites(system).size > 0
         sites = bodies.sites
-        self._sites = sites.sets, sites.places, sites.atoms
-        self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms
+        self._sites = sites.tables
+        self._weighted_sites = sites.sets, sites.bodies, sites.places, sites.ones, sites.atoms
         self.positions = np.zeros((n, 3))
         self.velocities = np.zeros((n, 3))
         #: Forces on the atoms, as OpenMM gave them last.
