@@ -30,6 +30,13 @@ class Thermostat(ABC):
     friction: Friction
     rotational_friction: Friction
 
+    @property
+    def common_friction(self) -> float | None:
+        """Return the friction of all motion of all bodies, 1/ps; None if there is none."""
+        if isinstance(self.friction, Mapping) or self.friction != self.rotational_friction:
+            return None
+        return self.friction
+
     def frictions(self, bodies: BodySet) -> np.ndarray:
         """Return frictions of translation along the axes of each body, and of rotation about them, (6, n), 1/ps.
 

@@ -193,10 +193,11 @@ class Run:
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
         options, method, assembly = {}, self._method, self._assembly
-        if assembly.bodies:
-            options["bodies"] = RigidBodies.from_system(
-                assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
-            )
+        positions = np.concatenate(assembly.positions)
+        if assembly.types:
+            options["bodies"] = RigidBodies.from_types(assembly.system, assembly.types, positions)
+        elif assembly.bodies:
+            options["bodies"] = RigidBodies.from_system(assembly.system, None, assembly.bodies, positions)
         if any(isinstance(kind, FastBonds) for kind in kinds):
             options["fastForceGroups"] = {FAST}
         if method.pressure:

@@ -54,7 +54,7 @@ def why_not(method: IntegrationMethod, program: Program) -> str | None:
         return "has only the exact free-rotation map: leave out `rotation`"
     if method.bath is not None and isinstance(method.bath.friction, Mapping):
         return "has one friction for all bodies: give `frictionCoeff` as a number"
-    if method.bath is not None and method.bath.rotational_friction != method.bath.friction:
+    if method.bath is not None and method.bath.common_friction is None:
         return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
 
