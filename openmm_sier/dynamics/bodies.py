@@ -205,6 +205,11 @@ class BodySet:
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
 
     @cached_property
+    def has_other_moments(self) -> bool:
+        """Whether the moments of some bodies are not those of the masses of their atoms."""
+        return any(s.has_other_moments for s in self.species)
+
+    @cached_property
     def flexible(self) -> np.ndarray:
         """Whether each body shares its molecule with other bodies, (n,), so that the molecule is flexible."""
         _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)

@@ -3,9 +3,10 @@
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
 masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
-bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). With names of bodies also name
-(n,), empty for bodies without one. Attributes of the root are the conventions and units (`CONVENTIONS`), and `wrapped`:
-whether centres are wrapped into the box.
+bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). The group of a `BodyType` has its
+name as the attribute type, and axes (3, 3), the principal axes in the frame of the type, as rows. With names of bodies
+also name (n,), empty for bodies without one. Attributes of the root are the conventions and units (`CONVENTIONS`), and
+`wrapped`: whether centres are wrapped into the box.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ if TYPE_CHECKING:
 
 #: Attributes of the root, except `wrapped`.
 CONVENTIONS = {
-    "layout": 1,
+    "layout": 2,
     "program": "openmm_sier",
     "frame": "lab: q, p and L have components along the axes of the laboratory",
     "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "
     "an atom is at q + R r, where r is its site in the principal frame; R is the transpose of the attitude matrix A",
     "angular_momentum": "about the centre of mass of the body",
-    "bodies": "numbered species by species: body i is of species[i]; its atoms are one row of species_K/atoms",
+    "bodies": "in the order in which they were listed, then those that constraints form, then points: body i is of "
+    "species[i]; the bodies of species K are the rows of species_K/atoms in this order",
     "units": "time in ps; q, box and sites in nm; masses in dalton; moments in dalton nm^2; p in dalton nm/ps; L in "
     "dalton nm^2/ps; heat in kJ/mol",
 }
@@ -131,6 +133,9 @@ def begin(
         file.attrs.update(conventions)
         for name, values in _constants(bodies).items():
             file[name] = values
+        for number, species in enumerate(bodies.species):
+            if species.name:
+                file[f"species_{number}"].attrs["type"] = species.name
         if any(named):
             # Bytes of UTF-8, which every HDF5 reader accepts as text.
             file["name"] = [name.encode() for name in named]
@@ -156,9 +161,11 @@ def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
 
 def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
     """Return datasets that are the same for all frames, by name."""
-    sizes = [len(species.atoms) for species in bodies.species]
+    kinds = np.empty(bodies.n, dtype=np.int64)
+    for number, columns in enumerate(bodies.columns):
+        kinds[columns] = number
     datasets = {
-        "species": np.repeat(np.arange(len(sizes)), sizes),
+        "species": kinds,
         "masses": bodies.masses,
         "moments": bodies.moments.T,
     }
@@ -169,5 +176,7 @@ def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
             "sites": species.sites.T,
             "moments": species.moments,
         }
+        if species.name:
+            arrays["axes"] = species.axes
         datasets |= {f"species_{number}/{name}": values for name, values in arrays.items()}
     return datasets

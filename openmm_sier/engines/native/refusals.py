@@ -61,6 +61,12 @@ def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
     """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if bodies is None:
         return None
+    for species in bodies.species:
+        if species.has_other_moments:
+            return (
+                f"moves atoms by their masses, and {bodies.describe_atoms(species.atoms[0])} has moments that are not "
+                "those of its masses: make a copy of the System by with_frames(system, positions, bodies)"
+            )
     held = tables.constraints(system).by_pair()
     for atoms in (atoms for species in bodies.species for atoms in species.atoms.tolist()):
         for pair in combinations(sorted(atoms), 2):
