@@ -173,12 +173,14 @@ class BodySet:
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
-        """Return a summary of bodies by numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        """Return a summary of bodies by types or numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        words = [f"{len(s.atoms)} {s.name} of {s.atoms.shape[1]} atoms" for s in self.species if s.name]
         kinds: dict[int, list[int]] = {}
         for s in self.species:
-            kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
+            if not s.name:
+                kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
         points, constraints = sum(kinds.pop(1, [])), len(self.links[1])
-        words = [
+        words += [
             f"{sum(counts)} rigid of {size} atoms" + (f" ({len(counts)} kinds)" if len(counts) > 1 else "")
             for size, counts in sorted(kinds.items())
         ]
