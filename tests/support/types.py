@@ -14,7 +14,7 @@ TOP = BodyType("top", [[0, 0, 0], [0.15, 0, 0], [0, 0.13, 0], [0, 0, 0.11]], [12
 PATCHY = BodyType("patchy", [[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0]], [50, 0, 0], moments=[2, 2.2, 2.1])
 
 
-def built(counts, seed=0, size=3.0, sites=slice(None)):
+def built(counts, seed=0, size=3.0, sites=slice(None), periodic=False):
     """A System of bodies of types in a field, their positions and lists of particles.
 
     Args:
@@ -22,6 +22,7 @@ def built(counts, seed=0, size=3.0, sites=slice(None)):
         seed: of places and orientations.
         size: of the cube of their places, nm.
         sites: of each body on which the field acts.
+        periodic: whether there is a triclinic box, smaller than the cube, in which nothing else acts.
     """
     rng = np.random.default_rng(seed)
     system, topology = openmm.System(), app.Topology()
@@ -32,6 +33,14 @@ def built(counts, seed=0, size=3.0, sites=slice(None)):
         positions.append(places)
     acting = [i for bodies in lists.values() for body in bodies for i in body[sites]]
     system.addForce(field("20*(x^2 + y^2 + 2*z^2) + 30*x*y + 10*sin(3*z)", acting))
+    if periodic:
+        system.setDefaultPeriodicBoxVectors([2, 0, 0], [0.5, 2, 0], [-0.5, 0.5, 2])
+        nothing = openmm.NonbondedForce()
+        nothing.setNonbondedMethod(nothing.CutoffPeriodic)
+        nothing.setCutoffDistance(0.5)
+        for _ in range(system.getNumParticles()):
+            nothing.addParticle(0, 1, 0)
+        system.addForce(nothing)
     return system, np.concatenate(positions), lists
 
 
