@@ -6,12 +6,14 @@ Arrays of atoms have OpenMM's shape (N, 3).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.body_state import BodyState as BodyState
+from openmm_sier.dynamics.body_state import Pair as Pair
+from openmm_sier.dynamics.body_state import PlaceCache as PlaceCache
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
@@ -21,10 +23,6 @@ from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
 from openmm_sier.dynamics.vectors import body_frame
-
-#: Two arrays of bodies, for translation and rotation: centres and attitudes, momenta and angular momenta, forces and
-#: torques, or inverse masses, (n,), and inverse moments, (3, n).
-Pair = tuple[np.ndarray, np.ndarray]
 
 #: Maximum number of residues of a body named in a message; of more, only the first and the last are named.
 MOST_RESIDUES = 3
@@ -48,50 +46,6 @@ class NotFiniteError(ValueError):
         self.body = int(np.isfinite(vectors).all(axis=0).argmin())
         self.what = f"{quantity} {bodies.describe(self.body)}"
         super().__init__(f"the {self.what} is not finite")
-
-
-class PlaceCache:
-    """Results for one potential at the centres and attitudes of a state, once they have been computed.
-
-    Attributes:
-        forces: forces and torques of the kicks, each (3, n), kJ/mol/nm and kJ/mol.
-        energy: potential energy, kJ/mol.
-        members: state of the bodies that fast forces move, with a cache of its own for these forces.
-    """
-
-    forces: Pair | None = None
-    energy: float | None = None
-    members: "BodyState | None" = None
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class BodyState:
-    """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
-
-    Attributes:
-        q: centres of mass, (3, n), nm.
-        p: momenta, (3, n), dalton nm/ps.
-        A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
-        L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
-        cache: of the place (q, A). States that differ in momenta share it; `dataclasses.replace` gives a new one.
-    """
-
-    q: np.ndarray
-    p: np.ndarray
-    A: np.ndarray
-    L: np.ndarray
-    cache: PlaceCache = field(init=False, repr=False)
-
-    def __init__(
-        self, q: np.ndarray, p: np.ndarray, A: np.ndarray, L: np.ndarray, cache: PlaceCache | None = None
-    ) -> None:
-        # Several of these are made in a step, and the generated constructor of a frozen class takes twice as long.
-        attributes = self.__dict__
-        attributes["q"] = q
-        attributes["p"] = p
-        attributes["A"] = A
-        attributes["L"] = L
-        attributes["cache"] = PlaceCache() if cache is None else cache
 
 
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
@@ -185,12 +139,14 @@ class BodySet:
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
-        """Return a summary of bodies by numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        """Return a summary of bodies by types or numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        words = [f"{len(s.atoms)} {s.name} of {s.atoms.shape[1]} atoms" for s in self.species if s.name]
         kinds: dict[int, list[int]] = {}
         for s in self.species:
-            kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
+            if not s.name:
+                kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
         points, constraints = sum(kinds.pop(1, [])), len(self.links[1])
-        words = [
+        words += [
             f"{sum(counts)} rigid of {size} atoms" + (f" ({len(counts)} kinds)" if len(counts) > 1 else "")
             for size, counts in sorted(kinds.items())
         ]
@@ -215,6 +171,11 @@ class BodySet:
     def dof(self) -> int:
         """Number of degrees of freedom of all bodies."""
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
+
+    @cached_property
+    def has_other_moments(self) -> bool:
+        """Whether the moments of some bodies are not those of the masses of their atoms."""
+        return any(s.has_other_moments for s in self.species)
 
     @cached_property
     def bearings(self) -> Bearings | None:
@@ -468,6 +429,29 @@ class BodySet:
         return is_point
 
     # --- observables ---
+
+    def orientations(self, state: BodyState) -> np.ndarray:
+        """Return quaternions (w, x, y, z) of the bodies, (n, 4), with w >= 0.
+
+        They turn the frame of a body into the lab frame: that of its `BodyType`, or its principal axes without one.
+        """
+        # Imported late: it takes longer than a step.
+        from scipy.spatial.transform import Rotation
+
+        turns = state.A.transpose(2, 1, 0).copy()
+        for s, columns in zip(self.species, self.columns, strict=True):
+            turns[columns] = turns[columns] @ s.axes
+        return Rotation.from_matrix(turns).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+
+    def kinetic_energies_by_axis(self, state: BodyState) -> np.ndarray:
+        """Return kinetic energies of each body along and about its principal axes, (2, 3, n), kJ/mol.
+
+        The first are of translation, the second of rotation. In equilibrium each has the mean kT/2, but for rotations
+        about axes without a moment.
+        """
+        along = body_frame(state.A, state.p) ** 2 * self.inverse_masses
+        about = body_frame(state.A, state.L) ** 2 * self.inverse_moments
+        return 0.5 * np.stack([along, about])
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
         """Return the translational and rotational kinetic energy, kJ/mol."""

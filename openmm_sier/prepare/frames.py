@@ -20,7 +20,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies
-from openmm_sier.system.links import linked
+from openmm_sier.system.links import held_bodies, linked
 from openmm_sier.system.second_context import cloned
 from openmm_sier.system.solver_test import SolverTest
 
@@ -200,7 +200,7 @@ def with_frames(
 def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
-    held = tables.constraints(system).hold(species.atoms for species in bodies.species)
+    held = held_bodies(system, bodies.species)
     for species, numbers, is_held in zip(bodies.species, bodies.numbers, held, strict=True):
         if not species.sites.any():
             continue
@@ -216,7 +216,7 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of a body of this kind."""
-    if len(species.masses) > MOST_HELD:
+    if len(species.masses) > MOST_HELD or species.has_other_moments:
         return False
     model = openmm.System()
     for mass in species.masses.tolist():

@@ -151,7 +151,7 @@ def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
 
 def _join(system: openmm.System, forces: FastForces) -> list[str]:
     """Join the atoms of bodies without constraints; return a description."""
-    if not (joined := join_bodies(system, forces.owner)):
+    if not (joined := join_bodies(system, forces.owner, forces.moving)):
         return []
     return [
         f"The atoms of {joined} rigid bodies are joined by bonds without strength, so that OpenMM treats each body as "

@@ -128,7 +128,7 @@ class Motions:
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
         # Molecules swing among others, or among frozen atoms.
-        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
+        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_without(system, bodies.owners).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
         owners = _owners(system, self._linked, rigid)
         found = harmonic_vibrations(forces, self._mobility, owners, links.constraints)

@@ -147,7 +147,7 @@ class BodyType:
                 )
             from scipy.spatial.transform import Rotation
 
-            matrices = Rotation.from_quat(turns, scalar_first=True).as_matrix()
+            matrices = Rotation.from_quat(turns[:, [1, 2, 3, 0]]).as_matrix()
             arms = np.einsum("mxy,mky->mkx", matrices, arms)
         return q[:, None] + arms
 

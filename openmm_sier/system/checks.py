@@ -13,7 +13,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import Links, held_bodies
 from openmm_sier.system.user_warnings import warn
 
 #: nm. Sites of water are up to this from its oxygen, the lone pairs of TIP5P; covalent bonds are longer.
@@ -213,12 +213,11 @@ def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
     """
     if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         return
-    kinds = [species.atoms for species in bodies.species]
-    for atoms, is_held in zip(kinds, tables.constraints(system).hold(kinds), strict=True):
+    for species, is_held in zip(bodies.species, held_bodies(system, bodies.species), strict=True):
         if not is_held.all():
             raise openmm.OpenMMException(
                 "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
-                f"constraints do not join all atoms of {bodies.describe_atoms(atoms[np.argmin(is_held)])}. "
+                f"constraints do not join all atoms of {bodies.describe_atoms(species.atoms[np.argmin(is_held)])}. "
                 "Remove the AndersenThermostat and use SIERLangevinIntegrator"
             )
 

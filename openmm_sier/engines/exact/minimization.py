@@ -14,15 +14,6 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.minimizer import descent
-from openmm_sier.system import tables
-
-
-def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
-    """Return whether every distance inside every body is constrained, and no body has bearings."""
-    if bodies.bearings is not None:
-        return False
-    constraints = tables.constraints(system)
-    return all(held.all() for held in constraints.hold(species.atoms for species in bodies.species))
 
 
 def minimize_bodies(

@@ -66,6 +66,12 @@ def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
     if bodies.bearings is not None:
         body = bodies.describe(bodies.bearings.columns[0])
         return f"moves bodies along and about all axes, unlike the type of {body}: give the type Motion.FREE"
+    for species in bodies.species:
+        if species.has_other_moments:
+            return (
+                f"moves atoms by their masses, and {bodies.describe_atoms(species.atoms[0])} has moments that are not "
+                "those of its masses: make a copy of the System by with_frames(system, positions, bodies)"
+            )
     held = tables.constraints(system).by_pair()
     for atoms in (atoms for species in bodies.species for atoms in species.atoms.tolist()):
         for pair in combinations(sorted(atoms), 2):
