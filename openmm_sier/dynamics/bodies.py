@@ -131,11 +131,6 @@ class BodySet:
             raise ValueError(
                 f"{self.describe(extended[0])} is linked to another body, but links join only single atoms"
             )
-        if linked.size and (held := linked[~self.translates[:, linked].all(axis=0)]).size:
-            raise ValueError(
-                f"{self.describe(held[0])} has constraints to other atoms, and a type that does not move along all "
-                "axes: replace the constraints by stiff bonds, or freeze the atom"
-            )
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
