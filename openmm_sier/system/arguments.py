@@ -158,7 +158,7 @@ def along_axes(name: str, value: Any, of: unit.Unit, symbol: str) -> tuple[float
         TypeError: a value is no number, or its quantity has the wrong dimension.
     """
     try:
-        values = list(value)
+        values = [value] * 3 if isinstance(value, str) else list(value)
     except TypeError:
         values = [value] * 3
     if len(values) != 3:
