@@ -19,12 +19,12 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
-from openmm_sier.stability.measurement import HiddenError, fastest_motion
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import COARSE, constrained_bends, harmonic_frequencies, mobilities
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import SystemForce, all_forces
 from openmm_sier.system.links import links_of
+from openmm_sier.system.measurement import HiddenError, fastest_motion
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
 #: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G

@@ -377,11 +377,11 @@ def test_bodies_keep_the_order_of_the_lists():
         positions.append(np.zeros((1, 3)))
     for k, shape in enumerate((triangle, line, triangle, line)):
         named.append([system.addParticle(12.0) for _ in shape])
-        positions.append(shape + [k, 0, 0])
+        positions.append(np.add(shape, [k, 0, 0]))
     for k in range(2):
         pair = [system.addParticle(mass) for mass in (1.0 + k, 1.0)]
         system.addConstraint(*pair, 0.2)
-        positions.append(line + [k, 1, 0])
+        positions.append(np.add(line, [k, 1, 0]))
     system.addParticle(39.0)
     positions.append(np.zeros((1, 3)))
     named = named[::-1]
