@@ -18,11 +18,10 @@ from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
 from openmm_sier.dynamics.indices import as_slice
-from openmm_sier.dynamics.motion import Bearings
+from openmm_sier.dynamics.inertia import Inertia
 from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
-from openmm_sier.dynamics.vectors import body_frame
 
 #: Maximum number of residues of a body named in a message; of more, only the first and the last are named.
 MOST_RESIDUES = 3
@@ -61,7 +60,7 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     return numbers
 
 
-class BodySet:
+class BodySet(Inertia):
     """Rigid and point bodies of a system, and the constraints between them.
 
     Particles without a body (virtual sites, fixed massless particles) are ignored.
@@ -114,14 +113,12 @@ class BodySet:
         self._check(order)
         self.numbers = tuple(np.split(order, np.cumsum(counts)[:-1])) if counts else ()
         self.columns = tuple(map(as_slice, self.numbers))
-        self.masses = np.empty(self.n)
-        self.masses[order] = np.repeat([s.mass for s in self.species], counts)
-        self.moments = np.empty((3, self.n))
-        self.moments[:, order] = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        motions = np.array([(s.motion.translations, s.turns) for s in self.species], dtype=bool).reshape(-1, 2, 3)
-        translates, turns = np.ascontiguousarray(motions[self._rows[0]].transpose(1, 2, 0))
-        self.translates = translates
-        self.turns = turns
+        kinds = self._rows[0]
+        masses = np.array([s.mass for s in self.species], dtype=float)[kinds]
+        moments = np.reshape([s.moments for s in self.species], (-1, 3))[kinds].T
+        translates = np.array([s.motion.translations for s in self.species], dtype=bool).reshape(-1, 3)[kinds].T
+        turns = np.array([s.turns for s in self.species], dtype=bool).reshape(-1, 3)[kinds].T
+        super().__init__(masses, moments, translates, turns)
         sites, fractions = sites_of(self.species, self.numbers)
         self.sites = sites
         self._fractions = fractions
@@ -171,25 +168,6 @@ class BodySet:
     def has_other_moments(self) -> bool:
         """Whether the moments of some bodies are not those of the masses of their atoms."""
         return any(s.has_other_moments for s in self.species)
-
-    @cached_property
-    def bearings(self) -> Bearings | None:
-        """Bearings of bodies that do not move along and about all axes; None if there are none."""
-        moves_freely = self.translates.all(axis=0) & (self.turns == (self.moments > 0)).all(axis=0)
-        return None if moves_freely.all() else Bearings(self.translates, self.turns, np.flatnonzero(~moves_freely))
-
-    @cached_property
-    def rotation_moments(self) -> np.ndarray:
-        """Moments of the free rotation, (3, n), dalton nm^2: the principal ones, or three equal ones with bearings.
-
-        A body that turns about one axis has all of its angular momentum along this axis. With three equal moments it
-        turns about the axis uniformly, as it should, and rounding errors do not grow. So does a body that turns about
-        two axes with equal moments, as a line does.
-        """
-        turns_freely = (self.turns == (self.moments > 0)).all(axis=0)
-        if turns_freely.all():
-            return self.moments
-        return np.where(turns_freely, self.moments, (self.moments * self.turns).max(axis=0))
 
     @cached_property
     def flexible(self) -> np.ndarray:
@@ -405,16 +383,6 @@ class BodySet:
         return velocities
 
     @cached_property
-    def inverse_masses(self) -> np.ndarray:
-        """Inverse masses, (n,), 1/dalton."""
-        return 1 / self.masses
-
-    @cached_property
-    def inverse_moments(self) -> np.ndarray:
-        """Inverse moments, (3, n), 1/(dalton nm^2); zero about axes about which a body does not turn."""
-        return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.turns)
-
-    @cached_property
     def point_particles(self) -> np.ndarray:
         """Whether each particle is a point body, (N,)."""
         is_point = np.zeros(self.n_particles, dtype=bool)
@@ -437,59 +405,3 @@ class BodySet:
         for s, columns in zip(self.species, self.columns, strict=True):
             turns[columns] = turns[columns] @ s.axes
         return Rotation.from_matrix(turns).as_quat(canonical=True)[:, [3, 0, 1, 2]]
-
-    def kinetic_energies_by_axis(self, state: BodyState) -> np.ndarray:
-        """Return kinetic energies of each body along and about its principal axes, (2, 3, n), kJ/mol.
-
-        The first are of translation, the second of rotation. In equilibrium each has the mean kT/2, but for rotations
-        about axes without a moment.
-        """
-        along = body_frame(state.A, state.p) ** 2 * self.inverse_masses
-        about = body_frame(state.A, state.L) ** 2 * self.inverse_moments
-        return 0.5 * np.stack([along, about])
-
-    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energy, kJ/mol."""
-        translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
-        rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
-        return translation, rotation
-
-    @cached_property
-    def moving_masses(self) -> np.ndarray:
-        """Masses of the bodies along x, y and z, (3, n), dalton; zero along axes along which a body does not move."""
-        return np.broadcast_to(self.masses, (3, self.n)) if self.translates.all() else self.masses * self.translates
-
-    @cached_property
-    def moving_mass(self) -> np.ndarray:
-        """Total mass of the bodies that move along x, y and z, (3,), dalton."""
-        return self.moving_masses.sum(axis=1)
-
-    def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Return the velocity of the centre of mass of all that moves, (3,), nm/ps, for momenta (3, n).
-
-        It is zero along axes along which no body moves.
-        """
-        return np.divide(p.sum(axis=1), self.moving_mass, out=np.zeros(3), where=self.moving_mass > 0)
-
-    def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
-        """Return the state with a velocity, (3,), nm/ps, added to all that moves."""
-        p = state.p + self.moving_masses * velocity[:, None]
-        return BodyState(state.q, p, state.A, state.L, state.cache)
-
-    def stopped(self, state: BodyState) -> tuple[BodyState, float]:
-        """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""
-        velocity = self.centre_velocity(state.p)
-        return self.shifted(state, -velocity), -self.energy_of_shift(velocity, -velocity)
-
-    def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
-        """Return the energy gain when a velocity is added to all that moves, kJ/mol.
-
-        Args:
-            centre: previous velocity of the centre of mass, (3,), nm/ps.
-            velocity: added velocity, (3,), nm/ps.
-        """
-        return float(self.moving_mass @ ((centre + 0.5 * velocity) * velocity))
-
-    def total_momenta(self, state: BodyState) -> Pair:
-        """Return the total momentum and total angular momentum about the origin, each (3,)."""
-        return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)

@@ -62,10 +62,10 @@ def _described(bodies: BodySet, found: dict[str, Vibration]) -> str:
 
 def _spin(bodies: BodySet) -> tuple[float, str]:
     """Return the largest thermal angular velocity of a body, 1/ps, and words on it; zero if no body turns."""
-    moments = np.where(bodies.moments > 0, bodies.moments, math.inf)
-    if not np.isfinite(moments).any():
+    inverse = bodies.inverse_moments
+    if not inverse.any():
         return 0.0, ""
-    _, body = np.unravel_index(moments.argmin(), moments.shape)
-    rate = math.sqrt(GAS_CONSTANT * TEMPERATURE / moments.min())
+    _, body = np.unravel_index(inverse.argmax(), inverse.shape)
+    rate = math.sqrt(GAS_CONSTANT * TEMPERATURE * inverse.max())
     name = bodies.describe(int(body))
     return rate, f"{name} turns by one radian in {1000 / rate:.3g} fs at {TEMPERATURE:g} K"
