@@ -211,7 +211,7 @@ EXAMPLES = [
 MORE = [
     Experiment(Trials("sier2", steps=2, share=0.9), (Joined(pace=0.3), Wells(pace=0.7)), 8),
     Experiment(Bath(), (Dipoles(site=True), Quartics())),
-    Experiment(Bath("sier4g", friction=1.0), (Held("triangle", "hinged"), Quartics()), 30),
+    Experiment(Bath("sier4g", friction=1.0), (Held("pair", "hinged"),), 30),
     Experiment(Trials("sier2", steps=2), (Held("corner", "free on a line"), Wells(pace=0.9)), 12),
     Experiment(Trials("sier2", steps=2), (Held("triangle", "translating"), Held("pair", "in plane")), 12),
     Experiment(Bath("sier4", "native"), (Wells(pace=1.0), Dipoles("pair", site=True, pace=0.1)), 8),
