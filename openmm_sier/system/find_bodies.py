@@ -108,8 +108,11 @@ class RigidBodies(dynamics.BodySet):
     ) -> RigidBodies:
         """Find the bodies of a System of which some have types, whose shapes they have exactly.
 
+        >>> system, topology = openmm.System(), openmm.app.Topology()
         >>> dimer = BodyType("dimer", [[0, 0, 0], [0.3, 0, 0]], [40, 40])
-        >>> bodies = RigidBodies.from_types(system, {dimer: [[0, 1], [2, 3]]}, positions)
+        >>> dimers, positions = add_bodies(system, topology, dimer, [[0, 0, 0], [1, 0, 0]])
+        >>> print(RigidBodies.from_types(system, {dimer: dimers}, positions))
+        <RigidBodies: 2 dimer of 2 atoms>
 
         Other bodies are found as by `from_system`.
 
