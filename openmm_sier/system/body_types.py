@@ -365,7 +365,7 @@ def _refuse_other_shapes(kind: Species, positions: np.ndarray) -> None:
             f"particle {kind.atoms[body, site]} is {off[site]:.4g} nm from site {site} of the body type {kind.name!r}, "
             f"and only {kind.tolerance:.4g} nm or less is corrected ({np.count_nonzero(misfit > kind.tolerance)} of "
             f"{len(misfit)} bodies of the type do not fit): list the particles in the order of the sites, and give "
-            "positions in nm in which the periodic boundary cuts no body"
+            "positions in nm; make_whole(system, positions, bodies=lists) joins bodies that the periodic boundary cuts"
         )
 
 

@@ -240,9 +240,10 @@ class BodyPlan:
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
-                    "mass, and the body the total mass and moments that it should have by set_inertia; make it a "
-                    "virtual site of the others; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Take a "
+                    "BodyType with moments and RigidBodies.from_types, which have massless sites; give it a mass, and "
+                    "the body its moments by set_inertia; make it a virtual site of the others; or freeze all atoms of "
+                    "the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
