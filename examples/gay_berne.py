@@ -42,7 +42,7 @@ for _, along_x, along_y in lists:
 system.addForce(force)
 
 bodies = RigidBodies.from_types(system, {ellipsoid: lists}, positions)
-print(bodies, prepare_system(system, bodies, positions=positions), sep="\n")
+print(bodies, prepare_system(system, bodies), sep="\n")
 integrator = SIERIntegrator(20 * unit.femtoseconds, bodies=bodies)
 simulation = app.Simulation(topology, system, integrator)
 simulation.context.setPositions(positions)

@@ -36,7 +36,7 @@ for body in nodes + links:
 system.addForce(force)
 
 bodies = RigidBodies.from_types(system, {node: nodes, link: links}, positions)
-print(bodies, prepare_system(system, bodies, positions=positions), sep="\n")
+print(bodies, prepare_system(system, bodies), sep="\n")
 integrator = SIERLangevinIntegrator(300, 1 / unit.picosecond, 40 * unit.femtoseconds, bodies=bodies)
 simulation = app.Simulation(topology, system, integrator)
 simulation.context.setPositions(positions)

@@ -31,7 +31,7 @@ for body in rods:
 system.addForce(force)
 
 bodies = RigidBodies.from_types(system, {rod: rods}, positions)
-print(bodies, prepare_system(system, bodies, positions=positions), sep="\n")
+print(bodies, prepare_system(system, bodies), sep="\n")
 integrator = SIERLangevinIntegrator(300, 5 / unit.picosecond, 20 * unit.femtoseconds, bodies=bodies)
 simulation = app.Simulation(topology, system, integrator)
 simulation.context.setPositions(positions)

@@ -160,8 +160,8 @@ class Species:
                 f"site {site} is off an axis about which the body has no moment, so that any torque would turn it "
                 "infinitely fast: give moments, which must be above zero about axes that sites are off"
             )
-        width = np.linalg.svd(self.sites, compute_uv=False)[1:].max(initial=0.0)
-        if turns.all() and width <= SHOWN * longest:
+        # The second largest sum of squares along an axis, of which one is the line itself.
+        if turns.all() and np.linalg.eigvalsh(self.sites @ self.sites.T)[1] <= (SHOWN * longest) ** 2:
             raise ValueError(
                 "all sites lie on a line through the centre of mass, so that positions do not show rotations about it: "
                 "add a site off the line, which may be massless and without interactions; or give no moment about the "

@@ -45,10 +45,12 @@ def describe_contacts(system: openmm.System, bodies: BodySet, positions: np.ndar
 
 def _described(bodies: BodySet, found: dict[str, Vibration]) -> str:
     """Return sentences on motions, by the names of their Forces."""
-    rate, spin = _spin(bodies)
     if not found:
-        limited = f" {spin}: {usual_steps(math.inf, rate)}." if rate else ""
-        return f"Nothing holds the bodies at these positions: give those of a run.{limited}"
+        return (
+            "No contacts of the bodies can be measured at these positions: for usual steps call prepare_system on a "
+            "copy of the System with positions of a run."
+        )
+    rate, spin = _spin(bodies)
     name = max(found, key=lambda name: found[name].square)
     fastest = found[name]
     period = 2 * math.pi / math.sqrt(fastest.square)
@@ -56,7 +58,7 @@ def _described(bodies: BodySet, found: dict[str, Vibration]) -> str:
     return (
         f"The stiffest contact at these positions, of atom{plural} {', '.join(map(str, fastest.atoms))} by {name}, has "
         f"a period of {1000 * period:.3g} fs{', and ' + spin if rate else ''}: {usual_steps(period, rate)}. In a run "
-        "contacts become closer: ask again with its positions."
+        "contacts may become closer."
     )
 
 

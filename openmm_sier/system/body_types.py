@@ -237,10 +237,14 @@ def add_bodies(
     Each body is a residue with the name of the type, in a chain of this call. Add the parameters of the particles to
     your Forces after this, or add Forces.
 
-    >>> system, topology = openmm.System(), Topology()
+    >>> system, topology = openmm.System(), openmm.app.Topology()
     >>> dimer = BodyType("dimer", [[0, 0, 0], [0.3, 0, 0]], [40, 40])
-    >>> dimers, positions = add_bodies(system, topology, dimer, [[0, 0, 0], [1, 0, 0]])
-    >>> bodies = RigidBodies.from_types(system, {dimer: dimers}, positions)
+    >>> turned = [[1, 0, 0, 0], [0.5**0.5, 0, 0, 0.5**0.5]]
+    >>> dimers, positions = add_bodies(system, topology, dimer, [[0, 0, 0], [1, 0, 0]], turned)
+    >>> dimers
+    [[0, 1], [2, 3]]
+    >>> positions.round(3).tolist()
+    [[-0.15, 0.0, 0.0], [0.15, 0.0, 0.0], [1.0, -0.15, 0.0], [1.0, 0.15, 0.0]]
 
     Args:
         system: the System, to which particles with the masses of the sites are added.
@@ -366,7 +370,7 @@ def _refuse_other_shapes(kind: Species, positions: np.ndarray) -> None:
             f"particle {kind.atoms[body, site]} is {off[site]:.4g} nm from site {site} of the body type {kind.name!r}, "
             f"and only {kind.tolerance:.4g} nm or less is corrected ({np.count_nonzero(misfit > kind.tolerance)} of "
             f"{len(misfit)} bodies of the type do not fit): list the particles in the order of the sites, and give "
-            "positions in nm in which the periodic boundary cuts no body"
+            "positions in nm; make_whole(system, positions, bodies=lists) joins bodies that the periodic boundary cuts"
         )
 
 

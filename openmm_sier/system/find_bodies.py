@@ -108,8 +108,11 @@ class RigidBodies(dynamics.BodySet):
     ) -> RigidBodies:
         """Find the bodies of a System of which some have types, whose shapes they have exactly.
 
+        >>> system, topology = openmm.System(), openmm.app.Topology()
         >>> dimer = BodyType("dimer", [[0, 0, 0], [0.3, 0, 0]], [40, 40])
-        >>> bodies = RigidBodies.from_types(system, {dimer: [[0, 1], [2, 3]]}, positions)
+        >>> dimers, positions = add_bodies(system, topology, dimer, [[0, 0, 0], [1, 0, 0]])
+        >>> print(RigidBodies.from_types(system, {dimer: dimers}, positions))
+        <RigidBodies: 2 dimer of 2 atoms>
 
         Other bodies are found as by `from_system`.
 
@@ -237,9 +240,10 @@ class BodyPlan:
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
-                    "mass, and the body the total mass and moments that it should have by set_inertia; make it a "
-                    "virtual site of the others; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Take a "
+                    "BodyType with moments and RigidBodies.from_types, which have massless sites; give it a mass, and "
+                    "the body its moments by set_inertia; make it a virtual site of the others; or freeze all atoms of "
+                    "the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))

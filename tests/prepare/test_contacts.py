@@ -48,7 +48,8 @@ def test_a_spin_limits_the_step():
 def test_bodies_that_do_not_touch():
     system, positions, bodies = pair(SLOW, 2.0)
     text = str(prepare_system(system, bodies, positions=positions))
-    assert "Nothing holds the bodies at these positions: give those of a run." in text
+    assert "No contacts of the bodies can be measured at these positions" in text
+    assert "usual steps are" not in text
 
 
 def test_without_positions_nothing_is_measured():
