@@ -37,7 +37,8 @@ system.addForce(force)
 
 bodies = RigidBodies.from_types(system, {node: nodes, link: links}, positions)
 print(bodies, prepare_system(system, bodies), sep="\n")
-integrator = SIERLangevinIntegrator(300, 1 / unit.picosecond, 40 * unit.femtoseconds, bodies=bodies)
+friction = {"node": 2, "link": (2, 2, 4)}  # 1/ps, about each axis
+integrator = SIERLangevinIntegrator(300, 1, 40 * unit.femtoseconds, bodies=bodies, rotationalFriction=friction)
 simulation = app.Simulation(topology, system, integrator)
 simulation.context.setPositions(positions)
 simulation.context.setVelocitiesToTemperature(300)
