@@ -4,9 +4,33 @@ from functools import cached_property
 
 import numpy as np
 
+from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.body_state import BodyState, Pair
-from openmm_sier.dynamics.motion import Bearings
 from openmm_sier.dynamics.vectors import body_frame
+
+
+class Bearings:
+    """Bearings of bodies that do not move along or turn about all axes; they take up forces and torques along the rest.
+
+    They take up momenta too, such as those of velocities that a user sets.
+
+    Attributes:
+        columns: of the bodies with bearings, ascending, (k,).
+    """
+
+    def __init__(self, translates: np.ndarray, turns: np.ndarray, columns: np.ndarray) -> None:
+        """
+        Args:
+            translates: whether each of all bodies moves along x, y and z, (3, n).
+            turns: whether each turns about its principal axes, (3, n).
+            columns: of the bodies with bearings, ascending, (k,).
+        """
+        self.columns = columns
+        self._tables = columns, translates, turns
+
+    def remove(self, p: np.ndarray, L: np.ndarray, A: np.ndarray) -> None:
+        """Remove the parts that bearings take up from momenta or forces, and angular momenta or torques, (3, n)."""
+        kernels.bodies.hold(len(self.columns), *self._tables, A, p, L)
 
 
 class Inertia:

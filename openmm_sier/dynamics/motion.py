@@ -8,8 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from openmm_sier.dynamics.vectors import body_frame, combine
-
 #: For each of three axes, whether there is motion along it or about it.
 Axes = tuple[bool, bool, bool]
 
@@ -74,31 +72,3 @@ Motion.ROTATING = Motion(translations=NONE)
 Motion.TRANSLATING = Motion(rotations=NONE)
 Motion.PINNED = Motion(NONE, NONE)
 Motion.IN_PLANE = Motion((True, True, False), (False, False, True))
-
-
-class Bearings:
-    """Bearings of bodies that do not move along or turn about all axes; they take up forces and torques along the rest.
-
-    They take up momenta too, such as those of velocities that a user sets.
-
-    Attributes:
-        columns: of the bodies with bearings, ascending, (k,).
-    """
-
-    def __init__(self, translations: np.ndarray, rotations: np.ndarray, columns: np.ndarray) -> None:
-        """
-        Args:
-            translations: whether each of all bodies moves along x, y and z, (3, n).
-            rotations: whether each turns about its principal axes, (3, n).
-            columns: of the bodies with bearings, ascending, (k,).
-        """
-        self.columns = columns
-        self._translations = translations[:, columns]
-        self._rotations = rotations[:, columns]
-
-    def remove(self, p: np.ndarray, L: np.ndarray, A: np.ndarray) -> None:
-        """Remove the parts that bearings take up from momenta or forces, and angular momenta or torques, (3, n)."""
-        held = self.columns
-        frames = A[:, :, held]
-        p[:, held] *= self._translations
-        L[:, held] = combine(self._rotations * body_frame(frames, L[:, held]), *frames)

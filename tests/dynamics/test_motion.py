@@ -164,6 +164,18 @@ def test_bearings_take_up_forces_and_momenta(rng):
         np.testing.assert_allclose(left[1], whole[1] * [[0], [0], [1]], atol=1e-15)
 
 
+def test_the_last_axis_of_a_line_in_the_plane_is_along_z(rng):
+    bodies = set_of("rod in plane")
+    sites = bodies.species[0].sites.T
+    for angle in rng.uniform(0, 2 * np.pi, 5):
+        turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        A = bodies.fit(sites @ turn)[1][:, :, 0]
+        # Rounding of the direction from two atoms.
+        np.testing.assert_allclose(A, turn, atol=1e-14)
+    upright = bodies.fit(sites @ np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]))[1][:, :, 0]
+    np.testing.assert_allclose(upright @ upright.T, np.eye(3), atol=1e-14)
+
+
 @pytest.mark.parametrize(("case", "dof"), [("rotating", 3), ("pinned", 0), ("in plane", 3), ("rotating on a line", 4)])
 def test_degrees_of_freedom_are_those_of_the_motion(case, dof):
     assert set_of(case).dof == dof

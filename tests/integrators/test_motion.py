@@ -202,6 +202,19 @@ def test_minimization_moves_only_what_can_move(motion):
     np.testing.assert_allclose(state.A[:, :, is_fixed], first.A[:, :, is_fixed], rtol=0, atol=1e-12)
 
 
+def test_constraints_within_a_body_do_not_set_it_free():
+    system, positions, bodies = typed({replace(ROD, motion=Motion.PINNED): 3})
+    for one in range(0, 6, 2):
+        system.addConstraint(one, one + 1, 0.25)
+    integrator = ENSEMBLES["SIER2"](bodies=bodies)
+    context = context_of(system, positions, integrator)
+    assert not context.getState(velocities=True).getVelocities(asNumpy=True)._value.any()
+    openmm.LocalEnergyMinimizer.minimize(context, 1.0, 50)
+    np.testing.assert_allclose(
+        context.getState(positions=True).getPositions(asNumpy=True)._value, positions, atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("name", ["langevin", "trials"])
 def test_restarts_and_copies_have_the_motion(name):
     system, positions, bodies = mixture(Motion.IN_PLANE)

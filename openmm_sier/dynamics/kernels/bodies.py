@@ -208,6 +208,35 @@ def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
 
 @shared
 @kernel
+def hold(start, stop, columns, translates, turns, A, p, L):
+    """Remove the parts of momenta and angular momenta along which bodies do not move.
+
+    Args:
+        start, stop: range of `columns`.
+        columns: the bodies, (k,).
+        translates: whether each of all bodies moves along x, y and z, (3, n).
+        turns: whether each turns about its principal axes, (3, n).
+        A: attitudes, (3, 3, n).
+        p, L: of all bodies, (3, n), changed.
+    """
+    for k in range(np.uint64(start), np.uint64(stop)):
+        n = np.uint64(columns[k])
+        axes, moment = rows_of(A, n), (L[0, n], L[1, n], L[2, n])
+        kept = (0.0, 0.0, 0.0)
+        for i in range(3):
+            if turns[i, n]:
+                x, y, z = axes[i]
+                about = combine(moment, x, y, z)
+                kept = plus(kept, (about * x, about * y, about * z))
+        for x in range(3):
+            L[x, n] = kept[x]
+            if not translates[x, n]:
+                p[x, n] = 0.0
+    return 0
+
+
+@shared
+@kernel
 def bathe(
     start,
     stop,
