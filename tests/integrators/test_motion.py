@@ -23,6 +23,7 @@ from openmm_sier import (
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.vectors import body_frame
 from openmm_sier.ensembles import VelocityRescaling
+from openmm_sier.system.bonded_terms import mobilities
 from tests.support.seeded import seeded
 from tests.support.systems import field
 from tests.support.types import PATCHY, TOP, typed
@@ -150,7 +151,8 @@ def test_momentum_is_conserved_along_axes_along_which_all_bodies_move(others, fr
 
 @pytest.mark.parametrize("name", ["SIER2", "langevin", "trials"])
 def test_a_remover_of_the_centre_leaves_what_cannot_move(name):
-    system, positions, bodies = mixture(Motion.IN_PLANE)
+    # Nothing moves along z.
+    system, positions, bodies = typed({replace(kind, motion=Motion.IN_PLANE): 4 for kind in (ROD, TOP, PATCHY)})
     system.removeForce(0)
     system.addForce(openmm.CMMotionRemover())
     integrator = seeded(ENSEMBLES[name](bodies=bodies), 3)
@@ -159,7 +161,7 @@ def test_a_remover_of_the_centre_leaves_what_cannot_move(name):
     state = integrator.getBodyState()
     assert not state.p[~bodies.translates].any()
     if name != "langevin":
-        # Rounding of a sum of 14 momenta of size 10.
+        # Rounding of a sum of 12 momenta of size 10.
         assert np.abs(state.p.sum(axis=1)).max() < 1e-12
 
 
@@ -186,6 +188,21 @@ def test_a_hinged_dipole_has_its_average_in_one_degree_of_freedom_that_is_rescal
     assert blocks.mean() == pytest.approx(expected, abs=4 * blocks.std() / math.sqrt(39))
     # The bound is narrow: without the field the mean would be zero.
     assert blocks.std() / math.sqrt(39) < 0.05
+
+
+def test_sites_move_as_easily_as_the_motion_lets_them():
+    """The rules for steps take the largest response of a site to a force."""
+    # The first site is at this distance from the centre of mass of 12 and 8 dalton, which are 0.25 nm apart.
+    arm = 0.25 * 8 / 20
+    expected = {
+        Motion.FREE: 1 / 20 + arm**2 / ROD.principal_moments[2],
+        Motion.ROTATING: arm**2 / ROD.principal_moments[2],
+        Motion.TRANSLATING: 1 / 20,
+        Motion.PINNED: 0.0,
+    }
+    for motion, mobility in expected.items():
+        _, _, bodies = typed({replace(ROD, motion=motion): 1})
+        assert mobilities(bodies)[0] == pytest.approx(mobility)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
