@@ -303,8 +303,8 @@ class ExactEngine(PointVerbs):
         """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""
         of_atoms = 0.5 * float(np.einsum("i,ix,ix->", self._masses, self.forces.velocities, self.forces.velocities))
         hidden = self.kinetic_energy() - of_atoms
-        components = 3 * np.count_nonzero(self._masses)
-        self._integrator.setGlobalVariableByName(HIDDEN_KINETIC, hidden / components)
+        share = hidden / (3 * np.count_nonzero(self._masses))
+        self._integrator.setPerDofVariableByName(HIDDEN_KINETIC, np.full((len(self._masses), 3), share))
 
     def recover(self) -> None:
         if not self._has_point:
