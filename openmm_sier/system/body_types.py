@@ -76,15 +76,7 @@ class BodyType:
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "masses", masses)
         if self.moments is not None:
-            moments = self._array("moments", self.moments, _MOMENT, "dalton nm^2")
-            is_symmetric = moments.T.shape == moments.shape and np.allclose(
-                moments, moments.T, rtol=0, atol=OTHER_MOMENT * np.abs(moments).max()
-            )
-            if moments.shape not in ((3,), (3, 3)) or not is_symmetric:
-                raise ValueError(
-                    f"{self.words} needs three moments, or a symmetric tensor (3, 3), got {moments.tolist()}"
-                )
-            object.__setattr__(self, "moments", moments)
+            object.__setattr__(self, "moments", self._checked_moments())
         self._refuse_coincident()
         # Refuses what no body has.
         _ = self._model
@@ -154,7 +146,7 @@ class BodyType:
         return f"the body type {self.name!r}"
 
     def _array(self, argument: str, values: Any, of: unit.Unit, symbol: str) -> np.ndarray:
-        """Return numbers of an argument, which may be a quantity, as an array.
+        """Return numbers of an argument, which may be a quantity, as an array that nobody can write.
 
         Raises:
             TypeError: they have another unit, or are no numbers.
@@ -170,7 +162,20 @@ class BodyType:
             raise TypeError(f"{argument} of {self.words} must be numbers in {symbol}, got {values!r}") from None
         if not np.isfinite(numbers).all():
             raise ValueError(f"{argument} of {self.words} must be finite, got {values!r}")
+        numbers.flags.writeable = False
         return numbers
+
+    def _checked_moments(self) -> np.ndarray:
+        """Return the moments, (3,), or a symmetric tensor, (3, 3).
+
+        Raises:
+            ValueError: they are neither.
+        """
+        moments = self._array("moments", self.moments, _MOMENT, "dalton nm^2")
+        is_one = moments.shape in ((3,), (3, 3))
+        if not is_one or np.abs(moments - moments.T).max() > OTHER_MOMENT * np.abs(moments).max():
+            raise ValueError(f"{self.words} needs three moments, or a symmetric tensor (3, 3), got {moments.tolist()}")
+        return moments
 
     def _refuse_coincident(self) -> None:
         from scipy.spatial import KDTree
