@@ -23,10 +23,11 @@ from openmm_sier.system.arguments import (
     checked_system,
     quantity_to_float,
 )
-from openmm_sier.system.body_types import BodyType, typed_species
+from openmm_sier.system.body_types import BodyType
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Clusters, Kind
 from openmm_sier.system.links import Links, joins_a_body, linked, links_of
+from openmm_sier.system.typed_bodies import typed_species
 from openmm_sier.system.user_warnings import warn
 
 #: Values of the argument `rigid`.
