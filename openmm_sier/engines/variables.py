@@ -19,8 +19,9 @@ HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 #: nothing else.
 PART = PREFIX + "part"
 
-#: Global variable: kinetic energy that velocities of massive atoms do not carry, kJ/mol for each of their components,
-#: where bodies have other moments than those of their masses. The exact engine writes it.
+#: Per-atom variable: kinetic energy that velocities of massive atoms do not carry, kJ/mol for each of their components,
+#: where bodies have other moments than those of their masses. The exact engine writes it. OpenMM's GPU platforms upload
+#: a global variable only in a step.
 HIDDEN_KINETIC = PREFIX + "hidden_kinetic"
 
 #: Per-atom variables in which the exact engine stores the phase point of the bodies, see `exact.packing`.
@@ -29,9 +30,7 @@ STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
 
 def report_hidden_kinetic_energy(integrator: openmm.CustomIntegrator) -> None:
     """Let OpenMM add `HIDDEN_KINETIC` to the kinetic energy of States, for an integrator without a Context."""
-    there = map(integrator.getGlobalVariableName, range(integrator.getNumGlobalVariables()))
-    if HIDDEN_KINETIC not in there:
-        integrator.addGlobalVariable(HIDDEN_KINETIC, 0)
+    integrator.addPerDofVariable(HIDDEN_KINETIC, 0)
     integrator.setKineticEnergyExpression(f"m*v*v/2 + {HIDDEN_KINETIC}")
 
 

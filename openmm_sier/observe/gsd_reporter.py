@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.species import Species
 from openmm_sier.observe import conservation
 from openmm_sier.observe.reporters import IntervalReporter
@@ -47,37 +48,48 @@ class GSDReporter(IntervalReporter):
         self._path = Path(file)
         self._make_frame = gsd.hoomd.Frame
         self._file = gsd.hoomd.open(str(self._path), "a" if append else "w")
+        self._begun = False
 
     def report(self, simulation: app.Simulation, state: openmm.State) -> None:
         """Write one frame, and flush it."""
         integrator = conservation.sier_integrator(simulation.context)
         bodies = integrator.bodies
-        if len(self._file) and (before := self._file[-1].particles.N) != bodies.n:
-            raise ValueError(f"{self._path} cannot be continued: it has {before} bodies, and this System {bodies.n}")
-        frame = self._make_frame()
-        frame.configuration.step = state.getStepCount()
-        names = [_name_of(species, bodies.labels) for species in bodies.species]
-        types = list(dict.fromkeys(names))
-        kinds = np.empty(bodies.n, dtype=np.uint32)
-        for name, columns in zip(names, bodies.columns, strict=True):
-            kinds[columns] = types.index(name)
-        frame.particles.N = bodies.n
-        frame.particles.types = types
-        frame.particles.typeid = kinds
-        frame.particles.mass = bodies.masses
+        if not self._begun:
+            self._refuse_other_bodies(bodies)
         motion = integrator.getBodyState()
         is_periodic = simulation.context.getSystem().usesPeriodicBoundaryConditions()
         box = _box_of(state) if is_periodic else _cube_around(motion.q)
+        frame = self._make_frame()
+        frame.configuration.step = state.getStepCount()
         frame.configuration.box = _box_of_gsd(box)
+        frame.particles.N = bodies.n
+        frame.particles.types, frame.particles.typeid = _types_of(bodies)
+        frame.particles.mass = bodies.masses
         frame.particles.position, frame.particles.image = _in_box(motion.q.T, box)
         frame.particles.orientation = bodies.orientations(motion)
         frame.particles.velocity = (motion.p / bodies.masses).T
         self._file.append(frame)
         self._file.flush()
+        self._begun = True
+
+    def _refuse_other_bodies(self, bodies: BodySet) -> None:
+        before = self._file[-1].particles.N if len(self._file) else bodies.n
+        if before != bodies.n:
+            raise ValueError(f"{self._path} cannot be continued: it has {before} bodies, and this System {bodies.n}")
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _types_of(bodies: BodySet) -> tuple[list[str], np.ndarray]:
+    """Return the names of types, and the number of the type of each body, (n,)."""
+    names = [_name_of(species, bodies.labels) for species in bodies.species]
+    types = list(dict.fromkeys(names))
+    kinds = np.empty(bodies.n, dtype=np.uint32)
+    for name, columns in zip(names, bodies.columns, strict=True):
+        kinds[columns] = types.index(name)
+    return types, kinds
 
 
 def _name_of(species: Species, labels: Sequence[str] | None) -> str:

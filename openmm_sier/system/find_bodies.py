@@ -23,10 +23,11 @@ from openmm_sier.system.arguments import (
     checked_system,
     quantity_to_float,
 )
-from openmm_sier.system.body_types import BodyType, typed_species
+from openmm_sier.system.body_types import BodyType
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Clusters, Kind
 from openmm_sier.system.links import Links, joins_a_body, linked, links_of
+from openmm_sier.system.typed_bodies import typed_species
 from openmm_sier.system.user_warnings import warn
 
 #: Values of the argument `rigid`.
@@ -124,7 +125,8 @@ class RigidBodies(dynamics.BodySet):
             topology: the topology, for residue names in messages.
 
         Raises:
-            RigidityError: the positions do not fit a type, as the message says by how much; a constraint joins a body
+            RigidityError: the positions do not fit a type, as the message says by how much; a body that is to turn in
+                the plane is inclined to it; a constraint joins a body
                 to another particle, or has another length than in the type; or see `from_system`.
             ValueError: a list does not have a particle for each site, a particle is in two lists or has another mass
                 than its site, two types have one name, or positions have the wrong shape.

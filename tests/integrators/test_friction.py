@@ -205,7 +205,7 @@ def test_without_friction_of_any_type_it_is_the_nve_trajectory_bit_for_bit():
 
 
 def test_energy_less_heat_is_constant():
-    system, positions, bodies = free({ROD: 5, replace(TOP, motion=Motion.IN_PLANE): 5})
+    system, positions, bodies = free({ROD: 5, replace(TOP, motion=Motion.IN_PLANE): 5}, flat=True)
     friction = {"rod": (20, 40, 40), "top": (5, 10, 15)}
     integrator = seeded(SIERLangevinIntegrator(T, friction, 0.005, bodies=bodies), 2)
     _context = context_of(system, positions, integrator)

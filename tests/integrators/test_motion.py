@@ -14,6 +14,7 @@ from openmm_sier import (
     SIER4G,
     BodyType,
     Motion,
+    RigidityError,
     SIERHMCIntegrator,
     SIERIntegrator,
     SIERLangevinIntegrator,
@@ -59,7 +60,7 @@ def context_of(system, positions, integrator, velocities=7):
 def mixture(motion, number=4, **options):
     """Bodies of three shapes with a motion, and free ones, in a field."""
     kinds = {replace(kind, motion=motion): number for kind in (ROD, TOP, PATCHY)}
-    return typed({**kinds, replace(TOP, name="free"): 2}, **options)
+    return typed({**kinds, replace(TOP, name="free"): 2}, flat=motion == Motion.IN_PLANE, **options)
 
 
 @pytest.mark.parametrize("name", ENSEMBLES)
@@ -113,7 +114,7 @@ def test_energy_errors_have_the_order_of_the_scheme(motion, name):
 def test_velocities_and_temperatures_are_those_of_what_moves(motion):
     number = 400
     kinds = {replace(kind, motion=MOTIONS[motion]): number for kind in (ROD, TOP, PATCHY)}
-    system, positions, bodies = typed(kinds)
+    system, positions, bodies = typed(kinds, flat=True)
     integrator = ENSEMBLES["SIER2"](bodies=bodies)
     _context = context_of(system, positions, integrator)
     state = integrator.getBodyState()
@@ -137,7 +138,7 @@ def test_velocities_and_temperatures_are_those_of_what_moves(motion):
 @pytest.mark.parametrize(("others", "freedoms"), [(Motion.IN_PLANE, 3 * 5 - 2), (Motion.PINNED, 3 * 4)])
 def test_momentum_is_conserved_along_axes_along_which_all_bodies_move(others, freedoms):
     one = replace(ROD, name="other", motion=others)
-    system, positions, bodies = typed({replace(ROD, motion=Motion.IN_PLANE): 4, one: 1})
+    system, positions, bodies = typed({replace(ROD, motion=Motion.IN_PLANE): 4, one: 1}, flat=True)
     system.removeForce(0)
     integrator = ENSEMBLES["SIER2"](bodies=bodies)
     _context = context_of(system, positions, integrator)
@@ -152,7 +153,8 @@ def test_momentum_is_conserved_along_axes_along_which_all_bodies_move(others, fr
 @pytest.mark.parametrize("name", ["SIER2", "langevin", "trials"])
 def test_a_remover_of_the_centre_leaves_what_cannot_move(name):
     # Nothing moves along z.
-    system, positions, bodies = typed({replace(kind, motion=Motion.IN_PLANE): 4 for kind in (ROD, TOP, PATCHY)})
+    kinds = {replace(kind, motion=Motion.IN_PLANE): 4 for kind in (ROD, TOP, PATCHY)}
+    system, positions, bodies = typed(kinds, flat=True)
     system.removeForce(0)
     system.addForce(openmm.CMMotionRemover())
     integrator = seeded(ENSEMBLES[name](bodies=bodies), 3)
@@ -281,6 +283,11 @@ def test_the_native_engine_and_frames_refuse_motions():
         context_of(system, positions, integrator)
     with pytest.raises(ValueError, match=r"give the type Motion\.FREE, or take the exact engine"):
         with_frames(system, positions, bodies)
+
+
+def test_bodies_that_are_inclined_to_the_plane_are_refused():
+    with pytest.raises(RigidityError, match=r"the type 'rod' with Motion\.IN_PLANE, turns about its last"):
+        typed({replace(ROD, motion=Motion.IN_PLANE): 3})
 
 
 def test_a_motion_is_checked():

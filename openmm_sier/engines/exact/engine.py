@@ -69,6 +69,7 @@ class ExactEngine(PointVerbs):
         self.motion = self._new_motion()
         self._packing = Packing(self.moving)
         self._masses = tables.masses(system)
+        self._hides_kinetic_energy = self.moving.has_other_moments
         self._reader = AtomReader(self.moving)
         self._remembers_list = neighbour_list.is_remembered(context)
         #: Whether positions that are set come back as they are, bit for bit, and nothing else changes with them.
@@ -145,7 +146,7 @@ class ExactEngine(PointVerbs):
             self.forces.take_positions(now)
         if is_other:
             self.forces.velocities[:] = now.velocities
-            if self.moving.has_other_moments:
+            if self._hides_kinetic_energy:
                 self._report_hidden_kinetic_energy()
         self._take_environment(now)
         self.forces.select(self._groups, self.method.fast_groups)
@@ -302,15 +303,15 @@ class ExactEngine(PointVerbs):
         openmm.Context.setStepCount(context, clock.steps)
         self._is_unstored = True
         self._published = point, clock
-        if self.moving.has_other_moments:
+        if self._hides_kinetic_energy:
             self._report_hidden_kinetic_energy()
 
     def _report_hidden_kinetic_energy(self) -> None:
         """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""
         of_atoms = 0.5 * float(np.einsum("i,ix,ix->", self._masses, self.forces.velocities, self.forces.velocities))
         hidden = self.kinetic_energy() - of_atoms
-        components = 3 * np.count_nonzero(self._masses)
-        self._integrator.setGlobalVariableByName(HIDDEN_KINETIC, hidden / components)
+        share = hidden / (3 * np.count_nonzero(self._masses))
+        self._integrator.setPerDofVariableByName(HIDDEN_KINETIC, np.full((len(self._masses), 3), share))
 
     def recover(self) -> None:
         if not self._has_point:
