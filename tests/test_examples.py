@@ -1,11 +1,13 @@
 """The examples run from a fresh checkout and print their results."""
 
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import mdtraj
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -58,3 +60,75 @@ def test_peptide_has_three_temperatures(tmp_path):
     peptide = int(re.search(r"the peptide at (\d+) K", text).group(1))
     assert abs(peptide - 297) < 6.5 * 297 * (2 / 235) ** 0.5
     assert len((tmp_path / "peptide.csv").read_text().splitlines()) == 4
+
+
+@pytest.mark.thorough
+def test_patchy_colloids_write_orientations(tmp_path):
+    gsd = pytest.importorskip("gsd.hoomd")
+    text = output(tmp_path, "patchy_colloids.py")
+    assert "150 node of 5 atoms, 350 link of 3 atoms" in text
+    total = float(re.search(r"total=(\S+) K", text).group(1))
+    # 3000 degrees of freedom: six and a half standard deviations.
+    assert abs(total - 300) < 6.5 * 300 * (2 / 3000) ** 0.5
+    with gsd.open(str(tmp_path / "patchy.gsd")) as file:
+        assert len(file) == 10
+        assert file[-1].particles.types == ["node", "link"]
+        assert file[-1].particles.orientation.shape == (500, 4)
+
+
+@pytest.mark.thorough
+def test_c60_turns_in_its_crystal(tmp_path):
+    text = output(tmp_path, "c60.py", "--steps", "50")
+    assert "32 C60 of 60 atoms" in text
+    # A free molecule turns by 2 ps / 4.95 ps radians at sqrt(kT/I).
+    assert 5 < int(re.search(r"turned by (\d+) degrees", text).group(1)) < 60
+
+
+@pytest.mark.thorough
+def test_rods_have_five_degrees_of_freedom(tmp_path):
+    text = output(tmp_path, "rods.py", "--steps", "500")
+    along, about = (json.loads(part) for part in re.search(r"axes: \[(\[.*?\]), (\[.*?\])\]", text).groups())
+    assert about[0] == 0
+    # Squares of 256 normal numbers: six and a half standard deviations.
+    assert np.abs(np.array(along + about[1:]) - 1).max() < 6.5 * (2 / 256) ** 0.5
+
+
+@pytest.mark.thorough
+def test_a_piston_stays_above_its_gas(tmp_path):
+    text = output(tmp_path, "piston.py", "--steps", "500")
+    height = float(re.search(r"piston ([\d.]+) nm", text).group(1))
+    # It starts at 4 nm, and may fall until the gas holds it.
+    assert 1 < height < 5
+
+
+@pytest.mark.thorough
+def test_gay_berne_ellipsoids_conserve_energy(tmp_path):
+    text = output(tmp_path, "gay_berne.py", "--steps", "50")
+    assert "All Forces are the gradients of their energies" in text
+    potential, total = map(float, re.search(r"by ([\d.]+) kJ/mol, the sum by (\S+)", text).groups())
+    # rms(H)/rms(V) is 0.001 % at 26 fs, and the steps have 20 fs.
+    assert total < 1e-4 * potential
+
+
+@pytest.mark.thorough
+def test_a_chain_keeps_its_domains(tmp_path):
+    text = output(tmp_path, "domain_chain.py", "--steps", "100")
+    assert "2 rigid of 36 atoms, 48 points" in text
+    assert "domains are" in text
+
+
+def test_examples_need_only_what_is_installed():
+    """Those on pages run anywhere; others read systems of the repository."""
+    page = (ROOT / "docs" / "guide" / "howto" / "rigid-particles.md").read_text()
+    page += (ROOT / "docs" / "guide" / "howto" / "rigid-domains.md").read_text()
+    shown = re.findall(r"literalinclude\} \.\./\.\./\.\./examples/(\w+\.py)", page)
+    assert len(shown) == 6
+    for name in shown:
+        text = (EXAMPLES / name).read_text()
+        assert not re.search(r"studies|systems|tests", text), name
+
+
+def test_a_new_users_script_is_short():
+    lines = (EXAMPLES / "patchy_colloids.py").read_text().splitlines()
+    code = [line for line in lines if line.strip() and not line.startswith(("#", '"""'))]
+    assert len(code) <= 40

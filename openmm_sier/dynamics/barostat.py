@@ -147,7 +147,9 @@ class MoleculeCentres:
         molecule = molecule_of_atoms(molecules, bodies.n_particles)
         of_atoms = [molecule[species.atoms] for species in bodies.species]
         components = joined(len(molecules), np.concatenate([_different(numbers) for numbers in of_atoms]))
-        first = np.concatenate([numbers[:, 0] for numbers in of_atoms])
+        first = np.empty(bodies.n, dtype=np.int64)
+        for numbers, columns in zip(of_atoms, bodies.columns, strict=True):
+            first[columns] = numbers[:, 0]
         self._owner = np.unique(components[first], return_inverse=True)[1]
         self._weights = bodies.masses / np.bincount(self._owner, bodies.masses)[self._owner]
         self.count = int(self._owner.max()) + 1

@@ -6,24 +6,22 @@ Arrays of atoms have OpenMM's shape (N, 3).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.body_state import BodyState as BodyState
+from openmm_sier.dynamics.body_state import Pair as Pair
+from openmm_sier.dynamics.body_state import PlaceCache as PlaceCache
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
+from openmm_sier.dynamics.indices import as_slice
+from openmm_sier.dynamics.inertia import Inertia
 from openmm_sier.dynamics.sites import Sites
 from openmm_sier.dynamics.species import RigidityError as RigidityError
 from openmm_sier.dynamics.species import Species, sites_of
-from openmm_sier.dynamics.vectors import body_frame
-
-#: Two arrays of bodies, for translation and rotation: centres and attitudes, momenta and angular momenta, forces and
-#: torques, or inverse masses, (n,), and inverse moments, (3, n).
-Pair = tuple[np.ndarray, np.ndarray]
 
 #: Maximum number of residues of a body named in a message; of more, only the first and the last are named.
 MOST_RESIDUES = 3
@@ -49,50 +47,6 @@ class NotFiniteError(ValueError):
         super().__init__(f"the {self.what} is not finite")
 
 
-class PlaceCache:
-    """Results for one potential at the centres and attitudes of a state, once they have been computed.
-
-    Attributes:
-        forces: forces and torques of the kicks, each (3, n), kJ/mol/nm and kJ/mol.
-        energy: potential energy, kJ/mol.
-        members: state of the bodies that fast forces move, with a cache of its own for these forces.
-    """
-
-    forces: Pair | None = None
-    energy: float | None = None
-    members: "BodyState | None" = None
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class BodyState:
-    """Phase point of n rigid bodies, as returned by `integrator.getBodyState()`. It never changes in place.
-
-    Attributes:
-        q: centres of mass, (3, n), nm.
-        p: momenta, (3, n), dalton nm/ps.
-        A: attitude matrices, (3, 3, n); rows are the principal axes in the lab frame.
-        L: angular momenta about the centres, in the lab frame, (3, n), dalton nm^2/ps.
-        cache: of the place (q, A). States that differ in momenta share it; `dataclasses.replace` gives a new one.
-    """
-
-    q: np.ndarray
-    p: np.ndarray
-    A: np.ndarray
-    L: np.ndarray
-    cache: PlaceCache = field(init=False, repr=False)
-
-    def __init__(
-        self, q: np.ndarray, p: np.ndarray, A: np.ndarray, L: np.ndarray, cache: PlaceCache | None = None
-    ) -> None:
-        # Several of these are made in a step, and the generated constructor of a frozen class takes twice as long.
-        attributes = self.__dict__
-        attributes["q"] = q
-        attributes["p"] = p
-        attributes["A"] = A
-        attributes["L"] = L
-        attributes["cache"] = PlaceCache() if cache is None else cache
-
-
 def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> np.ndarray:
     """Return the molecule index of each particle, (N,).
 
@@ -106,17 +60,19 @@ def molecule_of_atoms(molecules: Sequence[Sequence[int]], n_particles: int) -> n
     return numbers
 
 
-class BodySet:
+class BodySet(Inertia):
     """Rigid and point bodies of a system, and the constraints between them.
 
-    Bodies are numbered species by species. Particles without a body (virtual sites, fixed massless particles) are
-    ignored.
+    Particles without a body (virtual sites, fixed massless particles) are ignored.
 
     Attributes:
         species: the kinds of body.
-        columns: slice of the bodies of each species.
+        numbers: indices of the bodies of each species, (m,) for its m bodies.
+        columns: the same as slices where they are evenly spaced.
         masses: (n,), dalton.
         moments: principal moments, (3, n), dalton nm^2.
+        translates: whether each body moves along x, y and z, (3, n).
+        turns: whether each body turns about its principal axes, (3, n).
         molecules: molecule index of each body, (n,).
         moved: largest distance by which an atom was moved to give bodies of a kind one geometry, nm.
         sites: the atoms, with their positions in the bodies.
@@ -130,6 +86,7 @@ class BodySet:
         links: tuple = ((), ()),
         molecules: np.ndarray | None = None,
         moved: float = 0.0,
+        numbers: Sequence[np.ndarray] | None = None,
     ):
         """
         Args:
@@ -140,6 +97,7 @@ class BodySet:
             molecules: molecule index of each body, (n,). With None, linked bodies form a molecule, and any other body
                 is a molecule.
             moved: largest distance in nm by which an atom was moved to give bodies of a kind one geometry.
+            numbers: indices of the bodies of each species; None numbers them species by species.
 
         Raises:
             ValueError: a particle is in two bodies or out of range, a mass is not positive, or a link is not between
@@ -150,13 +108,18 @@ class BodySet:
         self.labels = labels
         self.moved = moved
         counts = [s.atoms.shape[0] for s in self.species]
-        starts = np.cumsum([0, *counts])
-        self.n = int(starts[-1])
-        self.columns = tuple(slice(int(a), int(b)) for a, b in pairwise(starts))
-        self._check()
-        self.masses = np.repeat([s.mass for s in self.species], counts)
-        self.moments = np.repeat(np.reshape([s.moments for s in self.species], (-1, 3)).T, counts, axis=1)
-        sites, fractions = sites_of(self.species, self.columns)
+        self.n = sum(counts)
+        order = np.arange(self.n) if numbers is None else np.concatenate([np.empty(0, np.int64), *numbers])
+        self._check(order)
+        self.numbers = tuple(np.split(order, np.cumsum(counts)[:-1])) if counts else ()
+        self.columns = tuple(map(as_slice, self.numbers))
+        kinds = self._rows[0]
+        masses = np.array([s.mass for s in self.species], dtype=float)[kinds]
+        moments = np.reshape([s.moments for s in self.species], (-1, 3))[kinds].T
+        translates = np.array([s.motion.translations for s in self.species], dtype=bool).reshape(-1, 3)[kinds].T
+        turns = np.array([s.turns for s in self.species], dtype=bool).reshape(-1, 3)[kinds].T
+        super().__init__(masses, moments, translates, turns)
+        sites, fractions = sites_of(self.species, self.numbers)
         self.sites = sites
         self._fractions = fractions
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
@@ -168,12 +131,14 @@ class BodySet:
         self.molecules = joined(self.n, self.constraints.pairs) if molecules is None else np.asarray(molecules)
 
     def __repr__(self) -> str:
-        """Return a summary of bodies by numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        """Return a summary of bodies by types or numbers of atoms, and of constraints: `print(integrator.bodies)`."""
+        words = [f"{len(s.atoms)} {s.name} of {s.atoms.shape[1]} atoms" for s in self.species if s.name]
         kinds: dict[int, list[int]] = {}
         for s in self.species:
-            kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
+            if not s.name:
+                kinds.setdefault(s.atoms.shape[1], []).append(s.atoms.shape[0])
         points, constraints = sum(kinds.pop(1, [])), len(self.links[1])
-        words = [
+        words += [
             f"{sum(counts)} rigid of {size} atoms" + (f" ({len(counts)} kinds)" if len(counts) > 1 else "")
             for size, counts in sorted(kinds.items())
         ]
@@ -200,20 +165,35 @@ class BodySet:
         return sum(s.dof * s.atoms.shape[0] for s in self.species) - self.constraints.rank()
 
     @cached_property
+    def has_other_moments(self) -> bool:
+        """Whether the moments of some bodies are not those of the masses of their atoms."""
+        return any(s.has_other_moments for s in self.species)
+
+    @cached_property
     def flexible(self) -> np.ndarray:
         """Whether each body shares its molecule with other bodies, (n,), so that the molecule is flexible."""
         _, place, counts = np.unique(self.molecules, return_inverse=True, return_counts=True)
         return (counts > 1)[place]
 
     @cached_property
+    def _rows(self) -> np.ndarray:
+        """Species of each body, and its row there, (2, n)."""
+        rows = np.empty((2, self.n), dtype=np.int64)
+        for kind, numbers in enumerate(self.numbers):
+            rows[:, numbers] = np.full(len(numbers), kind), np.arange(len(numbers))
+        return rows
+
+    @cached_property
     def owners(self) -> np.ndarray:
         """Body index of each particle, (N,); -1 without a body."""
         owners = np.full(self.n_particles, -1)
-        for species, columns in zip(self.species, self.columns, strict=True):
-            owners[species.atoms] = np.arange(columns.start, columns.stop)[:, None]
+        for species, numbers in zip(self.species, self.numbers, strict=True):
+            owners[species.atoms] = numbers[:, None]
         return owners
 
-    def _check(self) -> None:
+    def _check(self, order: np.ndarray) -> None:
+        if not np.array_equal(np.sort(order), np.arange(self.n)):
+            raise ValueError(f"the numbers of {self.n} bodies must be 0 to {self.n - 1}, each once, got {order}")
         used = np.concatenate([s.atoms.ravel() for s in self.species]) if self.species else np.zeros(0, int)
         outside = used[(used < 0) | (used >= self.n_particles)]
         if outside.size:
@@ -221,11 +201,6 @@ class BodySet:
         twice = np.flatnonzero(np.bincount(used, minlength=self.n_particles) > 1)
         if twice.size:
             raise ValueError(f"particle {twice[0]} is in more than one body")
-        for s in self.species:
-            if not (s.masses > 0).all():
-                raise ValueError(
-                    f"{self.describe_atoms(s.atoms[0])} has an atom of mass {s.masses.min()}: masses must be positive"
-                )
 
     def restricted(self, bodies: np.ndarray) -> "BodySet":
         """Return a subset of the bodies with the constraints between them. Atoms keep their indices.
@@ -237,20 +212,23 @@ class BodySet:
             ConstraintError: a constraint joins a body of the subset to another body.
         """
         indices = np.asarray(bodies, dtype=np.int64)
-        kinds = []
+        places = np.full(self.n, -1)
+        places[indices] = np.arange(len(indices))
+        kinds, numbers = [], []
         for species, columns in zip(self.species, self.columns, strict=True):
-            rows = indices[(indices >= columns.start) & (indices < columns.stop)] - columns.start
+            rows = np.flatnonzero(places[columns] >= 0)
             if rows.size:
                 kinds.append(species.of_atoms(species.atoms[rows]))
+                numbers.append(places[columns][rows])
         between = self.constraints.restricted(indices)
         links = between.pairs, between.lengths
-        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[indices])
+        return BodySet(kinds, self.n_particles, self.labels, links, self.molecules[indices], numbers=numbers)
 
     def atoms_of(self, body: int) -> np.ndarray:
         """Return the particle indices of a body."""
-        for s, columns in zip(self.species, self.columns, strict=True):
-            if columns.start <= body < columns.stop:
-                return s.atoms[body - columns.start]
+        if 0 <= body < self.n:
+            kind, row = self._rows[:, body]
+            return self.species[kind].atoms[row]
         raise IndexError(f"there is no body {body}: there are {self.n}, numbered from 0")
 
     def describe(self, body: int) -> str:
@@ -293,20 +271,22 @@ class BodySet:
         """Like `fit`, but also return the largest distance of an atom of each body from its site: (q, A, misfit)."""
         q, A = np.empty((3, self.n)), np.empty((3, 3, self.n))
         misfit = np.zeros(self.n)
-        for s, columns in zip(self.species, self.columns, strict=True):
+        for s, numbers, columns in zip(self.species, self.numbers, self.columns, strict=True):
             x = positions[s.atoms]
             centre = np.einsum("k,mkx->mx", s.masses / s.mass, x)
             q[:, columns] = centre.T
             if not np.isfinite(centre).all():
-                body = columns.start + int(np.flatnonzero(~np.isfinite(centre).all(axis=1))[0])
-                raise RigidityError(f"the positions of {self.describe(body)} are not finite")
+                row = np.isfinite(centre).all(axis=1).argmin()
+                raise RigidityError(f"the positions of {self.describe(int(numbers[row]))} are not finite")
             arms = x - centre[:, None, :]
             A[:, :, columns], misfit[columns] = s.fit(arms, None if previous is None else previous.A[:, :, columns])
         self._refuse_torn(misfit)
         return q, A, misfit
 
     def _refuse_torn(self, misfit: np.ndarray) -> None:
-        tolerances = np.repeat([s.tolerance for s in self.species], [len(s.atoms) for s in self.species])
+        tolerances = np.empty(self.n)
+        for s, columns in zip(self.species, self.columns, strict=True):
+            tolerances[columns] = s.tolerance
         torn = misfit > tolerances
         if not torn.any():
             return
@@ -336,10 +316,19 @@ class BodySet:
             NotFiniteError: one of them is not finite.
         """
         velocity, moment = self._sum_over_sites("velocity of", self.sites, velocities, A, self._fractions)
-        return self.masses * velocity, self.masses * moment
+        p, L = self.masses * velocity, self.masses * moment
+        for s, columns in zip(self.species, self.columns, strict=True):
+            if s.has_other_moments:
+                relative = velocities[s.atoms] - velocity[:, columns].T[:, None]
+                L[:, columns] = s.angular_momenta(relative, A[:, :, columns])
+        if self.bearings is not None:
+            self.bearings.remove(p, L, A)
+        return p, L
 
     def forces_and_torques(self, forces: np.ndarray, A: np.ndarray, sites: Sites | None = None) -> Pair:
         """Return the net force and torque about the centre of mass (van Zon and Schofield 2007, Eq. 4 (forcestorques)).
+
+        Bearings take up those along which a body does not move.
 
         Args:
             forces: forces on the particles, (N, 3), kJ/mol/nm. Forces on virtual sites must already be passed on to
@@ -354,13 +343,16 @@ class BodySet:
             NotFiniteError: one of them is not finite.
         """
         chosen = self.sites if sites is None else sites
-        return self._sum_over_sites("force on", chosen, forces, A, chosen.ones)
+        F, tau = self._sum_over_sites("force on", chosen, forces, A, chosen.ones)
+        if self.bearings is not None:
+            self.bearings.remove(F, tau, A)
+        return F, tau
 
     def _sum_over_sites(
         self, quantity: str, sites: Sites, vectors: np.ndarray, A: np.ndarray, weights: np.ndarray
     ) -> Pair:
         total, moment = np.empty((3, self.n)), np.empty((3, self.n))
-        tables = sites.sets, sites.places, weights, sites.atoms
+        tables = sites.sets, sites.bodies, sites.places, weights, sites.atoms
         if kernels.atoms.collect(self.n, vectors, A, *tables, total, moment):
             raise NotFiniteError(quantity, np.concatenate([total, moment]), self)
         return total, moment
@@ -380,25 +372,15 @@ class BodySet:
             NotFiniteError: a position is not finite. All positions have been written then.
         """
         chosen = self.sites if sites is None else sites
-        if kernels.atoms.place(self.n, q, A, chosen.sets, chosen.places, chosen.atoms, positions):
+        if kernels.atoms.place(self.n, q, A, *chosen.tables, positions):
             raise NotFiniteError("position of", np.concatenate([q, A.reshape(9, -1)]), self)
         return positions
 
     def move(self, state: BodyState, velocities: np.ndarray) -> np.ndarray:
         """Write the atom velocities of a state into `velocities`, (N, 3), without changing other particles."""
-        moving, tables = (state.p, state.A, state.L), (self.sites.sets, self.sites.places, self.sites.atoms)
-        kernels.atoms.move(self.n, *moving, self.inverse_masses, self.inverse_moments, *tables, velocities)
+        moving, inverses = (state.p, state.A, state.L), (self.inverse_masses, self.inverse_moments)
+        kernels.atoms.move(self.n, *moving, *inverses, *self.sites.tables, velocities)
         return velocities
-
-    @cached_property
-    def inverse_masses(self) -> np.ndarray:
-        """Inverse masses, (n,), 1/dalton."""
-        return 1 / self.masses
-
-    @cached_property
-    def inverse_moments(self) -> np.ndarray:
-        """Inverse moments, (3, n), 1/(dalton nm^2); zero where the moment is zero."""
-        return np.divide(1.0, self.moments, out=np.zeros_like(self.moments), where=self.moments > 0)
 
     @cached_property
     def point_particles(self) -> np.ndarray:
@@ -411,40 +393,15 @@ class BodySet:
 
     # --- observables ---
 
-    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energy, kJ/mol."""
-        translation = 0.5 * float(((state.p**2).sum(axis=0) / self.masses).sum())
-        rotation = 0.5 * float((body_frame(state.A, state.L) ** 2 * self.inverse_moments).sum())
-        return translation, rotation
+    def orientations(self, state: BodyState) -> np.ndarray:
+        """Return quaternions (w, x, y, z) of the bodies, (n, 4), with w >= 0.
 
-    @cached_property
-    def mass(self) -> float:
-        """Total mass of all bodies, dalton."""
-        return float(self.masses.sum())
-
-    def centre_velocity(self, p: np.ndarray) -> np.ndarray:
-        """Return the velocity of the total centre of mass, (3,), nm/ps, for momenta (3, n); zero without bodies."""
-        return p.sum(axis=1) / self.mass if self.n else np.zeros(3)
-
-    def shifted(self, state: BodyState, velocity: np.ndarray) -> BodyState:
-        """Return the state with a velocity, (3,), nm/ps, added to all bodies."""
-        p = state.p + self.masses * velocity[:, None]
-        return BodyState(state.q, p, state.A, state.L, state.cache)
-
-    def stopped(self, state: BodyState) -> tuple[BodyState, float]:
-        """Return the state without the motion of the total centre of mass, and its energy, kJ/mol."""
-        velocity = self.centre_velocity(state.p)
-        return self.shifted(state, -velocity), -self.energy_of_shift(velocity, -velocity)
-
-    def energy_of_shift(self, centre: np.ndarray, velocity: np.ndarray) -> float:
-        """Return the energy gain when a velocity is added to all bodies, kJ/mol.
-
-        Args:
-            centre: previous velocity of the centre of mass, (3,), nm/ps.
-            velocity: added velocity, (3,), nm/ps.
+        They turn the frame of a body into the lab frame: that of its `BodyType`, or its principal axes without one.
         """
-        return self.mass * float((centre + 0.5 * velocity) @ velocity)
+        # Imported late: it takes longer than a step.
+        from scipy.spatial.transform import Rotation
 
-    def total_momenta(self, state: BodyState) -> Pair:
-        """Return the total momentum and total angular momentum about the origin, each (3,)."""
-        return state.p.sum(axis=1), (np.cross(state.q.T, state.p.T).T + state.L).sum(axis=1)
+        turns = state.A.transpose(2, 1, 0).copy()
+        for s, columns in zip(self.species, self.columns, strict=True):
+            turns[columns] = turns[columns] @ s.axes
+        return Rotation.from_matrix(turns).as_quat(canonical=True)[:, [3, 0, 1, 2]]

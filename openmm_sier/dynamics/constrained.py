@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike
 from openmm_sier.dynamics import kernels, operators
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constraints import Constraints
+from openmm_sier.dynamics.indices import as_slice
 from openmm_sier.dynamics.operators import Forces, Operator, Rotation, Table, always
 from openmm_sier.dynamics.plan import Drift, Inner, Kick, Operation, Project
 from openmm_sier.dynamics.rotation import exact
@@ -224,13 +225,3 @@ def inner_drifts(drifts: Drifts, members: ArrayLike, within: Table) -> Callable[
         return apply
 
     return operator
-
-
-def as_slice(indices: np.ndarray) -> slice | np.ndarray:
-    """Return indices, (k,), as a slice if their spacing is even, since a slice of an array is no copy."""
-    if indices.size == 1:
-        return slice(int(indices[0]), int(indices[0]) + 1)
-    step = int(indices[1] - indices[0]) if indices.size else 0
-    if step > 0 and np.all(np.diff(indices) == step):
-        return slice(int(indices[0]), int(indices[-1]) + 1, step)
-    return indices

@@ -12,6 +12,7 @@ import numpy as np
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
+from openmm_sier.dynamics.indices import runs
 from openmm_sier.dynamics.plan import Bath, Drift, Kick, Operation, Project, expanded, plan_step
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.rotation.axes import axes_of, not_finite
@@ -128,6 +129,9 @@ def kick(bodies: BodySet, forces: Forces, displacement: Displacement | None = No
         if shift and displacement is not None:
             columns = displacement.without_torque
             L[:, columns] = state.L[:, columns]
+        if shift and bodies.bearings is not None:
+            # The torque about the centre has parts along axes that the torque of the displaced body had not.
+            bodies.bearings.remove(p, L, state.A)
         return BodyState(state.q, p, state.A, L, state.cache)
 
     return apply
@@ -138,12 +142,12 @@ def drift(bodies: BodySet, rotation: Rotation = exact) -> Operator:
 
     The operator raises ValueError for a state with another number of bodies.
     """
-    in_order = all((np.diff(species.moments) >= 0).all() for species in bodies.species)
+    moments = bodies.rotation_moments
+    in_order = bool((np.diff(moments, axis=0) >= 0).all())
     if rotation is not exact or not in_order:
         return _drift_by(bodies, rotation)
-    rates = np.array([axes_of(species.moments).rates for species in bodies.species]).reshape(-1, 3)
-    edges = np.array([0, *(columns.stop for columns in bodies.columns)], dtype=np.int64)
-    tables = edges, rates, bodies.inverse_masses
+    rates = axes_of(moments).rates
+    tables = runs(rates[0] > 0), rates, bodies.inverse_masses
     n, shape = bodies.n, (3, bodies.n)
 
     def apply(state: BodyState, h: float) -> BodyState:
@@ -163,8 +167,9 @@ def _drift_by(bodies: BodySet, rotation: Rotation) -> Operator:
     def apply(state: BodyState, h: float) -> BodyState:
         A, L = state.A.copy(), state.L.copy()
         for species, columns in zip(bodies.species, bodies.columns, strict=True):
-            if species.moments.any():
-                A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], species.moments, h)
+            if species.turns.any():
+                of_kind = bodies.rotation_moments[:, columns]
+                A[:, :, columns], L[:, columns] = rotation(A[:, :, columns], L[:, columns], of_kind, h)
         return BodyState(state.q + (h * bodies.inverse_masses) * state.p, state.p, A, L)
 
     return apply

@@ -184,6 +184,11 @@ class Scheme:
         """Product of angular frequency and step below which energies of a mode are right within 10 %."""
         return self._limits[1]
 
+    @property
+    def spin_limit(self) -> float:
+        """Product of the thermal angular velocity sqrt(kT/I) of a body and the step up to which kicks follow it."""
+        return self.accuracy_limit / step_limits.FAST_SPIN
+
     @cached_property
     def _limits(self) -> tuple[float, float]:
         return step_limits.limits(self.stages)

@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -10,6 +11,7 @@ import numpy as np
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.friction import Friction, frictions_of, refuse_uneven_friction
 from openmm_sier.dynamics.operators import Operator
 from openmm_sier.dynamics.tally import Tally
 
@@ -25,8 +27,26 @@ class Thermostat(ABC):
     """
 
     temperature: float
-    friction: float
-    rotational_friction: float
+    friction: Friction
+    rotational_friction: Friction
+
+    @property
+    def common_friction(self) -> float | None:
+        """Return the friction of all motion of all bodies, 1/ps; None if there is none."""
+        if isinstance(self.friction, Mapping) or self.friction != self.rotational_friction:
+            return None
+        return self.friction
+
+    def frictions(self, bodies: BodySet) -> np.ndarray:
+        """Return frictions of translation along the axes of each body, and of rotation about them, (6, n), 1/ps.
+
+        Raises:
+            ValueError: the frictions are not those of the bodies' types, or differ where a constraint joins bodies.
+        """
+        along = frictions_of("frictionCoeff", self.friction, bodies)
+        about = frictions_of("rotationalFriction", self.rotational_friction, bodies)
+        refuse_uneven_friction("frictionCoeff", along, bodies)
+        return np.concatenate([along, about])
 
     @abstractmethod
     def operator(self, bodies: BodySet, tally: Tally) -> Operator:
@@ -57,21 +77,29 @@ class OrnsteinUhlenbeck(Thermostat):
     Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
     or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
     for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
+    Attitudes do not change in it, so that it is also exact for momenta along the principal axes, each with a friction
+    of its own.
     """
 
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
     def operator(self, bodies: BodySet, tally: Tally) -> Operator:
+        if isinstance(self.friction, Mapping) or isinstance(self.rotational_friction, Mapping):
+            return self._by_axes(bodies, tally)
+        return self._alike(self.friction, self.rotational_friction, bodies, tally)
+
+    def _alike(self, friction: float, rotational_friction: float, bodies: BodySet, tally: Tally) -> Operator:
+        """Return the operator for frictions that all bodies share."""
         thermal = GAS_CONSTANT * self.temperature
-        spreads = np.sqrt(thermal * np.broadcast_to(bodies.masses, (3, bodies.n))), np.sqrt(thermal * bodies.moments)
+        spreads = np.sqrt(thermal * bodies.moving_masses), np.sqrt(thermal * bodies.moments * bodies.turns)
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
         def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
-            damping, width = _decay(self.friction, h)
-            rotational_damping, rotational_width = _decay(self.rotational_friction, h)
+            damping, width = _decay(friction, h)
+            rotational_damping, rotational_width = _decay(rotational_friction, h)
             return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
@@ -80,6 +108,26 @@ class OrnsteinUhlenbeck(Thermostat):
             p, L = np.empty(state.p.shape), np.empty(state.L.shape)
             moving = state.p, state.A, state.L
             gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
+            tally.draws += 1
+            tally.heat += gain
+            return BodyState(state.q, p, state.A, L, state.cache)
+
+        return apply
+
+    def _by_axes(self, bodies: BodySet, tally: Tally) -> Operator:
+        """Return the operator for frictions along and about the axes of each body."""
+        frictions = self.frictions(bodies)
+        thermal = GAS_CONSTANT * self.temperature
+        spreads = np.sqrt(thermal * np.concatenate([bodies.masses[None], bodies.moments * bodies.turns]))
+        inverses = bodies.inverse_masses, bodies.inverse_moments
+
+        def apply(state: BodyState, h: float) -> BodyState:
+            noise = tally.noise().standard_normal((6, bodies.n))
+            p = np.empty(state.p.shape)
+            L = np.empty(state.L.shape)
+            moving = state.p, state.A, state.L
+            tables = frictions, spreads, bodies.translates, noise
+            gain = kernels.bodies.bathe_by_axes(bodies.n, *moving, abs(h), *tables, *inverses, p, L)
             tally.draws += 1
             tally.heat += gain
             return BodyState(state.q, p, state.A, L, state.cache)

@@ -10,7 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.barostat import MoleculeCentres
-from openmm_sier.dynamics.bodies import BodyState
+from openmm_sier.dynamics.bodies import BodyState, Pair
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.records import Changes
@@ -138,10 +138,18 @@ class Engine(Verbs):
         p, L = state.p, state.L
         for step, acting in ((self.method.step, groups & ~fast), (self.inner_step(self.method), groups & fast)):
             if acting:
-                forces = openmm.Context.getState(self._context, forces=True, groups=acting).getForces(asNumpy=True)
-                F, tau = bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
+                F, tau = self._body_forces(state, acting)
                 p, L = p + self.momentum_lag * step * F, L + self.momentum_lag * step * tau
         return replace(state, p=bodies.constraints.project(state.q, p), L=L)
+
+    def body_forces(self) -> Pair:
+        """Return forces and torques on the bodies at the last completed step, each (3, n), kJ/mol/nm and kJ/mol."""
+        return self._body_forces(self.state(), self._groups)
+
+    def _body_forces(self, state: BodyState, groups: int) -> Pair:
+        """Return forces and torques of some groups, a bit mask, on the bodies of a state where the Context is."""
+        forces = openmm.Context.getState(self._context, forces=True, groups=groups).getForces(asNumpy=True)
+        return self.bodies.forces_and_torques(forces.value_in_unit(forces.unit), state.A)
 
     def inner_step(self, method: IntegrationMethod) -> float:
         """Return the longest step of a method within drifts, ps."""

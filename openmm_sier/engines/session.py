@@ -73,10 +73,10 @@ class Session:
         self._context = weakref.ref(context)
         self._compared_temperature = 0.0
         self._has_warned_of_temperatures = False
-        self.watch = RunawayWatch(context.getSystem())
 
-    def take(self, engine: Engine) -> None:
-        """Let an engine make the steps in the Context."""
+    def take(self, engine: Engine, system: openmm.System) -> None:
+        """Let an engine make the steps in the Context of a System."""
+        self.watch = RunawayWatch(system, engine.degrees_of_freedom(conserved=False))
         self._engine = engine
 
     @property

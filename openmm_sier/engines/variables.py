@@ -19,8 +19,19 @@ HEAT, DRAWS, SEED = (PREFIX + name for name in ("heat", "draws", "seed"))
 #: nothing else.
 PART = PREFIX + "part"
 
+#: Per-atom variable: kinetic energy that velocities of massive atoms do not carry, kJ/mol for each of their components,
+#: where bodies have other moments than those of their masses. The exact engine writes it. OpenMM's GPU platforms upload
+#: a global variable only in a step.
+HIDDEN_KINETIC = PREFIX + "hidden_kinetic"
+
 #: Per-atom variables in which the exact engine stores the phase point of the bodies, see `exact.packing`.
 STATE_VARIABLES = tuple(f"{PREFIX}state{i}" for i in range(3))
+
+
+def report_hidden_kinetic_energy(integrator: openmm.CustomIntegrator) -> None:
+    """Let OpenMM add `HIDDEN_KINETIC` to the kinetic energy of States, for an integrator without a Context."""
+    integrator.addPerDofVariable(HIDDEN_KINETIC, 0)
+    integrator.setKineticEnergyExpression(f"m*v*v/2 + {HIDDEN_KINETIC}")
 
 
 def per_atom_values(integrator: openmm.CustomIntegrator, name: str) -> np.ndarray:

@@ -151,11 +151,13 @@ class Metropolis(ConstantTemperature):
         part or all of them, and the kinetic energy that is over-relaxed has that of the centre too.
         """
         tally, method = engine.tally, engine.method
-        centre, mass = np.zeros(3), engine.moving.mass
+        centre = np.zeros(3)
+        mass = engine.moving.moving_mass
         if engine.removes_momentum:
-            centre = math.sqrt(self._kT / mass) * tally.noise(stream=3).standard_normal(3)
+            thermal = np.sqrt(np.divide(self._kT, mass, out=np.zeros(3), where=mass > 0))
+            centre = thermal * tally.noise(stream=3).standard_normal(3)
         half = 0.5 * self._kT
-        before = (engine.kinetic_energy() + 0.5 * mass * float(centre @ centre)) / half
+        before = (engine.kinetic_energy() + 0.5 * float(mass @ centre**2)) / half
         freedoms = engine.degrees_of_freedom(conserved=False)
         kinetic = half * over_relaxed(before, freedoms, tally.noise(stream=5))
         threshold = largest_error(tally.seed, tally.draws + 1)

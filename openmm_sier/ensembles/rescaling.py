@@ -57,7 +57,7 @@ class VelocityRescaling(ConstantTemperature):
         if freedoms > 0:
             # Where the total momentum is conserved, the motion of the centre of mass is no heat, and stays as it is.
             centre = engine.centre_velocity() if is_conserved else np.zeros(3)
-            kinetic = engine.kinetic_energy() - 0.5 * engine.moving.mass * float(centre @ centre)
+            kinetic = engine.kinetic_energy() - 0.5 * float(engine.moving.moving_mass @ centre**2)
             engine.scale_velocities(self._factor(kinetic, freedoms, kept, engine.tally.noise()), centre)
         engine.tally.draws += 1
 

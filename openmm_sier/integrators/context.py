@@ -1,5 +1,6 @@
 """The Context of a SIER integrator, which tells it of changes."""
 
+import contextlib
 import functools
 import inspect
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
+from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.engines.records import Changes
 from openmm_sier.engines.session import Session
 from openmm_sier.integrators.impl import IntegratorImpl
@@ -62,7 +64,11 @@ class SIERContext(openmm.Context):
     @functools.wraps(openmm.Context.getState)
     def getState(self, *args: Any, **kwargs: Any) -> openmm.State:
         arguments = GET_STATE.bind(self, *args, **kwargs).arguments
-        # The second name is deprecated.
+        # Each second name is deprecated.
+        if self.impl.has_hidden_kinetic_energy and (arguments.get("energy") or arguments.get("getEnergy")):
+            # Velocities may have been set since the engine wrote it. Atoms that form no bodies have none.
+            with contextlib.suppress(RigidityError):
+                self.session.engine.state()
         if not (arguments.get("integratorParameters") or arguments.get("getIntegratorParameters")):
             return super().getState(*args, **kwargs)
         store(self.impl)

@@ -17,7 +17,7 @@ from openmm_sier.engines.program import Program
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.session import Rules, Session
 from openmm_sier.engines.snapshot import is_on_host
-from openmm_sier.engines.variables import StoredTally
+from openmm_sier.engines.variables import StoredTally, report_hidden_kinetic_energy
 from openmm_sier.integrators import settings
 from openmm_sier.prepare.fast_forces import find_fast_groups, refuse_other_bodies
 from openmm_sier.prepare.pme import warn_about_pme
@@ -202,6 +202,12 @@ class IntegratorImpl:
         self.stored.tally.seed = 0
         self.stored.write()
 
+    @property
+    def has_hidden_kinetic_energy(self) -> bool:
+        """Return whether velocities of atoms do not carry all of the kinetic energy of the bodies."""
+        bodies = self.settings.bodies
+        return bodies is not None and bodies.has_other_moments
+
     def _write_program(self, system: openmm.System, platform: openmm.Platform | None) -> None:
         """Give the integrator the program that costs least in a System on a platform."""
         integrator, requested = self.integrator, self.settings.engine
@@ -221,6 +227,8 @@ class IntegratorImpl:
         vectors = self.program.vectors if is_lean else installation.all_vectors(self._whole_method())
         installation.install(self.program, integrator, vectors)
         self._computations = integrator.getNumComputations()
+        if self.has_hidden_kinetic_energy:
+            report_hidden_kinetic_energy(integrator)
         self.change()
 
     def bind(self, context: openmm.Context, keeps_tally: bool = True) -> None:
@@ -243,7 +251,7 @@ class IntegratorImpl:
         bodies, requested = self.settings.bodies, self.settings.engine
         engine = make_engine(requested, context, self.method(), tally, bodies, self.program)
         self.ensemble.check(system, engine)
-        self.session.take(engine)
+        self.session.take(engine, system)
         # A Context that was reinitialized with its state keeps its seed.
         if self.ensemble.is_random and not tally.seed:
             tally.seed = self.integrator.getRandomNumberSeed() or secrets.randbelow(2**31 - 1) + 1

@@ -5,7 +5,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.dynamics.bodies import BodySet, BodyState, Pair
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER4G, Scheme
@@ -184,6 +184,19 @@ class SIERIntegrator(openmm.CustomIntegrator):
         """
         engine = self.impl.engine
         return engine.at_whole_step(engine.state())
+
+    def computeBodyForces(self) -> Pair:
+        """Return the forces on the bodies, and the torques about their centres of mass.
+
+        They are those of the integration force groups, without forces of constraints, and cost a force evaluation.
+
+        Returns:
+            Two arrays (3, n), in the lab frame, kJ/mol/nm and kJ/mol, for the bodies in the order of `bodies`.
+
+        Raises:
+            RigidityError: the Context's positions do not form the bodies.
+        """
+        return self.impl.engine.body_forces()
 
     def step(self, steps: int) -> None:
         """Advance by a number of steps.

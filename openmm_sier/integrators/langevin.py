@@ -1,14 +1,17 @@
 """Langevin dynamics of rigid bodies, for OpenMM users."""
 
+from collections.abc import Mapping
+
 from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.friction import Friction
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import SIER2, Scheme
 from openmm_sier.ensembles.langevin import Langevin
 from openmm_sier.integrators.constant_temperature import SIERThermostatIntegrator
-from openmm_sier.system.arguments import ForceGroups, Quantity
+from openmm_sier.system.arguments import ForceGroups, Frictions, Quantity
 
 
 class SIERLangevinIntegrator(SIERThermostatIntegrator):
@@ -36,12 +39,12 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
     def __init__(
         self,
         temperature: Quantity,
-        frictionCoeff: Quantity,
+        frictionCoeff: Frictions,
         stepSize: Quantity,
         scheme: Scheme | str = SIER2,
         bodies: BodySet | None = None,
         rotation: Rotation = exact,
-        rotationalFriction: Quantity | None = None,
+        rotationalFriction: Frictions | None = None,
         pressure: Quantity | None = None,
         barostatInterval: int = 25,
         engine: str = "auto",
@@ -54,11 +57,15 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
             temperature: of the bath, a quantity or a number in K, not negative.
             frictionCoeff: coupling to the bath, a quantity or a number in 1/ps, not negative. A longer step needs a
                 stronger bath: with 9 fs rotations of water are 4 K warmer than translations at 1/ps, and 2 K at 5/ps.
+                For bodies of types, frictions by names of types: {"rod": (1, 2, 2), "default": 1}. Each is a number or
+                three, along the principal axes, by ascending moments; "default" is for all bodies that are not named.
+                See `translational_friction`.
             stepSize: the step, a time quantity or a number in ps.
             scheme: the splitting scheme or its name. SIER2 is best here.
             bodies: the rigid bodies, as in `SIERIntegrator`; None finds them in the System's constraints.
             rotation: see `SIERIntegrator`.
-            rotationalFriction: friction of the rotation, a quantity or a number in 1/ps; None takes `frictionCoeff`.
+            rotationalFriction: friction of the rotation, a quantity or a number in 1/ps, or by names of types, about
+                the principal axes; None takes `frictionCoeff`. See `rotational_friction`.
             pressure: for constant pressure, a quantity or a number in bar; None keeps the volume. A move scales all
                 edges of the box by the same factor.
             barostatInterval: number of steps between attempts to change the volume, at least 1.
@@ -83,18 +90,25 @@ class SIERLangevinIntegrator(SIERThermostatIntegrator):
         )
         super().__init__(bath, stepSize, scheme, bodies, rotation, engine, substeps, fastForceGroups)
 
-    def getFriction(self) -> unit.Quantity:
-        """Return the friction of the translation, a quantity in 1/ps."""
-        return self.impl.ensemble.friction / unit.picosecond
+    def getFriction(self) -> Frictions:
+        """Return the friction of the translation, a quantity in 1/ps, or by names of types one of three numbers."""
+        return _as_quantities(self.impl.ensemble.friction)
 
-    def setFriction(self, coeff: Quantity) -> None:
-        """Set the friction, a quantity or a number in 1/ps, also for the rotation unless that has its own."""
+    def setFriction(self, coeff: Frictions) -> None:
+        """Set the friction, as in the constructor, also for the rotation unless that has its own."""
         self._change_ensemble(friction=coeff)
 
-    def getRotationalFriction(self) -> unit.Quantity:
-        """Return the friction of the rotation, a quantity in 1/ps."""
-        return self.impl.ensemble.turning / unit.picosecond
+    def getRotationalFriction(self) -> Frictions:
+        """Return the friction of the rotation, a quantity in 1/ps, or by names of types one of three numbers."""
+        return _as_quantities(self.impl.ensemble.turning)
 
-    def setRotationalFriction(self, coeff: Quantity) -> None:
-        """Set the friction of the rotation, a quantity or a number in 1/ps; `setFriction` no longer changes it."""
+    def setRotationalFriction(self, coeff: Frictions) -> None:
+        """Set the friction of the rotation, as in the constructor; `setFriction` no longer changes it."""
         self._change_ensemble(rotational_friction=coeff)
+
+
+def _as_quantities(friction: Friction) -> Frictions:
+    """Return a friction in 1/ps as a quantity, or one for each type."""
+    if isinstance(friction, Mapping):
+        return {name: unit.Quantity(rates, unit.picosecond**-1) for name, rates in friction.items()}
+    return friction / unit.picosecond

@@ -18,6 +18,7 @@ import openmm
 from openmm_sier.dynamics import rotation
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.motion import Motion
 from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.species import Species
@@ -194,13 +195,30 @@ def from_json(table: Any) -> Settings:
 
 def _table_of_bodies(bodies: BodySet) -> dict[str, Any]:
     """Return all numbers of bodies exactly, without the names of residues."""
-    arrays = [{field.name: getattr(kind, field.name).tolist() for field in fields(kind)} for kind in bodies.species]
-    return {"particles": bodies.n_particles, "species": arrays}
+    numbers = [kind.tolist() for kind in bodies.numbers]
+    species = [_table_of_species(kind) for kind in bodies.species]
+    return {"particles": bodies.n_particles, "species": species, "numbers": numbers}
+
+
+def _table_of_species(species: Species) -> dict[str, Any]:
+    values = {field.name: getattr(species, field.name) for field in fields(species)}
+    arrays = {name: value.tolist() for name, value in values.items() if isinstance(value, np.ndarray)}
+    return {**arrays, "name": species.name, "motion": asdict(species.motion)}
 
 
 def _bodies(table: dict[str, Any]) -> BodySet:
-    species = [Species(**{name: np.array(numbers) for name, numbers in kind.items()}) for kind in table["species"]]
-    return RigidBodies(species, whole_number("particles", table["particles"]))
+    species = [_species(kind) for kind in table["species"]]
+    # Older versions numbered bodies species by species.
+    numbers = [np.array(kind, dtype=np.int64) for kind in table["numbers"]] if "numbers" in table else None
+    return RigidBodies(species, whole_number("particles", table["particles"]), numbers=numbers)
+
+
+def _species(table: dict[str, Any]) -> Species:
+    values = dict(table)
+    name = str(values.pop("name", ""))
+    motion = Motion(**values.pop("motion", {}))
+    arrays = {field: np.array(numbers) for field, numbers in values.items()}
+    return Species(**arrays, name=name, motion=motion)
 
 
 def _name_of_rotation(function: Rotation) -> str:

@@ -3,9 +3,11 @@
 Datasets over frames T and bodies n: step (T,), time (T,), q (T, n, 3), quaternion (T, n, 4), p (T, n, 3), L (T, n, 3),
 heat (T,) and, with periodic boundaries, box (T, 3, 3), whose rows are the box vectors. Over bodies: species (n,),
 masses (n,) and moments (n, 3). For each species K a group species_K with atoms (m, k), the particle indices of its m
-bodies of k atoms, masses (k,), sites (k, 3) in the principal frame, and moments (3,). With names of bodies also name
-(n,), empty for bodies without one. Attributes of the root are the conventions and units (`CONVENTIONS`), and `wrapped`:
-whether centres are wrapped into the box.
+bodies of k atoms, masses (k,), sites (k, 3) in the frame of the body, principal moments (3,), and axes (3, 3), whose
+rows are the principal axes in the frame of the body. This frame is that of the `BodyType`, whose name is the attribute
+`type` of the group, about the centre of mass; without a type it is that of the principal axes. With names of bodies
+also name (n,), empty for bodies without one. Attributes of the root are the conventions and units (`CONVENTIONS`), and
+`wrapped`: whether centres are wrapped into the box.
 """
 
 from __future__ import annotations
@@ -30,13 +32,14 @@ if TYPE_CHECKING:
 
 #: Attributes of the root, except `wrapped`.
 CONVENTIONS = {
-    "layout": 1,
+    "layout": 2,
     "program": "openmm_sier",
     "frame": "lab: q, p and L have components along the axes of the laboratory",
-    "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the principal axes of a body into the lab frame: "
-    "an atom is at q + R r, where r is its site in the principal frame; R is the transpose of the attitude matrix A",
+    "quaternion": "(w, x, y, z), w >= 0, of the rotation R that turns the frame of a body into the lab frame: an atom "
+    "is at q + R r, where r is its site in that frame; R is A^T axes, with the attitude matrix A",
     "angular_momentum": "about the centre of mass of the body",
-    "bodies": "numbered species by species: body i is of species[i]; its atoms are one row of species_K/atoms",
+    "bodies": "in the order in which they were listed, then those that constraints form, then points: body i is of "
+    "species[i]; the bodies of species K are the rows of species_K/atoms in this order",
     "units": "time in ps; q, box and sites in nm; masses in dalton; moments in dalton nm^2; p in dalton nm/ps; L in "
     "dalton nm^2/ps; heat in kJ/mol",
 }
@@ -61,15 +64,11 @@ def body_frame(context: openmm.Context, state: openmm.State, unwrapped: bool = T
     """
     integrator = conservation.sier_integrator(context)
     motion = integrator.getBodyState()
-    # SciPy, which MDTraj brings, is slow to import.
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.from_matrix(motion.A.transpose(2, 1, 0))
     datasets: dict[str, ArrayLike] = {
         "step": state.getStepCount(),
         "time": state.getTime().value_in_unit(unit.picosecond),
         "q": motion.q.T,
-        "quaternion": turns.as_quat(canonical=True, scalar_first=True),
+        "quaternion": integrator.bodies.orientations(motion),
         "p": motion.p.T,
         "L": motion.L.T,
         "heat": integrator.countedHeat,
@@ -131,6 +130,9 @@ def begin(
         file.attrs.update(conventions)
         for name, values in _constants(bodies).items():
             file[name] = values
+        for number, species in enumerate(bodies.species):
+            if species.name:
+                file[f"species_{number}"].attrs["type"] = species.name
         if any(named):
             # Bytes of UTF-8, which every HDF5 reader accepts as text.
             file["name"] = [name.encode() for name in named]
@@ -156,9 +158,11 @@ def append(file: h5py.File, frame: Mapping[str, np.ndarray]) -> None:
 
 def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
     """Return datasets that are the same for all frames, by name."""
-    sizes = [len(species.atoms) for species in bodies.species]
+    kinds = np.empty(bodies.n, dtype=np.int64)
+    for number, columns in enumerate(bodies.columns):
+        kinds[columns] = number
     datasets = {
-        "species": np.repeat(np.arange(len(sizes)), sizes),
+        "species": kinds,
         "masses": bodies.masses,
         "moments": bodies.moments.T,
     }
@@ -166,8 +170,9 @@ def _constants(bodies: BodySet) -> dict[str, np.ndarray]:
         arrays = {
             "atoms": species.atoms,
             "masses": species.masses,
-            "sites": species.sites.T,
+            "sites": species.sites.T @ species.axes,
             "moments": species.moments,
+            "axes": species.axes,
         }
         datasets |= {f"species_{number}/{name}": values for name, values in arrays.items()}
     return datasets

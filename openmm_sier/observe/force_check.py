@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_sier.integrators.integrator import SIERIntegrator
 from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.second_context import cloned, second_context
@@ -143,6 +144,9 @@ def check_forces(context: openmm.Context, tolerance: float = 0.01, seed: int = 1
     forces = {number: _name(force) for number, force in enumerate(system.getForces()) if kind_of(force).exerts_forces}
     positions = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
     is_mobile = tables.masses(system) > 0
+    if isinstance(integrator := context.getIntegrator(), SIERIntegrator):
+        # Bodies move massless atoms too.
+        is_mobile |= integrator.bodies.owners >= 0
     directions = np.random.default_rng(seed).standard_normal((MOTIONS, *positions.shape)) * is_mobile[:, None]
     faults, doubts = [], []
     numbers = list(forces)

@@ -11,8 +11,8 @@ from openmm_sier.system.arguments import whole_number
 from openmm_sier.system.user_warnings import warn
 
 
-class _Reporter:
-    """Base class with OpenMM's protocol of reporters."""
+class IntervalReporter:
+    """Base class with OpenMM's protocol of reporters, for reports every so many steps."""
 
     INCLUDE: tuple[str, ...] = ()
 
@@ -25,7 +25,7 @@ class _Reporter:
         return {"steps": steps, "periodic": None, "include": list(self.INCLUDE)}
 
 
-class _TableReporter(_Reporter):
+class _TableReporter(IntervalReporter):
     """Reporter of rows of numbers, the first of which is the step, as CSV."""
 
     #: First columns of a file.
@@ -140,7 +140,7 @@ class PressureReporter(_TableReporter):
         self._write(self.COLUMNS, self._pressure.row(state))
 
 
-class BodyStateReporter(_Reporter):
+class BodyStateReporter(IntervalReporter):
     """Reporter of the bodies' centres, attitudes and momenta to an HDF5 file. Requires the extra `openmm-sier[hdf5]`.
 
     >>> simulation.reporters.append(BodyStateReporter("run.h5", 10))

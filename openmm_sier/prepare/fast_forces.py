@@ -36,7 +36,7 @@ class FastForces:
         owner = _owners(system, bodies)
         self.moving = owner >= 0
         # Terms between frozen atoms do no work, like those inside one body.
-        owner[tables.frozen_atoms(system)] = owner.max(initial=-1) + 1
+        owner[tables.frozen_without(system, owner)] = owner.max(initial=-1) + 1
         added = added_forces(system)
         self.acting = {
             i: force for i, force in enumerate(system.getForces()) if i not in added and kind_of(force).exerts_forces

@@ -57,9 +57,10 @@ class FrameShape:
         """Return the frame of a rigid body.
 
         Args:
-            species: masses and sites of the body, at least two of them distinct.
+            species: the body, with at least two distinct sites.
         """
-        squares = (species.masses * species.sites**2).sum(axis=1) / species.mass
+        # Mean squares of the coordinates of its masses.
+        squares = np.maximum(species.moments.sum() / 2 - species.moments, 0.0) / species.mass
         # The largest first.
         order = np.argsort(-squares, kind="stable")
         extents = np.sqrt(squares[order])

@@ -20,7 +20,7 @@ from openmm_sier.system import checks, tables
 from openmm_sier.system.arguments import Positions, checked_positions, checked_system
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.find_bodies import Rigid, RigidBodies
-from openmm_sier.system.links import linked
+from openmm_sier.system.links import held_bodies, linked
 from openmm_sier.system.second_context import cloned
 from openmm_sier.system.solver_test import SolverTest
 
@@ -156,8 +156,9 @@ def with_frames(
 
     Raises:
         TypeError: `system` is not a System.
-        ValueError: no body needs a frame, or a Force is neither bonded nor a NonbondedForce, CustomNonbondedForce,
-            CustomCentroidBondForce, CustomExternalForce or CustomCVForce. The message names the Force.
+        ValueError: no body needs a frame; a body does not move along and about all axes; or a Force is neither bonded
+            nor a NonbondedForce, CustomNonbondedForce, CustomCentroidBondForce, CustomExternalForce or CustomCVForce.
+            The message names the Force.
         RigidityError: bodies or positions are refused, see `RigidBodies.from_system`; the periodic boundary cuts a
             body; or a barostat scales the position of each atom separately.
     """
@@ -168,6 +169,12 @@ def with_frames(
     checks.refuse_scaled_atoms(system)
     if isinstance(bodies, RigidBodies):
         rigid_bodies = linked(system, bodies)
+        if rigid_bodies.bearings is not None:
+            raise ValueError(
+                "bodies with frames move along and about all axes, unlike the type of "
+                f"{rigid_bodies.describe(rigid_bodies.bearings.columns[0])}: give the type Motion.FREE, or take the "
+                "exact engine without frames"
+            )
         wholeness = Wholeness(system, topology)
         wholeness.refuse_cut(x, [species.atoms for species in rigid_bodies.species], rigid_bodies.describe_atoms)
     else:
@@ -193,13 +200,13 @@ def with_frames(
 def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
     """Yield frames of the bodies that need one; their particles follow those of the System."""
     number = bodies.n_particles
-    held = tables.constraints(system).hold(species.atoms for species in bodies.species)
-    for species, columns, is_held in zip(bodies.species, bodies.columns, held, strict=True):
+    held = held_bodies(system, bodies.species)
+    for species, numbers, is_held in zip(bodies.species, bodies.numbers, held, strict=True):
         if not species.sites.any():
             continue
         solved = _is_solved(species)
         shape = FrameShape.of(species)
-        for row, body in enumerate(range(columns.start, columns.stop)):
+        for row, body in enumerate(numbers.tolist()):
             if solved and is_held[row]:
                 continue
             particles = np.arange(number, number + len(shape.masses))
@@ -209,7 +216,7 @@ def _frames(system: openmm.System, bodies: dynamics.BodySet) -> Iterator[Frame]:
 
 def _is_solved(species: Species) -> bool:
     """Return whether OpenMM can solve constraints between all atoms of a body of this kind."""
-    if len(species.masses) > MOST_HELD:
+    if len(species.masses) > MOST_HELD or species.has_other_moments:
         return False
     model = openmm.System()
     for mass in species.masses.tolist():

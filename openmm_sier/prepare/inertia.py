@@ -43,7 +43,7 @@ def set_inertia(
     """Give bodies a mass and moments of inertia, by the masses of their atoms.
 
     Call this function before bodies are created and before `prepare_system`. Centres and principal axes of the bodies
-    do not change.
+    do not change. A `BodyType` with moments needs no such masses; with these OpenMM's integrators agree too.
 
     >>> set_inertia(system, positions, [range(24)], 500*dalton, [30, 40, 60])
 

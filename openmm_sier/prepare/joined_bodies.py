@@ -16,18 +16,19 @@ from openmm_sier.system.bonded_terms import bonded_terms
 NAME = "openmm_sier: atoms of bodies"
 
 
-def join_bodies(system: openmm.System, owner: np.ndarray) -> int:
+def join_bodies(system: openmm.System, owner: np.ndarray, moving: np.ndarray) -> int:
     """Join the atoms of each body without constraints by bonds of zero strength.
 
     Args:
         system: openmm.System, to which a HarmonicBondForce is added if there are such bodies.
         owner: body index of each particle, (N,); -1 without a body.
+        moving: whether each particle is an atom of a body, (N,).
 
     Returns:
         Number of bodies joined.
     """
-    moving = np.flatnonzero((owner >= 0) & (tables.masses(system) > 0))
-    atoms = moving[np.argsort(owner[moving], kind="stable")]
+    members = np.flatnonzero(moving)
+    atoms = members[np.argsort(owner[members], kind="stable")]
     sizes = np.bincount(owner[atoms])
     ends = owner[tables.constraints(system).pairs]
     inside = ends[(ends[:, 0] == ends[:, 1]) & (ends[:, 0] >= 0), 0]
@@ -53,7 +54,7 @@ def remembered_pairs(system: openmm.System) -> np.ndarray:
     """
     bonds = [bonded_terms(force) for force in system.getForces() if force.getName() == NAME]
     pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *bonds])
-    return pairs[(tables.masses(system)[pairs] > 0).all(axis=1)] if len(pairs) else pairs
+    return pairs[~np.isin(pairs, tables.virtual_sites(system)).any(axis=1)]
 
 
 def refuse_torn_bodies(pairs: np.ndarray, owner: np.ndarray) -> None:

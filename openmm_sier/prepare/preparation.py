@@ -7,6 +7,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.prepare import close_pairs
+from openmm_sier.prepare.contacts import describe_contacts
 from openmm_sier.prepare.cutoff_discontinuities import describe_discontinuities
 from openmm_sier.prepare.fast_forces import FastForces
 from openmm_sier.prepare.joined_bodies import join_bodies
@@ -15,7 +16,16 @@ from openmm_sier.prepare.pme import balance_pme, meshed_forces
 from openmm_sier.prepare.split_terms import divided
 from openmm_sier.prepare.stiffness import Stiffest, describe_coarse, stiffest
 from openmm_sier.system import tables
-from openmm_sier.system.arguments import GROUPS, Bodies, Quantity, checked_bodies, checked_system, whole_number
+from openmm_sier.system.arguments import (
+    GROUPS,
+    Bodies,
+    Positions,
+    Quantity,
+    checked_bodies,
+    checked_positions,
+    checked_system,
+    whole_number,
+)
 from openmm_sier.system.bound_systems import refuse_bound
 from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.find_bodies import BodyPlan
@@ -45,6 +55,7 @@ def prepare_system(
     bodies: Bodies = None,
     fastForceGroup: int | None = None,
     hydrogenMass: Quantity | None = None,
+    positions: Positions | None = None,
 ) -> Preparation:
     """Prepare a System, of water or with solutes, for long steps.
 
@@ -81,6 +92,9 @@ def prepare_system(
         hydrogenMass: mass of all hydrogens, in water too, a quantity or a number in dalton from 1 to 4.5; None leaves
             masses unchanged. With 4 use a step of 9 fs in a heat bath or by hybrid Monte Carlo. Averages of positions
             do not change, but motion slows down: water diffuses 10 to 20 % slower. So do not use it at constant energy.
+        positions: positions of the particles, (N, 3), nm or a Quantity, at which the fastest motion of `RigidBodies`
+            without fast forces is measured, by up to 43 evaluations of each Force: the result says which steps they can
+            take, and why. None leaves this out.
 
     Returns:
         The fast force groups, changes, and remaining limits of energy conservation; print it.
@@ -94,6 +108,7 @@ def prepare_system(
     """
     system = checked_system(system)
     refuse_bound(system)
+    places = None if positions is None else checked_positions(positions, system.getNumParticles())
     group = None if fastForceGroup is None else whole_number("fastForceGroup", fastForceGroup, most=GROUPS - 1)
     heavy = None if hydrogenMass is None else checked_mass(hydrogenMass)
     with tables.read_once():
@@ -120,6 +135,8 @@ def prepare_system(
         coarse = _coarse_motion(system, membership, forces.owner) if fastForceGroup is None else None
         fast, gathered = _gather_fast_forces(system, forces, group, coarse)
         sentences += _join(system, forces) + gathered
+        if places is not None and isinstance(bodies, BodySet) and not fast:
+            sentences.append(describe_contacts(system, bodies, places))
         limits = describe_discontinuities(system)
     groups = frozenset({group} if fast else ())
     return Preparation(groups, tuple(sentences), limits)
@@ -151,7 +168,7 @@ def _balance(system: openmm.System, constant_energy: bool) -> list[str]:
 
 def _join(system: openmm.System, forces: FastForces) -> list[str]:
     """Join the atoms of bodies without constraints; return a description."""
-    if not (joined := join_bodies(system, forces.owner)):
+    if not (joined := join_bodies(system, forces.owner, forces.moving)):
         return []
     return [
         f"The atoms of {joined} rigid bodies are joined by bonds without strength, so that OpenMM treats each body as "

@@ -91,7 +91,7 @@ class Remedies:
         self._moving = bodies.owners >= 0
         self._points = bodies.point_particles
         # Terms between frozen atoms do no work, like those inside one body.
-        self._owners[tables.frozen_atoms(system)] = bodies.n
+        self._owners[tables.frozen_without(system, bodies.owners)] = bodies.n
         self._masses = tables.masses(system)
         self._links = links
 

@@ -20,12 +20,12 @@ from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
-from openmm_sier.stability.measurement import HiddenError, fastest_motion
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import COARSE, constrained_bends, harmonic_frequencies, mobilities
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.inner_forces import SystemForce, all_forces
 from openmm_sier.system.links import links_of
+from openmm_sier.system.measurement import HiddenError, fastest_motion
 
 #: Stiffness of a charged atom's surroundings, kJ/mol/nm^2. Librations of water have 400 to 900 cm^-1, with a tail. This
 #: value, 1060 cm^-1 for its hydrogens, gives SIER2 a stability limit of 10.0 fs, SIER2V2 12.8, SIER2P3 23.4, SIER4G
@@ -128,7 +128,7 @@ class Motions:
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
         # Molecules swing among others, or among frozen atoms.
-        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_atoms(system).size
+        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_without(system, bodies.owners).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
         owners = _owners(system, self._linked, rigid)
         self._find_vibrations = partial(harmonic_vibrations, forces, self._mobility, owners, links.constraints)
@@ -369,7 +369,7 @@ def _charges(force: openmm.Force) -> np.ndarray:
 
 def _slimmest(system: openmm.System, bodies: BodySet, rigid: Sequence[Species], is_alone: bool) -> Spin | None:
     """Return the spin about the smallest moment of inertia; only fields turn a single molecule."""
-    moments = [float(species.moments[species.moments > 0].min(initial=math.inf)) for species in rigid]
+    moments = [float(species.moments[species.turns].min(initial=math.inf)) for species in rigid]
     smallest = min(moments, default=math.inf)
     if smallest == math.inf:
         return None

@@ -10,7 +10,6 @@ import openmm
 from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
 
 #: Temperature in K above which rigid molecules are no model. Runs of the comparisons of integrators end there too.
@@ -63,10 +62,15 @@ class RunawayWatch:
         pause: number of steps at which a look is due.
     """
 
-    def __init__(self, system: openmm.System):
+    def __init__(self, system: openmm.System, freedoms: float):
+        """
+        Args:
+            system: openmm.System.
+            freedoms: number of degrees of freedom.
+        """
         self._masses = tables.masses(system)
         self._atoms = int(np.count_nonzero(self._masses))
-        self._freedoms = max(1, 3 * self._atoms - _held(system))
+        self._freedoms = max(1, freedoms)
         self.forget()
 
     def forget(self) -> None:
@@ -112,18 +116,8 @@ class RunawayWatch:
             )
 
     def _temperature(self, context: openmm.Context) -> float:
-        """Return the temperature of all atoms, K. It is too low with bodies that have no constraints."""
+        """Return the temperature of all atoms, K."""
         state = openmm.Context.getState(context, velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
         energy = 0.5 * np.einsum("i,ix,ix->", self._masses, velocities, velocities)
         return float(2 * energy / (self._freedoms * GAS_CONSTANT))
-
-
-def _held(system: openmm.System) -> int:
-    """Return the number of degrees of freedom that constraints remove: at most those of the shape of a cluster."""
-    pairs, particles = tables.constraints(system).pairs, system.getNumParticles()
-    component = joined(particles, pairs)
-    counts = np.bincount(component[pairs[:, 0]], minlength=particles)
-    sizes = np.bincount(component, minlength=particles)
-    # Two atoms have one distance, three have three; 3 k - 6 holds from three on.
-    return int(np.minimum(counts, np.maximum(1, 3 * sizes - 6)).sum())

@@ -59,14 +59,6 @@ AT_USUAL_STEP, RESONANCE_DECAY = 2.5e-4, 1.25
 #: Steps up to this multiple of the usual one draw no notice; the error is then up to twice that at the usual step.
 TOLERATED = 1.06
 
-#: Angular velocities in units of sqrt(kT/I) that a step must follow: one body in twenty spins faster. Free spin is
-#: exact at any step, but forces on atoms off the axis change with the angle, and kicks sample them once a step. A
-#: scheme follows spins as it follows vibrations, up to its `accuracy_limit`. For 64 trimers like CO2 of 172 to 178
-#: degrees, at 250 K, rms(H)/rms(V) within 1.5 ps was, by the angle sqrt(kT/I) h:
-#:     SIER2          0.3 0.0015, 0.4 0.0025, 0.7 0.007, 1.0 0.014, 1.4 0.04, 1.9 0.07    a line 0.001 to 0.008
-#:     SIER4G, SIER4  0.4 0.00004, 0.7 0.0001, 1.0 0.0005, 1.3 0.003, 1.9 0.02            a line 0.00005
-FAST_SPIN = 2.0
-
 #: Radians. A step is refused where a body turns so far in it at sqrt(kT/I), two kicks a turn.
 HALF_TURN = math.pi
 
@@ -206,7 +198,7 @@ def _spins(motions: Motions, conditions: Conditions) -> Limit | None:
     if spin is None or not conditions.groups & spin.groups or not conditions.temperature:
         return None
     rate = spin.rate(conditions.temperature)
-    accurate = conditions.scheme.accuracy_limit / (FAST_SPIN * rate)
+    accurate = conditions.scheme.spin_limit / rate
 
     def verdict(h: float) -> Verdict:
         finding = (

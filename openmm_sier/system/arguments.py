@@ -3,7 +3,7 @@
 import math
 import numbers
 import operator
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,9 @@ ForceGroups = Iterable[int] | int
 
 #: A quantity of OpenMM, or a number in the unit of the argument.
 Quantity = unit.Quantity | float
+
+#: A friction in 1/ps, or by the names of types a number or three.
+Frictions = Quantity | Mapping[str, Any]
 
 #: Positions (N, 3) in nm, such as OpenMM's lists of Vec3, or a quantity of these.
 Positions = unit.Quantity | np.ndarray | Sequence[Sequence[float]]
@@ -145,6 +148,25 @@ def quantity_to_float(name: str, value: Any, of: unit.Unit, symbol: str) -> floa
     if not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value} {symbol}")
     return value
+
+
+def along_axes(name: str, value: Any, of: unit.Unit, symbol: str) -> tuple[float, float, float]:
+    """Return numbers in a unit along three axes, none negative, from three or from one for all axes.
+
+    Raises:
+        ValueError: there are neither one nor three, or a number is negative or not finite.
+        TypeError: a value is no number, or its quantity has the wrong dimension.
+    """
+    try:
+        values = [value] * 3 if isinstance(value, str) else list(value)
+    except TypeError:
+        values = [value] * 3
+    if len(values) != 3:
+        raise ValueError(f"{name} must be one number or three, along the axes of the body, got {value!r}")
+    x, y, z = (quantity_to_float(name, each, of, symbol) for each in values)
+    if min(x, y, z) < 0:
+        raise ValueError(f"{name} must not be negative, got {value} {symbol}")
+    return x, y, z
 
 
 def whole_number(name: str, value: Any, least: int = 0, most: float = math.inf) -> int:

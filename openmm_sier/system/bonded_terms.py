@@ -94,13 +94,13 @@ def mobilities(bodies: BodySet) -> np.ndarray:
     """
     mobility = np.zeros(bodies.n_particles)
     for species in bodies.species:
+        mobility[species.atoms] = any(species.motion.translations) / species.mass
         if not species.sites.any():
-            mobility[species.atoms] = 1 / species.mass
             continue
         cross = np.cross(np.eye(3), species.sites.T[:, None])
-        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.moments > 0)
+        inverse = np.divide(1.0, species.moments, out=np.zeros(3), where=species.turns)
         rotational = np.einsum("kax,a,kay->kxy", cross, inverse, cross)
-        mobility[species.atoms] = 1 / species.mass + np.linalg.eigvalsh(rotational)[:, -1]
+        mobility[species.atoms] += np.linalg.eigvalsh(rotational)[:, -1]
     return mobility
 
 

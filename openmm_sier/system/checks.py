@@ -13,7 +13,7 @@ from openmm_sier.system import tables
 from openmm_sier.system.forces import kind_of
 from openmm_sier.system.geometries import RESOLUTION
 from openmm_sier.system.inner_forces import all_forces
-from openmm_sier.system.links import Links
+from openmm_sier.system.links import Links, held_bodies
 from openmm_sier.system.user_warnings import warn
 
 #: nm. Sites of water are up to this from its oxygen, the lone pairs of TIP5P; covalent bonds are longer.
@@ -149,6 +149,21 @@ def refuse_constant_pressure(system: openmm.System, bodies: BodySet) -> None:
                 "mass, or was left out of `bodies`. Leave out `pressure`, or give the particle a mass and restrain it "
                 "by a force"
             )
+    refuse_places(bodies, "pressure=…")
+
+
+def refuse_places(bodies: BodySet, barostat: str) -> None:
+    """Refuse bodies that do not move along all axes, where a barostat, of this name, moves all centres.
+
+    Raises:
+        openmm.OpenMMException: there is such a body.
+    """
+    held = np.flatnonzero(~bodies.translates.all(axis=0))
+    if held.size:
+        raise openmm.OpenMMException(
+            f"At constant pressure all bodies move with the box, but {bodies.describe(held[0])} does not move along "
+            f"all axes: leave out the {barostat}, or give its type another motion and restrain it by a force"
+        )
 
 
 def refuse_scaled_atoms(system: openmm.System) -> None:
@@ -170,8 +185,11 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
 
     Raises:
         RigidityError: a barostat scales atoms one by one, or moves molecules of one body apart.
+        openmm.OpenMMException: there is a barostat, and a body that does not move along all axes.
     """
     extended = [species for species in bodies.species if species.atoms.shape[1] > 1]
+    for barostat in barostats(system):
+        refuse_places(bodies, type(barostat).__name__)
     if not extended or not barostats(system):
         return
     refuse_scaled_atoms(system)
@@ -195,12 +213,11 @@ def refuse_hits_on_atoms(system: openmm.System, bodies: BodySet) -> None:
     """
     if not any(isinstance(force, openmm.AndersenThermostat) for force in system.getForces()):
         return
-    kinds = [species.atoms for species in bodies.species]
-    for atoms, is_held in zip(kinds, tables.constraints(system).hold(kinds), strict=True):
+    for species, is_held in zip(bodies.species, held_bodies(system, bodies.species), strict=True):
         if not is_held.all():
             raise openmm.OpenMMException(
                 "AndersenThermostat draws velocities of single atoms, of which a body keeps only the rigid part, and "
-                f"constraints do not join all atoms of {bodies.describe_atoms(atoms[np.argmin(is_held)])}. "
+                f"constraints do not join all atoms of {bodies.describe_atoms(species.atoms[np.argmin(is_held)])}. "
                 "Remove the AndersenThermostat and use SIERLangevinIntegrator"
             )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, combinations
 
 import numpy as np
@@ -23,9 +23,11 @@ from openmm_sier.system.arguments import (
     checked_system,
     quantity_to_float,
 )
+from openmm_sier.system.body_types import BodyType
 from openmm_sier.system.cut_molecules import Wholeness
 from openmm_sier.system.geometries import Cluster, Clusters, Kind
 from openmm_sier.system.links import Links, joins_a_body, linked, links_of
+from openmm_sier.system.typed_bodies import typed_species
 from openmm_sier.system.user_warnings import warn
 
 #: Values of the argument `rigid`.
@@ -44,6 +46,9 @@ class RigidBodies(dynamics.BodySet):
     <RigidBodies: 59 rigid of 3 atoms>
     >>> bodies.dof
     354
+
+    Bodies are numbered as they were listed, followed by those that constraints form and by points, each in the order of
+    their particles.
     """
 
     @classmethod
@@ -93,6 +98,45 @@ class RigidBodies(dynamics.BodySet):
         coordinates = None if positions is None else checked_positions(positions, n)
         return BodyPlan(system, topology, rigid, tolerance).bodies(coordinates)
 
+    @classmethod
+    @tables.read_once()
+    def from_types(
+        cls,
+        system: openmm.System,
+        types: Mapping[BodyType, Sequence[Sequence[int]]],
+        positions: Positions,
+        topology: openmm.app.Topology | None = None,
+    ) -> RigidBodies:
+        """Find the bodies of a System of which some have types, whose shapes they have exactly.
+
+        >>> system, topology = openmm.System(), openmm.app.Topology()
+        >>> dimer = BodyType("dimer", [[0, 0, 0], [0.3, 0, 0]], [40, 40])
+        >>> dimers, positions = add_bodies(system, topology, dimer, [[0, 0, 0], [1, 0, 0]])
+        >>> print(RigidBodies.from_types(system, {dimer: dimers}, positions))
+        <RigidBodies: 2 dimer of 2 atoms>
+
+        Other bodies are found as by `from_system`.
+
+        Args:
+            system: the System, in which particles have the masses of their sites.
+            types: for each type lists of particle indices, one for each body, in the order of the sites.
+            positions: positions of all particles, (N, 3), nm or a Quantity, with bodies whole; only their fit to the
+                types is checked.
+            topology: the topology, for residue names in messages.
+
+        Raises:
+            RigidityError: the positions do not fit a type, as the message says by how much; a body that is to turn in
+                the plane is inclined to it; a constraint joins a body
+                to another particle, or has another length than in the type; or see `from_system`.
+            ValueError: a list does not have a particle for each site, a particle is in two lists or has another mass
+                than its site, two types have one name, or positions have the wrong shape.
+            TypeError: `types` is no mapping from types to lists of particle indices.
+        """
+        n = checked_system(system).getNumParticles()
+        coordinates = checked_positions(positions, n)
+        typed = typed_species(system, types, coordinates)
+        return BodyPlan(system, topology, typed=typed).bodies(coordinates)
+
 
 class BodyPlan:
     """Rigid bodies of a System before positions are known.
@@ -109,7 +153,9 @@ class BodyPlan:
         topology: openmm.app.Topology | None = None,
         rigid: Rigid = None,
         tolerance: Quantity | None = None,
+        typed: Sequence[Species] = (),
     ):
+        self._typed = tuple(typed)
         self._warns = tolerance is None
         self._tolerance = geometries.TOLERANCE if tolerance is None else _checked_tolerance(tolerance)
         n = system.getNumParticles()
@@ -149,7 +195,7 @@ class BodyPlan:
                     "positions, as in bodies=RigidBodies.from_system(system, topology, rigid, positions)"
                 )
             positions = np.empty((0, 3))
-        species: list[Species] = []
+        species = list(self._typed)
         moved = [kind.moved for kind in self.kinds]
         self._refuse_unusable([kind.clusters for kind in self.kinds if kind.needs_positions], positions)
         for kind in self.kinds:
@@ -163,7 +209,20 @@ class BodyPlan:
                 species += geometries.by_handedness(kind.model, positions)
             else:
                 species.append(kind.model)
-        return self._links.link(RigidBodies(species, self._n, self._labels, moved=max(moved, default=0.0)))
+        numbers = self._numbered(species)
+        bodies = RigidBodies(species, self._n, self._labels, moved=max(moved, default=0.0), numbers=numbers)
+        return self._links.link(bodies)
+
+    def _numbered(self, species: Sequence[Species]) -> list[np.ndarray]:
+        """Return the indices of the bodies of each kind: listed ones in their order, then others, then points."""
+        if not species:
+            return []
+        counts = [len(kind.atoms) for kind in species]
+        first = np.concatenate([kind.atoms[:, 0] for kind in species])
+        is_point = np.repeat([kind.atoms.shape[1] == 1 for kind in species], counts)
+        listed = self._list[first]
+        rank = np.where(listed >= 0, listed - self._n, first + self._n * is_point)
+        return np.split(np.argsort(np.argsort(rank)), np.cumsum(counts)[:-1])
 
     # --- which particles ---
 
@@ -183,9 +242,10 @@ class BodyPlan:
                 continue
             if without:
                 raise RigidityError(
-                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Give it a "
-                    "mass, and the body the total mass and moments that it should have by set_inertia; make it a "
-                    "virtual site of the others; or freeze all atoms of the body"
+                    f"{self._describe(cluster)}: atom {without[0]} has no mass and is not a virtual site. Take a "
+                    "BodyType with moments and RigidBodies.from_types, which have massless sites; give it a mass, and "
+                    "the body its moments by set_inertia; make it a virtual site of the others; or freeze all atoms of "
+                    "the body"
                 )
             clusters.append(cluster)
         particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
@@ -203,10 +263,15 @@ class BodyPlan:
         owner = np.full(self._n, -1)
         if named:
             owner[np.concatenate(named)] = np.repeat(np.arange(len(named)), list(map(len, named)))
+        count = len(named)
+        for kind in self._typed:
+            owner[kind.atoms] = np.arange(count, count + len(kind.atoms))[:, None]
+            count += len(kind.atoms)
+        self._list = owner
         ends = owner[pairs]
         if (joins := ends[:, 0] != ends[:, 1]).any():
             raise joins_a_body(*pairs[joins.argmax()].tolist())
-        inside = np.flatnonzero(ends[:, 0] >= 0)
+        inside = np.flatnonzero((ends[:, 0] >= 0) & (ends[:, 0] < len(named)))
         yield from _named_clusters(named, ends[inside, 0], pairs[inside], lengths[inside])
         free = (self._masses > 0) & (owner < 0)
         for atoms in _rigid_molecules(pairs[ends[:, 0] < 0], self._links):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
 from openmm_sier.system.forces import kind_of
@@ -96,7 +97,8 @@ class Links:
         edges = bodies.owners[np.concatenate([pairs, self.bonds, self.terms, self.custom])]
         molecules = joined(bodies.n, edges[(edges >= 0).all(axis=1)])
         links = ends[between], lengths[between]
-        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules, bodies.moved)
+        numbering = bodies.moved, bodies.numbers
+        return type(bodies)(bodies.species, bodies.n_particles, bodies.labels, links, molecules, *numbering)
 
 
 def joins_a_body(a: int, b: int) -> RigidityError:
@@ -116,6 +118,15 @@ def _pairs(forces: Iterable[openmm.Force]) -> np.ndarray:
     # As one number each: np.unique of rows takes ten times as long.
     base = int(pairs.max(initial=0)) + 1
     return np.column_stack(np.divmod(np.unique(pairs @ [base, 1]), base))
+
+
+def held_bodies(system: openmm.System, species: Sequence[Species]) -> list[np.ndarray]:
+    """Return whether each body moves as its atoms do under the constraints of a System, (m,), for each species.
+
+    Constraints join all of its atoms, and its moments are those of their masses.
+    """
+    held = tables.constraints(system).hold(kind.atoms for kind in species)
+    return [are_held & (not kind.has_other_moments) for kind, are_held in zip(species, held, strict=True)]
 
 
 @tables.once

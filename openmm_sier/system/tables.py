@@ -226,8 +226,14 @@ def virtual_sites(system: openmm.System) -> np.ndarray:
 
 @once
 def frozen_atoms(system: openmm.System) -> np.ndarray:
-    """Return massless particles that are not virtual sites, (f,): they exert forces but do not move."""
+    """Return massless particles that are not virtual sites, (f,): unless a body moves them, they do not move."""
     return np.setdiff1d(np.flatnonzero(masses(system) == 0), virtual_sites(system), assume_unique=True)
+
+
+def frozen_without(system: openmm.System, owner: np.ndarray) -> np.ndarray:
+    """Return the frozen atoms of a System that are in no body, (f,), for the body of each particle, (N,), or -1."""
+    frozen = frozen_atoms(system)
+    return frozen[owner[frozen] < 0]
 
 
 @once

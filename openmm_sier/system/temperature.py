@@ -3,7 +3,7 @@
 If the total momentum is conserved, the motion of the centre of mass is not heat: its three degrees of freedom and its
 kinetic energy are left out, whatever velocities the user has set. Otherwise a heat bath, a field or fixed particles
 make the total momentum fluctuate like any other momentum, and nothing is left out. Each independent constraint between
-bodies removes one degree of freedom.
+bodies removes one degree of freedom, and so does each axis along or about which a body does not move.
 
 OpenMM's StateDataReporter uses another rule for integrators that do not compute their temperature: it leaves out three
 degrees of freedom only with a CMMotionRemover, and never the kinetic energy of the centre of mass. So it reports a
@@ -80,7 +80,8 @@ class MomentumConservation:
     A CMMotionRemover keeps the total momentum at zero, even with a Langevin bath: the heat of the centre of mass
     between two removals is left out too. Otherwise the total momentum is conserved unless one of these changes it: a
     heat bath of independent kicks (an integrator with nonzero friction, an AndersenThermostat), a CustomExternalForce,
-    an expression of absolute coordinates in a custom force, or fixed particles that act on others. Monte Carlo
+    an expression of absolute coordinates in a custom force, or fixed particles that act on others, among them bodies
+    that do not move along an axis along which others do. Monte Carlo
     barostats do not change momenta. Forces that cannot be inspected (PythonForce, plugins) count as interactions: the
     temperature relative to the centre of mass has the right mean in either case.
 
@@ -92,6 +93,7 @@ class MomentumConservation:
         """Inspect a System and its bodies; particles without a body are fixed."""
         forces = system.getForces()
         fixed = any(not system.isVirtualSite(i) for i in np.flatnonzero(bodies.owners < 0).tolist())
+        fixed |= bool((bodies.translates.any(axis=1) & ~bodies.translates.all(axis=1)).any())
         self.removed = any(isinstance(force, openmm.CMMotionRemover) for force in forces)
         self._changes = fixed or any(isinstance(force, openmm.AndersenThermostat) for force in forces)
         self._external_groups = sum({1 << entry.group for entry in all_forces(system) if _is_external(entry.force)})
@@ -116,16 +118,34 @@ def _is_external(force: openmm.Force) -> bool:
     return kind.has_coordinates and COORDINATE.search(force.getEnergyFunction()) is not None
 
 
-def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
-    """Return degrees of freedom that share the heat; `conserved` is the result of `MomentumConservation.holds`."""
-    apart = _counted_apart(bodies)
-    count = int(apart.sum())
-    share = float(bodies.masses[apart].sum() / bodies.masses.sum()) if count < bodies.n else 1.0
-    left_out = 3 if conserved and bodies.n else 0
-    rotation = int(np.count_nonzero(bodies.moments[:, apart]))
+def number_of_freedoms(bodies: BodySet, conserved: bool) -> int:
+    """Return the number of degrees of freedom that share the heat.
+
+    Args:
+        bodies: all bodies.
+        conserved: the result of `MomentumConservation.holds`.
+    """
     # A single particle has no heat where momentum is conserved.
-    translation, flexible = 3 * count - share * left_out, bodies.dof - 3 * count - rotation - (1 - share) * left_out
-    return DegreesOfFreedom(max(0, translation), rotation, max(0, flexible))
+    return max(0, bodies.dof - int(_left_out(bodies, conserved).sum()))
+
+
+def _left_out(bodies: BodySet, conserved: bool) -> np.ndarray:
+    """Return whether the motion of the centre of mass along x, y and z is left out, (3,)."""
+    return np.logical_and(bodies.translates.any(axis=1), conserved)
+
+
+def degrees_of_freedom(bodies: BodySet, conserved: bool) -> DegreesOfFreedom:
+    """Return degrees of freedom that share the heat by kinds; `conserved` as in `number_of_freedoms`."""
+    apart = _counted_apart(bodies)
+    left_out = _left_out(bodies, conserved)
+    share = np.ones(3)
+    if not apart.all():
+        np.divide(bodies.moving_masses[:, apart].sum(axis=1), bodies.moving_mass, out=share, where=left_out)
+    counts = np.count_nonzero(bodies.translates[:, apart], axis=1)
+    translation = max(0.0, float((counts - share * left_out).sum()))
+    rotation = int(np.count_nonzero(bodies.turns[:, apart]))
+    flexible = number_of_freedoms(bodies, conserved) - translation - rotation
+    return DegreesOfFreedom(translation, rotation, max(0.0, flexible))
 
 
 def _counted_apart(bodies: BodySet) -> np.ndarray:
@@ -143,7 +163,7 @@ def thermal_energies(bodies: BodySet, state: BodyState, conserved: bool) -> tupl
     """
     p = state.p
     if conserved and bodies.n:
-        p = p - bodies.masses * bodies.centre_velocity(p)[:, None]
+        p = p - bodies.moving_masses * bodies.centre_velocity(p)[:, None]
     translation = 0.5 * (p * p).sum(axis=0) * bodies.inverse_masses
     rotation = 0.5 * (body_frame(state.A, state.L) ** 2 * bodies.inverse_moments).sum(axis=0)
     apart = _counted_apart(bodies)

@@ -11,7 +11,7 @@ from openmm import app, unit
 
 import openmm_sier
 from openmm_sier.integrators import tuning
-from openmm_sier.observe import conservation, reporters
+from openmm_sier.observe import conservation, gsd_reporter, reporters
 from tests.support.matrices import representatives
 from tests.support.waters import periodic_system, platform, relaxed
 
@@ -37,6 +37,7 @@ ELSEWHERE = (
     "observe.reporters.ConservationReporter",
     "observe.reporters.BodyStateReporter",
     "observe.reporters.PressureReporter",
+    "observe.gsd_reporter.GSDReporter",
     "observe.pressure.MolecularPressure",
     "analysis.read_log",
     "analysis.statistics.mean_and_error",
@@ -97,6 +98,7 @@ def names(water, tmp_path, monkeypatch):
     results |= {name: getattr(unit, name) for name in ("bar", "dalton", "femtoseconds", "kelvin", "picosecond")}
     results |= {name: getattr(openmm_sier, name) for name in openmm_sier.__all__}
     results |= {name: getattr(reporters, name) for name in dir(reporters) if name.endswith("Reporter")}
+    results["GSDReporter"] = gsd_reporter.GSDReporter
     return results | {"topology": topology, "positions": positions, "system": system, "simulation": simulation}
 
 

@@ -11,7 +11,7 @@ from openmm_sier.dynamics import species as species_module
 from openmm_sier.dynamics.bodies import BodyState, NotFiniteError
 from openmm_sier.dynamics.operators import drift
 from openmm_sier.dynamics.species import FIT_TOLERANCE, Species
-from tests.support.molecules import GEOMETRIES, WATER, ensemble, scattered, species, thermal_state
+from tests.support.molecules import GEOMETRIES, scattered, species, thermal_state
 from tests.support.oracles import matmul, orthogonality_error, random_attitudes
 
 ALL = list(GEOMETRIES)
@@ -29,9 +29,9 @@ def atoms_of(bodies, state):
 
 def each_body(bodies):
     """Number, atoms and masses of every body."""
-    for kind, columns in zip(bodies.species, bodies.columns, strict=True):
-        for i, atoms in enumerate(kind.atoms):
-            yield columns.start + i, atoms, kind.masses
+    for kind, numbers in zip(bodies.species, bodies.numbers, strict=True):
+        for number, atoms in zip(numbers, kind.atoms, strict=True):
+            yield number, atoms, kind.masses
 
 
 @pytest.fixture
@@ -325,8 +325,8 @@ def test_bodies_that_cannot_be():
         RigidBodies([species("water", [[0, 1, 5]])], 5)
     with pytest.raises(ValueError, match="bodies name particle -1, but the system has 5 particles"):
         RigidBodies([species("water", [[0, -1, 2]])], 5)
-    with pytest.raises(ValueError, match=r"atoms 0, 1, 2.* has an atom of mass 0\.0"):
-        RigidBodies([Species.from_coordinates([[0, 1, 2]], [16.0, 1.0, 0.0], GEOMETRIES["water"][1])], 3)
+    with pytest.raises(ValueError, match="site 2 is off an axis about which the body has no moment"):
+        Species.from_coordinates([[0, 1, 2]], [16.0, 1.0, 0.0], GEOMETRIES["water"][1])
 
 
 def test_bodies_are_named(bodies):
@@ -386,12 +386,27 @@ def test_no_bodies_at_all():
     assert np.array_equal(nothing.move(state, vectors.copy()), vectors)
 
 
-@pytest.mark.parametrize("factors", [(1.2, 1.0, 1.0), (1.0, 1.0, 1.0 + 3e-6)])
-def test_moments_that_the_masses_do_not_have_are_refused(factors):
-    """Velocities of atoms would carry another angular momentum than the body rotates with."""
-    water = ensemble(WATER, 1)[0].species[0]
-    with pytest.raises(ValueError, match=r"those of the masses.*set_inertia"):
-        replace(water, moments=water.moments * factors)
+def test_velocities_carry_moments_that_are_not_those_of_the_masses(rng):
+    """A core with massless patches in a plane, whose momenta no masses at these sites could carry."""
+    sites = np.array([[0.0, 0.4, -0.2], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0]])
+    patchy = Species(np.arange(12).reshape(4, 3), np.array([100.0, 0.0, 0.0]), sites, np.array([9.0, 10.0, 11.0]))
+    bodies = RigidBodies([patchy], 12)
+    A = random_attitudes(rng, 4)
+    state = BodyState(rng.normal(size=(3, 4)), rng.normal(size=(3, 4)), A, rng.normal(size=(3, 4)))
+    p, L = bodies.momenta(bodies.move(state, np.zeros((12, 3))), A)
+    # Sums of three numbers of the order of 1, and a 3 x 3 system of condition 10.
+    assert np.abs(p - state.p).max() < 1e-13
+    assert np.abs(L - state.L).max() < 1e-13
+    q, turned = bodies.fit(bodies.place(state.q, A, np.zeros((12, 3))))
+    assert np.abs(q - state.q).max() < 1e-14
+    assert np.abs(turned - A).max() < 1e-13
+
+
+@pytest.mark.parametrize("moments", [(1.0, 1.0, 2.1), (-0.1, 1.0, 1.0)])
+def test_moments_that_no_body_has_are_refused(moments):
+    sites = np.array([[0.0, 0.4, -0.2], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="since no body has other"):
+        Species(np.array([[0, 1, 2]]), np.array([100.0, 0.0, 0.0]), sites, np.array(moments))
 
 
 @pytest.mark.parametrize("shortest", [0.01, 0.05, 0.175])

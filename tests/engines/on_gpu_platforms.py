@@ -34,6 +34,7 @@ from tests.support.framed import moved, polar, system_of
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
 from tests.support.systems import assembled
+from tests.support.types import PATCHY, typed
 from tests.support.waters import cluster_system, context_at, energies, periodic_system, phase_point, platform, settled
 
 
@@ -294,3 +295,17 @@ def test_bodies_with_frames_in_a_bath_and_under_pressure(gpu, framed):
         shapes = [np.linalg.norm(each[atoms][:, None] - each[atoms][None], axis=2) for each in (x, point[0])]
         # Axes and centres of single precision, 6e-8 of 10 nm.
         assert np.abs(shapes[0] - shapes[1]).max() < 5e-6
+
+
+def test_kinetic_energies_of_massless_sites(gpu):
+    """OpenMM uploads global variables only in steps of its own, which the exact engine does not make."""
+    system, positions, bodies = typed({PATCHY: 5})
+    integrator = SIERIntegrator(0.01, bodies=bodies, engine="exact")
+    context = make_context(system, integrator, gpu)
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300, 1)
+    for _ in range(2):
+        kinetic = context.getState(energy=True).getKineticEnergy()._value
+        # Velocities in mixed precision.
+        assert kinetic == pytest.approx(sum(bodies.kinetic_energies(integrator.getBodyState())), rel=1e-5)
+        integrator.step(2)

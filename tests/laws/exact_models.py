@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_sier import BodyType
 from tests.laws.linear_maps import Oscillator
 
 #: Force group of fast bonds.
@@ -61,6 +62,7 @@ class Assembly:
         rng: source of random places.
         positions: of the atoms so far, each (k, 3), nm.
         bodies: atoms of named bodies.
+        types: atoms of each body of a type.
         molecules: number of molecules that fill the box.
         freedoms: degrees of freedom that have kinetic energy.
         parts: what is to be observed.
@@ -72,6 +74,7 @@ class Assembly:
     system: openmm.System = field(default_factory=openmm.System)
     positions: list[np.ndarray] = field(default_factory=list)
     bodies: list[list[int]] = field(default_factory=list)
+    types: dict[BodyType, list[list[int]]] = field(default_factory=dict)
     molecules: int = 0
     freedoms: int = 0
     parts: list[Part] = field(default_factory=list)

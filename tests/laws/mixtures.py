@@ -11,7 +11,7 @@ import numpy as np
 import openmm
 from scipy.spatial.transform import Rotation
 
-from openmm_sier import Preparation, RigidBodies, prepare_system
+from openmm_sier import BodyType, Preparation, RigidBodies, prepare_system
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.system.find_bodies import UnknownShapeError
 from tests.laws.mechanics import centre_of, constrained_pairs, gradients, masses_of, multipliers, rigid_velocities
@@ -99,7 +99,7 @@ class Mixture:
         if self.prepared != "no":
             heavy = HEAVY if self.prepared == "heavy" else None
             preparation = prepare_system(system, named or None, hydrogenMass=heavy)
-        bodies = _bodies(system, named, positions)
+        bodies = _bodies(system, named, positions, typed=self.seed % 2 == 1)
         velocities = _velocities(system, positions, named, rng)
         if self.remover:
             masses = masses_of(system)
@@ -118,13 +118,32 @@ def _built(mixture: Mixture) -> Built:
     return mixture._make()
 
 
-def _bodies(system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray) -> RigidBodies | None:
-    """Return bodies whose shapes only positions give, with all others; None if there are none."""
+def _bodies(
+    system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray, typed: bool
+) -> RigidBodies | None:
+    """Return bodies whose shapes only positions or types give, with all others; None if there are none."""
+    if named and typed:
+        return _of_types(system, named, positions)
     try:
         RigidBodies.from_system(system, rigid=named)
     except UnknownShapeError:
         return RigidBodies.from_system(system, rigid=named, positions=positions)
     return None
+
+
+def _of_types(system: openmm.System, named: tuple[tuple[int, ...], ...], positions: np.ndarray) -> RigidBodies:
+    """Return bodies, each with a type that has its shape in a frame of its own and its moments as a tensor."""
+    masses = masses_of(system)
+    types = {}
+    for number, body in enumerate(named):
+        atoms = [i for i in body if masses[i]]
+        turn = Rotation.random(random_state=number).as_matrix()
+        arms = (positions[atoms] - masses[atoms] @ positions[atoms] / masses[atoms].sum()) @ turn.T
+        squares = np.einsum("k,kx,ky->xy", masses[atoms], arms, arms)
+        tensor = np.trace(squares) * np.eye(3) - squares
+        # Rounding would give a line a moment about itself.
+        types[BodyType(f"body {number}", arms, masses[atoms], tensor if len(atoms) > 2 else None)] = [atoms]
+    return RigidBodies.from_types(system, types, positions)
 
 
 def _numbered(parts: list[Parts]) -> Iterator[tuple[int, Parts]]:

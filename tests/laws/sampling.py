@@ -217,10 +217,11 @@ class Series:
 
     def _make_integrator(self, kinds: tuple, seed: int) -> openmm.CustomIntegrator:
         options, method, assembly = {}, self._method, self._assembly
-        if method.engine == "exact":
-            options["bodies"] = RigidBodies.from_system(
-                assembly.system, None, assembly.bodies, np.concatenate(assembly.positions)
-            )
+        positions = np.concatenate(assembly.positions)
+        if assembly.types:
+            options["bodies"] = RigidBodies.from_types(assembly.system, assembly.types, positions)
+        elif method.engine == "exact":
+            options["bodies"] = RigidBodies.from_system(assembly.system, None, assembly.bodies, positions)
         if self._is_stopped:
             assembly.system.addForce(openmm.CMMotionRemover(1))
         if any(isinstance(kind, FastBonds) for kind in kinds):

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from openmm_sier.dynamics.schemes import CATALOGUE
 from tests.laws.exact_bodies import Dipoles, Free, Joined, Suspended
 from tests.laws.exact_models import Chains, FastBonds, Quartics, Wells
+from tests.laws.exact_motions import MOTIONS, Held
 from tests.laws.law import MANY, Law
 from tests.laws.linear_maps import in_bath, is_stable
 from tests.laws.sampling import BRIEF, LONG, Bath, Length, Rescaling, Sampler, Series, Trials
@@ -83,6 +84,12 @@ def free_kinds(draw, engine: str, pace: float, named: bool):
 
 
 @st.composite
+def types(draw, oscillation: float, pace: float):
+    """Bodies of a type that move along some axes only."""
+    return Held(draw(shapes), draw(chosen(*MOTIONS)), draw(chosen(2.0, 5.0)), pace, oscillation)
+
+
+@st.composite
 def held_kinds(draw, oscillation: float, pace: float, anchors: bool, named: bool):
     """A molecule in a well."""
     kind = draw(chosen(Wells, Quartics, Suspended) if named else chosen(Wells, Quartics))
@@ -116,12 +123,15 @@ def baths(draw):
     turning = draw(chosen(None, 0.1, 0.5)) if engine == "exact" else None
     pressure = draw(pressures)
     named = engine == "exact" and pressure != "barostat"
+    has_types = named and not pressure and draw(st.booleans())
+    named &= not has_types
     bathed = CATALOGUE[scheme].with_bath()
     paces = [part * CATALOGUE[scheme].stability_limit for part in (0.2, 0.5, 0.8)]
     # At 1.9 the relaxation of the ratio of kinetic and potential energy is slow, and averages are off by large factors.
     sound = [pace for pace in paces if is_stable(bathed.without_bath(), pace) and 0.3 < in_bath(bathed, pace).q2 < 3]
     oscillation, pace = draw(chosen(*sound)), draw(chosen(0.15, 0.1))
     kinds = [draw(free_kinds(engine, pace, named))] if pressure else []
+    kinds += [draw(types(oscillation, pace))] if has_types else []
     others = st.one_of(
         held_kinds(oscillation, pace, not pressure, named),
         free_kinds(engine, pace, named),
@@ -142,10 +152,12 @@ def trials(draw):
     number, phase = draw(chosen(3, 1, 2, 5)), draw(chosen(0.8, 1.3, 2.0))
     share, chances = draw(chosen(0.0, 0.5, 0.9)), draw(chosen(0, 1, 2))
     pressure = draw(own_pressures)
-    named = engine == "exact"
+    has_types = engine == "exact" and not pressure and draw(st.booleans())
+    named = engine == "exact" and not has_types
     oscillation = min(phase / number, 0.6 * CATALOGUE[scheme].stability_limit)
     pace = min(phase / number, 0.4)
     kinds = [draw(free_kinds(engine, pace, named))] if pressure else []
+    kinds += [draw(types(oscillation, pace))] if has_types else []
     others = st.one_of(
         held_kinds(oscillation, pace, not pressure, named),
         free_kinds(engine, pace, named),
@@ -166,7 +178,8 @@ def rescalings(draw):
     named = engine == "exact" and pressure != "barostat"
     free = Free(draw(shapes), named and draw(st.booleans()), 0.1)
     oscillation = 0.3 * CATALOGUE[scheme].stability_limit
-    kinds = (free,) if pressure else (draw(chosen(Wells(12.0, oscillation), free)),)
+    held = draw(types(oscillation, 0.1)) if engine == "exact" else free
+    kinds = (free,) if pressure else (draw(chosen(Wells(12.0, oscillation), free, held)),)
     rate, every = draw(chosen(0.1, 0.03)), draw(chosen(3, 1, 10))
     method = Rescaling(scheme, engine, rate, every, draw(steps), draw(temperatures), pressure)
     return Experiment(method, kinds, draw(copies(pressure, 3, 8)), draw(seeds))
@@ -189,12 +202,14 @@ def cases(platform: str) -> st.SearchStrategy[Experiment]:
 #: One of each way to move a molecule and to draw random numbers.
 EXAMPLES = [
     Experiment(Bath(friction=1.0, turning=0.5), (Free("corner", named=True),), 60),
+    Experiment(Bath(friction=1.0), (Held("corner", "in plane"),), 60),
     Experiment(Bath(friction=1.0, substeps=1), (Wells(pace=1.6), FastBonds(pace=1.2)), 60),
     Experiment(Bath("sier4g"), (Suspended(), Wells(pace=1.0, anchored=True)), 20),
     Experiment(Bath(engine="native", friction=1.0), (Wells(pace=1.6), Free("pair", pace=0.1), FastBonds(pace=1.2)), 60),
     Experiment(Bath(pressure="moves"), (Free("pair", named=True), Wells(pace=0.5)), 5),
     Experiment(Trials("sier2", steps=2), (Wells(pace=0.9), Dipoles("triangle", site=True, pace=0.4)), 12),
     Experiment(Trials("sier2", steps=3, share=0.9), (Wells(pace=0.7),), 30),
+    Experiment(Trials("sier2", steps=2), (Held("pair", "rotating"),), 12),
     Experiment(Trials("sier2", chances=1, share=0.5), (Chains(pace=0.1), Wells(pace=0.7)), 10),
     Experiment(Trials("sier2", "native", 2, share=0.9, chances=1), (Wells(pace=0.9), Chains(pace=0.06)), 15),
     Experiment(Trials("sier2", steps=1, chances=2, share=0.5), (Wells(pace=1.6),), 8),
@@ -203,12 +218,16 @@ EXAMPLES = [
     Experiment(Rescaling(engine="native", rate=1.0, every=2), (Free(pace=0.1),), 4),
     Experiment(Trials("sier2", steps=2, share=0.5, remover=True), (Wells(pace=0.9),), 2),
     Experiment(Trials("sier2", "native", steps=2, share=0.5, remover=True), (Wells(pace=0.9),), 2),
+    Experiment(Rescaling(rate=0.5, every=2), (Held("pair", "hinged"),), 2),
 ]
 
 #: Slower ones.
 MORE = [
     Experiment(Trials("sier2", steps=2, share=0.9), (Joined(pace=0.3), Wells(pace=0.7)), 8),
     Experiment(Bath(), (Dipoles(site=True), Quartics())),
+    Experiment(Bath("sier4g", friction=1.0), (Held("pair", "hinged"),), 30),
+    Experiment(Trials("sier2", steps=2), (Held("corner", "free on a line"), Wells(pace=0.9)), 12),
+    Experiment(Trials("sier2", steps=2), (Held("triangle", "translating"), Held("pair", "in plane")), 12),
     Experiment(Bath("sier4", "native"), (Wells(pace=1.0), Dipoles("pair", site=True, pace=0.1)), 8),
     Experiment(Bath(engine="native", pressure="barostat"), (Free(pace=0.1),), 10),
     Experiment(Trials("sier2", "native", 1, pressure="moves"), (Free("pair", pace=0.1), Wells(pace=0.8)), 5),

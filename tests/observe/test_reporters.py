@@ -197,7 +197,7 @@ def test_body_states(tmp_path, box):
 
 
 def test_body_states_have_the_names_of_domains(tmp_path):
-    """Bodies are numbered species by species, not in the order of their names."""
+    """Bodies are numbered as they were listed, not in the order of their names."""
     topology, positions, system = topology_of(), folded(), domain_system()
     domains = select_bodies(topology, {"head": "A:2-13", "tail": "A:24-37"})
     bodies = RigidBodies.from_system(system, topology, domains, positions)

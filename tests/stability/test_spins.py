@@ -8,9 +8,9 @@ import pytest
 
 from openmm_sier import SIER2, RigidBodies, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.step_limits import FAST_SPIN
 from openmm_sier.inputs.equilibration import equilibrate
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.stability.step_rules import FAST_SPIN
 from tests.support.constrained_molecules import gas, triangle
 from tests.support.reports import RecordingReport
 from tests.support.silence import silence

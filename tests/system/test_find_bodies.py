@@ -113,7 +113,7 @@ def test_a_constraint_between_two_molecules_makes_points_of_both():
     system = system_of(WATER, WATER)
     system.addConstraint(0, 3, 0.3)
     bodies = RigidBodies.from_system(system)
-    assert lists(bodies) == [[0], [3], [1], [2], [4], [5]]
+    assert lists(bodies) == [[0], [1], [2], [3], [4], [5]]
     assert bodies.dof == 18 - 7
     assert len(set(bodies.molecules)) == 1
 
@@ -366,3 +366,32 @@ def test_constraints_between_groups_are_refused():
     system = methanols.system_of(2, [*X_H, (0, 4)], positions)
     with pytest.raises(RigidityError, match=r"between atoms 0 and 4 joins .*constraints=None or HBonds"):
         RigidBodies.from_system(system, topology, hydrogen_groups(topology), positions)
+
+
+def test_bodies_keep_the_order_of_the_lists():
+    """Then come those that constraints form, then points, whatever their kinds."""
+    triangle, line = np.array([[0, 0, 0], [0.2, 0, 0], [0.05, 0.18, 0]]), np.array([[0, 0, 0], [0.2, 0, 0]])
+    system, positions, named = openmm.System(), [], []
+    for mass in (39.0, 23.0):
+        system.addParticle(mass)
+        positions.append(np.zeros((1, 3)))
+    for k, shape in enumerate((triangle, line, triangle, line)):
+        named.append([system.addParticle(12.0) for _ in shape])
+        positions.append(np.add(shape, [k, 0, 0]))
+    for k in range(2):
+        pair = [system.addParticle(mass) for mass in (1.0 + k, 1.0)]
+        system.addConstraint(*pair, 0.2)
+        positions.append(np.add(line, [k, 1, 0]))
+    system.addParticle(39.0)
+    positions.append(np.zeros((1, 3)))
+    named = named[::-1]
+    x = np.concatenate(positions)
+    bodies = RigidBodies.from_system(system, rigid=named, positions=x)
+    expected = [*named, [12, 13], [14, 15], [0], [1], [16]]
+    assert lists(bodies) == expected
+    assert bodies.masses.tolist() == [24, 36, 24, 36, 2, 3, 39, 23, 39]
+    q, _ = bodies.fit(x)
+    for number, atoms in enumerate(expected):
+        assert (bodies.owners[atoms] == number).all()
+        masses = np.array([system.getParticleMass(i)._value for i in atoms])
+        np.testing.assert_allclose(q[:, number], masses @ x[atoms] / masses.sum(), rtol=0, atol=1e-14)

@@ -39,21 +39,22 @@ def set_of(sets, row):
 
 @shared
 @kernel
-def place(start, stop, q, A, sets, places, atoms, positions):
+def place(start, stop, q, A, sets, bodies, places, atoms, positions):
     """Write the positions of the atoms of bodies; return the number of bodies with one that is not finite.
 
     Args:
-        start, stop: range of the bodies.
+        start, stop: range of `bodies`.
         q, A: centres and attitudes.
-        sets, places, atoms: of `Sites`.
+        sets, bodies, places, atoms: of `Sites`.
         positions: of all particles, (N, 3), written.
     """
     broken = 0
     for row in range(len(sets)):
         first, end, size, site, entry = set_of(sets, row)
-        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+        for i in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            n = np.uint64(bodies[i])
             columns, centre, total = columns_of(A, n), (q[0, n], q[1, n], q[2, n]), 0.0
-            offset = entry + (n - first) * size
+            offset = entry + (i - first) * size
             for j in range(size):
                 x, y, z = plus(centre, arm_of(places, site + j, columns))
                 atom = np.uint64(atoms[offset + j])
@@ -65,11 +66,12 @@ def place(start, stop, q, A, sets, places, atoms, positions):
 
 @shared
 @kernel
-def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, atoms, velocities):
+def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, bodies, places, atoms, velocities):
     """Write the velocities (N, 3) of the atoms of bodies with momenta and angular momenta; see `place`."""
     for row in range(len(sets)):
         first, end, size, site, entry = set_of(sets, row)
-        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+        for i in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            n = np.uint64(bodies[i])
             columns, m = columns_of(A, n), inverse_masses[n]
             x, y, z = columns
             body_omega = (
@@ -78,7 +80,7 @@ def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, at
                 inverse_moments[2, n] * (x[2] * L[0, n] + y[2] * L[1, n] + z[2] * L[2, n]),
             )
             omega, v = lab_frame(body_omega, columns), (m * p[0, n], m * p[1, n], m * p[2, n])
-            offset = entry + (n - first) * size
+            offset = entry + (i - first) * size
             for j in range(size):
                 velocity = plus(v, cross(omega, arm_of(places, site + j, columns)))
                 atom = np.uint64(atoms[offset + j])
@@ -88,23 +90,24 @@ def move(start, stop, p, A, L, inverse_masses, inverse_moments, sets, places, at
 
 @shared
 @kernel
-def collect(start, stop, vectors, A, sets, places, weights, atoms, total, moment):
+def collect(start, stop, vectors, A, sets, bodies, places, weights, atoms, total, moment):
     """Sum weighted vectors, and their moments, over the atoms of bodies; return the number of sums that are not finite.
 
     Args:
-        start, stop: range of the bodies.
+        start, stop: range of `bodies`.
         vectors: of all particles, (N, 3).
         A: attitudes.
-        sets, places, atoms: of `Sites`.
+        sets, bodies, places, atoms: of `Sites`.
         weights: one for each of `places`.
         total, moment: sums for each body, (3, n), written.
     """
     broken = 0
     for row in range(len(sets)):
         first, end, size, site, entry = set_of(sets, row)
-        for n in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+        for i in range(max(first, np.uint64(start)), min(end, np.uint64(stop))):
+            n = np.uint64(bodies[i])
             columns, sums, moments = columns_of(A, n), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-            offset = entry + (n - first) * size
+            offset = entry + (i - first) * size
             for j in range(size):
                 atom, weight = np.uint64(atoms[offset + j]), weights[site + j]
                 weighted = weight * vectors[atom, 0], weight * vectors[atom, 1], weight * vectors[atom, 2]

@@ -15,6 +15,7 @@ from openmm_sier.dynamics.kernels.formulas import (
     combine,
     cross,
     displacing_rotation,
+    plus,
     rotation_matrix,
     small_sine_cosine,
 )
@@ -24,7 +25,10 @@ from openmm_sier.dynamics.threads import shared
 
 #: Number of bodies in a tile, which are rotated together, and of its rows. A smaller tile leaves instructions that
 #: handle several bodies unfilled, a larger one takes longer where bodies are few.
-TILE, ROWS = 32, 22
+TILE, ROWS = 32, 25
+
+#: The axes of the lab.
+LAB = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 @called
@@ -36,43 +40,32 @@ def copy(target, source):
 
 @shared
 @kernel
-def rotate(start, stop, A, L, h, edges, rates, new_A):
+def rotate(start, stop, A, L, h, turning, rates, new_A):
     """Rotate bodies freely for a time h; return the number of those with an attitude or L that is not finite.
 
     Args:
         start, stop: range of the bodies.
         A, L: (3, 3, n) and (3, n).
         h: time.
-        edges: the first body of each kind, and the end of the last one, (m + 1,).
-        rates: inverse moments of each kind, descending, three equal ones for lines, zeros for points, (m, 3).
+        turning: first body and end of each run of bodies that turn, (m, 2), ascending; the others are points.
+        rates: inverse moments, descending, three equal ones for lines, (3, n).
         new_A: (3, 3, n), written.
     """
-    return rotate_kinds(start, stop, A, L, h, edges, rates, new_A)
-
-
-@shared
-@kernel
-def rotate_each(start, stop, A, L, h, rates, new_A):
-    """Rotate bodies as `rotate` does, each with its own rates, (3, n)."""
-    broken = 0
-    for n in range(start, stop):
-        broken += rotate_long(n, A, L, h, (rates[0, n], rates[1, n], rates[2, n]), new_A)
-    return broken
+    return rotate_runs(start, stop, A, L, h, turning, rates, new_A)
 
 
 @called
-def rotate_kinds(start, stop, A, L, h, edges, rates, new_A):
-    """Rotate a range of bodies of all kinds; see `rotate`."""
-    broken = 0
+def rotate_runs(start, stop, A, L, h, turning, rates, new_A):
+    """Rotate a range of bodies; see `rotate`."""
+    broken, done = 0, start
     tile = np.ones(ROWS * TILE)
-    for kind in range(len(rates)):
-        first, end = max(start, edges[kind]), min(stop, edges[kind + 1])
-        if first >= end:
-            continue
-        if rates[kind, 0] > 0:
-            broken += rotate_kind(first, end, A, L, h, rates[kind], tile, new_A)
-        else:
-            keep(first, end, A, new_A)
+    for run in range(len(turning)):
+        first, end = max(start, turning[run, 0]), min(stop, turning[run, 1])
+        if first < end:
+            keep(done, first, A, new_A)
+            broken += rotate_run(first, end, A, L, h, rates, tile, new_A)
+            done = end
+    keep(done, stop, A, new_A)
     return broken
 
 
@@ -85,10 +78,9 @@ def keep(start, stop, A, new_A):
 
 
 @called
-def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
-    """Rotate bodies with the same rates, (3,); see `rotate`."""
+def rotate_run(start, stop, A, L, h, rates, tile, new_A):
+    """Rotate a range of bodies that turn; see `rotate`."""
     broken = 0
-    kind_rates = rates[0], rates[1], rates[2]
     for first in range(start, stop, TILE):
         end = min(first + TILE, stop)
         size = end - first
@@ -98,20 +90,24 @@ def rotate_kind(start, stop, A, L, h, rates, tile, new_A):
                 copy(tile[row : row + size], A[i, j, first:end])
             row = (9 + i) * TILE
             copy(tile[row : row + size], L[i, first:end])
-        rotate_tile(tile, kind_rates, h)
+            row = (22 + i) * TILE
+            copy(tile[row : row + size], rates[i, first:end])
+        rotate_tile(tile, h)
         for i in range(3):
             for j in range(3):
                 row = (12 + 3 * i + j) * TILE
                 copy(new_A[i, j, first:end], tile[row : row + size])
         for n in range(size):
             if tile[21 * TILE + n] == 0:
-                broken += rotate_long(first + n, A, L, h, kind_rates, new_A)
+                broken += rotate_long(first + n, A, L, h, rates, new_A)
     return broken
 
 
 @called
-def rotate_tile(tile, rates, h):
-    """Rotate a tile of bodies freely, from its rows A (9) and L (3) to others: new A (9), and whether it is valid.
+def rotate_tile(tile, h):
+    """Rotate a tile of bodies freely, from its rows A (9), L (3) and rates (3, the last) to others.
+
+    These are the new A (9), and whether it is valid.
 
     The rows of one array have constant distances, and there is no branch or call that is not inlined. So the compiler
     sees that bodies are independent, and handles several with each instruction.
@@ -121,6 +117,7 @@ def rotate_tile(tile, rates, h):
         y = tile[3 * TILE + n], tile[4 * TILE + n], tile[5 * TILE + n]
         z = tile[6 * TILE + n], tile[7 * TILE + n], tile[8 * TILE + n]
         L = tile[9 * TILE + n], tile[10 * TILE + n], tile[11 * TILE + n]
+        rates = tile[22 * TILE + n], tile[23 * TILE + n], tile[24 * TILE + n]
         body_L = combine(L, x[0], x[1], x[2]), combine(L, y[0], y[1], y[2]), combine(L, z[0], z[1], z[2])
         turn, _, suffices = free_rotation(body_L, rates, h, small_sine_cosine, SMALL_ANGLE)
         rows = rotation_matrix(turn[0], turn[1], turn[2], turn[3])
@@ -145,7 +142,7 @@ def rotate_long(n, A, L, h, rates, new_A):
         combine(momentum, y[0], y[1], y[2]),
         combine(momentum, z[0], z[1], z[2]),
     )
-    w, i, j, k = long_rotation(body_L, rates, h)
+    w, i, j, k = long_rotation(body_L, (rates[0, n], rates[1, n], rates[2, n]), h)
     put_attitude(n, rotation_matrix(w, i, j, k), (x, y, z), new_A)
     return False
 
@@ -181,10 +178,10 @@ def advance(start, stop, q, p, h, inverse_masses, new_q):
 
 @shared
 @kernel
-def drift(start, stop, q, p, A, L, h, edges, rates, inverse_masses, new_q, new_A):
+def drift(start, stop, q, p, A, L, h, turning, rates, inverse_masses, new_q, new_A):
     """Move centres and `rotate` in one call, since a call costs more than a few bodies."""
     advance(start, stop, q, p, h, inverse_masses, new_q)
-    return rotate_kinds(start, stop, A, L, h, edges, rates, new_A)
+    return rotate_runs(start, stop, A, L, h, turning, rates, new_A)
 
 
 @shared
@@ -206,6 +203,35 @@ def kick(start, stop, p, L, F, torque, h, q, at, new_p, new_L):
         for x in range(3):
             new_p[x, n] = p[x, n] + h * force[x]
             new_L[x, n] = L[x, n] + h * (torque[x, n] + lever[x])
+    return 0
+
+
+@shared
+@kernel
+def hold(start, stop, columns, translates, turns, A, p, L):
+    """Remove the parts of momenta and angular momenta along which bodies do not move.
+
+    Args:
+        start, stop: range of `columns`.
+        columns: the bodies, (k,).
+        translates: whether each of all bodies moves along x, y and z, (3, n).
+        turns: whether each turns about its principal axes, (3, n).
+        A: attitudes, (3, 3, n).
+        p, L: of all bodies, (3, n), changed.
+    """
+    for k in range(np.uint64(start), np.uint64(stop)):
+        n = np.uint64(columns[k])
+        axes, moment = rows_of(A, n), (L[0, n], L[1, n], L[2, n])
+        kept = (0.0, 0.0, 0.0)
+        for i in range(3):
+            if turns[i, n]:
+                x, y, z = axes[i]
+                about = combine(moment, x, y, z)
+                kept = plus(kept, (about * x, about * y, about * z))
+        for x in range(3):
+            L[x, n] = kept[x]
+            if not translates[x, n]:
+                p[x, n] = 0.0
     return 0
 
 
@@ -253,6 +279,105 @@ def bathe(
             energy += (new_along * new_along - along * along) * inverse_moments[i, n]
             for x in range(3):
                 new_L[x, n] += twist * A[i, x, n]
+        gain += 0.5 * energy
+    return gain
+
+
+@called
+def decay(rate, h):
+    """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
+    return math.exp(-rate * h), math.sqrt(-math.expm1(-2 * rate * h))
+
+
+@called
+def friction_directions(axes, rates, moves):
+    """Return orthonormal directions along which momenta decay independently of each other, and their rates.
+
+    For a body that moves along all axes of the lab these are its principal axes. For others they are the eigenvectors
+    of the friction tensor in the plane, or on the line, along which the body moves, and a direction without friction.
+
+    Args:
+        axes: rows of the attitude.
+        rates: of friction along the principal axes.
+        moves: whether the body moves along x, y and z.
+    """
+    if moves[0] and moves[1] and moves[2]:
+        return axes, rates
+    held = 0
+    while moves[held]:
+        held += 1
+    j, k = (held + 1) % 3, (held + 2) % 3
+    jj, kk, jk = 0.0, 0.0, 0.0
+    for i in range(3):
+        along_j, along_k = axes[i][j] * moves[j], axes[i][k] * moves[k]
+        jj += rates[i] * along_j * along_j
+        kk += rates[i] * along_k * along_k
+        jk += rates[i] * along_j * along_k
+    angle = 0.5 * math.atan2(2 * jk, jj - kk)
+    mean, half = 0.5 * (jj + kk), math.hypot(0.5 * (jj - kk), jk)
+    c, s = math.cos(angle), math.sin(angle)
+    e, f = LAB[j], LAB[k]
+    first = c * e[0] + s * f[0], c * e[1] + s * f[1], c * e[2] + s * f[2]
+    second = c * f[0] - s * e[0], c * f[1] - s * e[1], c * f[2] - s * e[2]
+    return (first, second, LAB[held]), (mean + half, max(mean - half, 0.0), 0.0)
+
+
+@shared
+@kernel
+def bathe_by_axes(
+    start,
+    stop,
+    p,
+    A,
+    L,
+    h,
+    frictions,
+    spreads,
+    moves,
+    noise,
+    inverse_masses,
+    inverse_moments,
+    new_p,
+    new_L,
+):
+    """Let a heat bath act that has a friction of each axis of each body; return the energy gained.
+
+    Args:
+        start, stop: range of the bodies.
+        p, A, L: momenta, attitudes and angular momenta.
+        h: time, not negative.
+        frictions: of translation along the principal axes, and of rotation about them, (6, n).
+        spreads: thermal standard deviations of a component of momenta, and of angular momenta about the principal
+            axes, (4, n).
+        moves: whether each body moves along x, y and z, (3, n).
+        noise: standard normal numbers, (6, n).
+        inverse_masses: (n,).
+        inverse_moments: (3, n).
+        new_p, new_L: written.
+    """
+    gain = 0.0
+    for n in range(np.uint64(start), np.uint64(stop)):
+        axes = rows_of(A, n)
+        along_axes = frictions[0, n], frictions[1, n], frictions[2, n]
+        directions, rates = friction_directions(axes, along_axes, (moves[0, n], moves[1, n], moves[2, n]))
+        momentum, moment = (p[0, n], p[1, n], p[2, n]), (L[0, n], L[1, n], L[2, n])
+        sum_p, sum_L = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        energy = 0.0
+        for i in range(3):
+            direction = directions[i]
+            along = combine(momentum, direction[0], direction[1], direction[2])
+            kept, width = decay(rates[i], h)
+            new_along = kept * along + width * spreads[0, n] * noise[i, n]
+            energy += (new_along * new_along - along * along) * inverse_masses[n]
+            sum_p = plus(sum_p, (new_along * direction[0], new_along * direction[1], new_along * direction[2]))
+            axis = axes[i]
+            about = combine(moment, axis[0], axis[1], axis[2])
+            kept, width = decay(frictions[3 + i, n], h)
+            new_about = kept * about + width * spreads[1 + i, n] * noise[3 + i, n]
+            energy += (new_about * new_about - about * about) * inverse_moments[i, n]
+            sum_L = plus(sum_L, (new_about * axis[0], new_about * axis[1], new_about * axis[2]))
+        for x in range(3):
+            new_p[x, n], new_L[x, n] = sum_p[x], sum_L[x]
         gain += 0.5 * energy
     return gain
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from openmm_sier.dynamics import kernels
+from openmm_sier.dynamics.indices import runs
 from openmm_sier.dynamics.rotation.axes import checked, not_finite
 
 
@@ -38,10 +39,8 @@ def exact(A: np.ndarray, L: np.ndarray, moments: np.ndarray, h: float) -> tuple[
     axes, A, L, h = checked(A, L, moments, h)
     rows = axes.sort(A)
     new, n = np.empty(A.shape), A.shape[2]
-    if axes.rates.ndim == 2:
-        broken = kernels.bodies.rotate_each(n, rows, L, h, axes.rates, new)
-    else:
-        broken = kernels.bodies.rotate(n, rows, L, h, np.array([0, n]), axes.rates[None], new)
+    rates = np.ascontiguousarray(np.broadcast_to(axes.rates.reshape(3, -1), (3, n)))
+    broken = kernels.bodies.rotate(n, rows, L, h, runs(rates[0] > 0), rates, new)
     if broken:
         raise not_finite(A, L)
     return axes.unsort(new), L.copy()

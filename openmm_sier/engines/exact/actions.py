@@ -13,14 +13,16 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.noise import generator
+from openmm_sier.dynamics.vectors import combine
 from openmm_sier.engines import interrupts
 from openmm_sier.engines.actions import Actions
 from openmm_sier.engines.exact.forces import BodyForces
-from openmm_sier.engines.exact.minimization import constraints_hold, minimize_bodies
+from openmm_sier.engines.exact.minimization import minimize_bodies
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.snapshot import Snapshot
 from openmm_sier.system import tables
 from openmm_sier.system.arguments import quantity_to_float
+from openmm_sier.system.links import held_bodies
 
 
 class BodyActions(Actions):
@@ -37,8 +39,10 @@ class BodyActions(Actions):
 
     @cached_property
     def _are_bodies_constrained(self) -> bool:
-        """Whether the constraints of the System hold all bodies."""
-        return constraints_hold(self._context.getSystem(), self._engine.bodies)
+        """Whether the constraints of the System hold all bodies, and these move along and about all axes."""
+        bodies = self._engine.bodies
+        are_held = held_bodies(self._context.getSystem(), bodies.species)
+        return bodies.bearings is None and all(held.all() for held in are_held)
 
     def _is_unsolved(self) -> bool:
         """Return whether OpenMM's solvers cannot satisfy the constraints."""
@@ -49,7 +53,7 @@ class BodyActions(Actions):
         return self._are_bodies_constrained and not self._is_unsolved()
 
     def draw_velocities(self, by_openmm: Callable[[], None], temperature: Any, seed: int | None = None) -> None:
-        if self._is_unsolved():
+        if self._is_unsolved() or self._engine.bodies.has_other_moments:
             self._draw_velocities(temperature, seed)
             return
         by_openmm()
@@ -60,7 +64,7 @@ class BodyActions(Actions):
         """Set velocities from the canonical distribution.
 
         Velocities of single atoms are drawn; the rigid part of their motion, without that along constraints, is
-        canonical for bodies.
+        canonical for bodies. Where the moments of bodies are not those of the masses, angular momenta are drawn.
 
         Raises:
             ValueError: the temperature is negative or not finite.
@@ -73,6 +77,11 @@ class BodyActions(Actions):
         spread = np.sqrt(GAS_CONSTANT * kelvins * np.divide(1.0, masses, out=np.zeros_like(masses), where=masses > 0))
         random = generator(secrets.randbelow(2**31) if seed is None else abs(int(seed)), 0, stream=4)
         p, L = bodies.momenta(spread[:, None] * random.standard_normal((len(masses), 3)), state.A)
+        if bodies.has_other_moments:
+            along_axes = np.sqrt(GAS_CONSTANT * kelvins * bodies.moments * bodies.turns) * random.standard_normal(
+                L.shape
+            )
+            L = combine(along_axes, *state.A)
         drawn = replace(state, p=bodies.constraints.project(state.q, p), L=L)
         openmm.Context.setVelocities(self._context, bodies.move(drawn, Snapshot.of(self._context).velocities))
 

@@ -1,5 +1,6 @@
 """What the exact engine takes over from its Context: changes by users, and by Forces that act between steps."""
 
+from abc import abstractmethod
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,12 @@ class ContextReader(PointVerbs):
     _remembers_list: bool
     #: The operators of a step; none after a change.
     _calls: list[OperatorCall]
+    #: Whether velocities of atoms carry less than the kinetic energy, see `HIDDEN_KINETIC`.
+    _hides_kinetic_energy: bool
+
+    @abstractmethod
+    def _report_hidden_kinetic_energy(self) -> None:
+        """Write the kinetic energy that OpenMM does not find in velocities of atoms."""
 
     # --- changes by users ---
 
@@ -50,6 +57,8 @@ class ContextReader(PointVerbs):
             self.point = point
             self._has_point = True
             self.forces.velocities[:] = now.velocities
+            if self._hides_kinetic_energy:
+                self._report_hidden_kinetic_energy()
         if Changes.FORCES in self.changes:
             self._forget_forces()
         self.clock = Clock(now.time, now.steps)

@@ -9,6 +9,7 @@ from collections.abc import Collection
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, BodyState, NotFiniteError
@@ -27,8 +28,9 @@ from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.records import Changes, Clock
 from openmm_sier.engines.snapshot import holds_doubles
 from openmm_sier.engines.trials import Outcome, Trial
+from openmm_sier.engines.variables import HIDDEN_KINETIC
 from openmm_sier.stability.step_check import StepCheck
-from openmm_sier.system import checks
+from openmm_sier.system import checks, tables
 from openmm_sier.system.find_bodies import bodies_of
 
 
@@ -59,11 +61,14 @@ class ExactEngine(ContextReader):
         self.moving = bodies_of(system, bodies)
         checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
         checks.refuse_hits_on_atoms(system, self.moving)
+        self.accept(method)
         self.step_check = StepCheck(system, self.moving)
         self.updates = SystemUpdates(context)
         self.forces = BodyForces(context, self.moving)
         self.motion = self._new_motion()
         self._stored = StoredPoint(context, self.moving)
+        self._masses = tables.masses(system)
+        self._hides_kinetic_energy = self.moving.has_other_moments
         self._reader = AtomReader(self.moving)
         self._remembers_list = neighbour_list.is_remembered(context)
         self._keeps_numbers = holds_doubles(context)
@@ -91,7 +96,13 @@ class ExactEngine(ContextReader):
     # --- changes by users ---
 
     def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
-        """Accept any method."""
+        """Accept any method whose frictions, if they are those of types, fit the types of the bodies."""
+        if method.bath is None:
+            return
+        try:
+            method.bath.frictions(self.moving)
+        except ValueError as error:
+            raise openmm.OpenMMException(str(error)) from None
 
     def select_groups(self) -> None:
         self.changes |= Changes.FORCES | Changes.FAST
@@ -163,6 +174,15 @@ class ExactEngine(ContextReader):
         openmm.Context.setStepCount(context, clock.steps)
         self._stored.is_outdated = True
         self._published = point, clock
+        if self._hides_kinetic_energy:
+            self._report_hidden_kinetic_energy()
+
+    def _report_hidden_kinetic_energy(self) -> None:
+        """Write the kinetic energy that OpenMM does not find in velocities of atoms, see `HIDDEN_KINETIC`."""
+        of_atoms = 0.5 * float(np.einsum("i,ix,ix->", self._masses, self.forces.velocities, self.forces.velocities))
+        hidden = self.kinetic_energy() - of_atoms
+        share = hidden / (3 * np.count_nonzero(self._masses))
+        self._integrator.setPerDofVariableByName(HIDDEN_KINETIC, np.full((len(self._masses), 3), share))
 
     def recover(self) -> None:
         if not self._has_point:

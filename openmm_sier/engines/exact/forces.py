@@ -36,8 +36,8 @@ class BodyForces:
         n = system.getNumParticles()
         self._has_virtual_sites = tables.virtual_sites(system).size > 0
         sites = bodies.sites
-        self._sites = sites.sets, sites.places, sites.atoms
-        self._weighted_sites = sites.sets, sites.places, sites.ones, sites.atoms
+        self._sites = sites.tables
+        self._weighted_sites = sites.sets, sites.bodies, sites.places, sites.ones, sites.atoms
         self.positions = np.zeros((n, 3))
         self.velocities = np.zeros((n, 3))
         #: Forces on the atoms, as OpenMM gave them last.
@@ -104,6 +104,8 @@ class BodyForces:
         F, tau = np.empty(q.shape), np.empty(q.shape)
         if kernels.atoms.collect(self.bodies.n, self._vectors, A, *self._weighted_sites, F, tau):
             raise self._not_finite("force on", F, tau)
+        if self.bodies.bearings is not None:
+            self.bodies.bearings.remove(F, tau, A)
         return F, tau
 
     def of_all_groups(self, q: np.ndarray, A: np.ndarray) -> Pair:

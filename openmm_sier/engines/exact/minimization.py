@@ -16,13 +16,6 @@ from openmm import unit
 from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.minimizer import descent
 from openmm_sier.engines.snapshot import potential_of
-from openmm_sier.system import tables
-
-
-def constraints_hold(system: openmm.System, bodies: BodySet) -> bool:
-    """Return whether every distance inside every body is constrained."""
-    constraints = tables.constraints(system)
-    return all(held.all() for held in constraints.hold(species.atoms for species in bodies.species))
 
 
 def minimize_bodies(

@@ -103,7 +103,7 @@ def _working_forces(system: openmm.System, bodies: BodySet, fast: list[int]) -> 
     """
     owner, moving = bodies.owners.copy(), bodies.owners >= 0
     # Terms between frozen atoms do no work, like those inside one body.
-    owner[tables.frozen_atoms(system)] = bodies.n
+    owner[tables.frozen_without(system, owner)] = bodies.n
     return working_forces([system.getForce(i) for i in fast], owner, moving)
 
 

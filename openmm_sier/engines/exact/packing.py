@@ -1,6 +1,6 @@
 """Body states as per-atom variables, so that OpenMM's checkpoints and States carry them bit for bit.
 
-The numbers of the bodies follow one another without regard to whose atoms the variables are.
+The numbers of the bodies follow one another, species by species, without regard to whose atoms the variables are.
 """
 
 import weakref
@@ -22,13 +22,18 @@ class Packing:
 
     def __init__(self, bodies: BodySet):
         self.bodies = bodies
-        #: Ranges of bodies that are all points, or all not.
+        #: Bodies in the order in which they are stored: species by species.
+        self._order = np.concatenate([np.empty(0, np.int64), *bodies.numbers])
+        #: Ranges of stored bodies that are all points, or all not.
         self._runs: list[tuple[slice, bool]] = []
-        for species, columns in zip(bodies.species, bodies.columns, strict=True):
-            is_point = species.atoms.shape[1] == 1
-            if self._runs and self._runs[-1][1] == is_point:
-                columns = slice(self._runs.pop()[0].start, columns.stop)
-            self._runs.append((columns, is_point))
+        start = 0
+        for species in bodies.species:
+            count, size = species.atoms.shape
+            first = start
+            if self._runs and self._runs[-1][1] == (size == 1):
+                first = self._runs.pop()[0].start
+            start += count
+            self._runs.append((slice(first, start), size == 1))
 
     @property
     def variables(self) -> int:
@@ -40,7 +45,7 @@ class Packing:
         """Return the numbers (q, p, L, A) of all bodies, shape (3, N, 3); zero beyond them."""
         values = np.zeros((3, self.bodies.n_particles, 3))
         numbers, start = values.reshape(-1), 0
-        for vectors in self._vectors(state):
+        for vectors in self._vectors(_ordered(state, self._order)):
             numbers[start : start + vectors.size] = vectors.ravel()
             start += vectors.size
         return values
@@ -58,7 +63,7 @@ class Packing:
         for vectors in self._vectors(state):
             vectors[:] = numbers[start : start + vectors.size].reshape(vectors.shape)
             start += vectors.size
-        return state
+        return _ordered(state, np.argsort(self._order))
 
     def _vectors(self, state: BodyState) -> list[np.ndarray]:
         """Return views of what is stored of a state, in the order in which it is."""
@@ -68,6 +73,12 @@ class Packing:
             for part, is_point in self._runs
             for vectors in ((state.q, state.p) if is_point else (state.q, state.p, state.L, state.A))
         ]
+
+
+def _ordered(state: BodyState, order: np.ndarray) -> BodyState:
+    """Return a state of the bodies with indices `order`, (n,)."""
+    q, p, A, L = (np.ascontiguousarray(vectors[..., order]) for vectors in (state.q, state.p, state.A, state.L))
+    return BodyState(q, p, A, L)
 
 
 class StoredPoint:

@@ -17,7 +17,7 @@ from openmm_sier.engines.exact.updates import SystemUpdates
 from openmm_sier.engines.protocol import Engine
 from openmm_sier.engines.records import RollbackState
 from openmm_sier.engines.snapshot import Environment, box_of
-from openmm_sier.system.temperature import Temperatures, degrees_of_freedom, temperatures
+from openmm_sier.system.temperature import Temperatures, number_of_freedoms, temperatures
 
 
 class PointVerbs(Engine):
@@ -119,7 +119,7 @@ class PointVerbs(Engine):
         return temperatures(self.moving, state, conserved)
 
     def degrees_of_freedom(self, conserved: bool) -> float:
-        return sum(degrees_of_freedom(self.moving, conserved))
+        return number_of_freedoms(self.moving, conserved)
 
     def heat(self) -> float:
         return self.tally.heat

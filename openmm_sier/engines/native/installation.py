@@ -207,8 +207,10 @@ def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> No
         integrator: openmm.CustomIntegrator with a program of `install`.
         bath: of the scheme.
     """
-    friction, thermal = (0.0, 0.0) if bath is None else (bath.friction, GAS_CONSTANT * bath.temperature)
-    for name, value in ((PART, 0.0), (FRICTION, friction), (THERMAL, thermal)):
+    friction = bath.common_friction if bath is not None else None
+    thermal = GAS_CONSTANT * bath.temperature if bath is not None else 0.0
+    # Only the exact engine follows a bath with several frictions.
+    for name, value in ((PART, 0.0), (FRICTION, friction or 0.0), (THERMAL, thermal)):
         if integrator.getGlobalVariableByName(name) != value:
             integrator.setGlobalVariableByName(name, value)
 

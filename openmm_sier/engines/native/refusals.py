@@ -1,6 +1,6 @@
 """Refuse what only the exact engine can do."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -52,7 +52,9 @@ def why_not(method: IntegrationMethod, program: Program) -> str | None:
         return f"does not know this scheme, since {program.refusal}: take another scheme"
     if method.rotation is not exact:
         return "has only the exact free-rotation map: leave out `rotation`"
-    if method.bath is not None and method.bath.rotational_friction != method.bath.friction:
+    if method.bath is not None and isinstance(method.bath.friction, Mapping):
+        return "has one friction for all bodies: give `frictionCoeff` as a number"
+    if method.bath is not None and method.bath.common_friction is None:
         return "has one friction for translation and rotation: leave out `rotationalFriction`"
     return None
 
@@ -61,6 +63,15 @@ def _unheld_bodies(bodies: BodySet | None, system: openmm.System) -> str | None:
     """Return the text that refuses a named body that constraints do not keep rigid; None if there is none."""
     if bodies is None:
         return None
+    if bodies.bearings is not None:
+        body = bodies.describe(bodies.bearings.columns[0])
+        return f"moves bodies along and about all axes, unlike the type of {body}: give the type Motion.FREE"
+    for species in bodies.species:
+        if species.has_other_moments:
+            return (
+                f"moves atoms by their masses, and {bodies.describe_atoms(species.atoms[0])} has moments that are not "
+                "those of its masses: make a copy of the System by with_frames(system, positions, bodies)"
+            )
     held = tables.constraints(system).by_pair()
     for atoms in (atoms for species in bodies.species for atoms in species.atoms.tolist()):
         for pair in combinations(sorted(atoms), 2):

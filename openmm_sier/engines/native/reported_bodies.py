@@ -9,11 +9,11 @@ import openmm
 from openmm_sier.dynamics.bodies import BodySet, BodyState, RigidityError
 from openmm_sier.dynamics.species import Species
 from openmm_sier.engines.snapshot import Snapshot
-from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import bodies_of
+from openmm_sier.system.links import links_of
 from openmm_sier.system.temperature import (
     Temperatures,
-    degrees_of_freedom,
+    number_of_freedoms,
     temperature,
     temperatures,
     thermal_energies,
@@ -31,7 +31,6 @@ class ReportedBodies:
             points: the massive atoms, each a body of its own.
         """
         self._points = points
-        self._constraints = len(tables.constraints(system).pairs)
         #: Degrees of freedom, by whether the total momentum is conserved. Each trial asks for them twice.
         self._freedoms: dict[bool, float] = {}
         self._bodies: BodySet | RigidityError
@@ -39,6 +38,7 @@ class ReportedBodies:
             self._bodies = bodies_of(system, bodies)
         except RigidityError as error:
             self._bodies = error
+            self._points = links_of(system).link(points)
 
     @property
     def species(self) -> tuple[Species, ...]:
@@ -94,18 +94,12 @@ class ReportedBodies:
         p[:, points.owners[owned]] = velocities[owned].T
         A = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, points.n))
         point = BodyState(np.zeros_like(p), points.masses * p, A, np.zeros_like(p))
-        return temperature(sum(thermal_energies(points, point, conserved)), self._freedoms_of_atoms(conserved))
-
-    def _freedoms_of_atoms(self, conserved: bool) -> float:
-        return self._points.dof - self._constraints - (3 if conserved else 0)
+        energy = sum(thermal_energies(points, point, conserved))
+        return temperature(energy, self.degrees_of_freedom(conserved))
 
     def degrees_of_freedom(self, conserved: bool) -> float:
         """Return the number of degrees of freedom that share the heat, see `system.temperature`."""
         if conserved not in self._freedoms:
-            self._freedoms[conserved] = self._count_freedoms(conserved)
+            bodies = self._points if isinstance(self._bodies, RigidityError) else self._bodies
+            self._freedoms[conserved] = number_of_freedoms(bodies, conserved)
         return self._freedoms[conserved]
-
-    def _count_freedoms(self, conserved: bool) -> float:
-        if isinstance(self._bodies, RigidityError):
-            return self._freedoms_of_atoms(conserved)
-        return sum(degrees_of_freedom(self._bodies, conserved))

@@ -8,8 +8,8 @@ import pytest
 from openmm import app, unit
 
 from openmm_sier import SIER2, SIER4G, RigidBodies, SIERIntegrator, SIERLangevinIntegrator, prepare_system
-from openmm_sier.stability import measurement
 from openmm_sier.stability.motions import Motions
+from openmm_sier.system import measurement
 from tests.support.silence import silence
 from tests.support.systems import assembled, field, with_forces
 from tests.support.waters import cluster_system, context_at, phase_point, platform
