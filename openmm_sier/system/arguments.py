@@ -4,6 +4,7 @@ import math
 import numbers
 import operator
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,14 @@ def checked_clusters(bodies: Any) -> list[list[int]]:
     """
     try:
         clusters = [list(cluster) for cluster in bodies]
-        lists = [[operator.index(i) for i in cluster] for cluster in clusters]
+        types = set(map(type, chain.from_iterable(clusters)))
+        if types - {int}:
+            clusters = [list(map(operator.index, cluster)) for cluster in clusters]
     except TypeError:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
-    if any(isinstance(i, bool) for cluster in clusters for i in cluster):
+    if bool in types:
         raise TypeError("bodies must be RigidBodies or lists of particle indices, got a mask of True and False")
-    return lists
+    return clusters
 
 
 def rigid_bodies(bodies: Any) -> BodySet | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import chain, combinations
 
@@ -175,8 +174,12 @@ class BodyPlan:
         for number, particles in enumerate(checked_clusters([] if rigid is None else rigid)):
             if not particles:
                 raise ValueError(f"each body must have particles, but the list of body {number} is empty")
-            if outside := [i for i in particles if not 0 <= i < self._n]:
-                raise ValueError(f"bodies name particle {outside[0]}, but the System has only {self._n} particles")
+            if min(particles) < 0 or max(particles) >= self._n:
+                outside = next(i for i in particles if not 0 <= i < self._n)
+                raise ValueError(f"bodies name particle {outside}, but the System has only {self._n} particles")
+            if massless.isdisjoint(particles):
+                clusters.append(tuple(particles))
+                continue
             cluster = tuple(i for i in particles if i not in sites)
             without = [i for i in cluster if i in massless]
             if len(without) == len(cluster):
@@ -188,9 +191,9 @@ class BodyPlan:
                     "virtual site of the others; or freeze all atoms of the body"
                 )
             clusters.append(cluster)
-        particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
-        if times > 1:
-            raise ValueError(f"bodies name particle {particle} twice")
+        times = np.bincount(np.fromiter(chain.from_iterable(clusters), np.int64), minlength=1)
+        if times.max() > 1:
+            raise ValueError(f"bodies name particle {times.argmax()} twice")
         return clusters
 
     def _clusters(self, named: list[Cluster]) -> Iterator[Clusters]:
@@ -290,7 +293,7 @@ def _named_clusters(
     """
     order = np.argsort(bodies, kind="stable")
     ends = np.searchsorted(bodies[order], np.arange(len(named) + 1))
-    alike: list[tuple[Cluster, np.ndarray]] = []
+    alike: list[tuple[Cluster, list[float]]] = []
     last: tuple = ()
     for cluster, start, end in zip(named, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         rows: list[tuple[int, int, float]] = []
@@ -304,15 +307,15 @@ def _named_clusters(
             yield _stacked(alike, last)
             alike = []
         last = key
-        alike.append((cluster, np.array([length for _, _, length in rows])))
+        alike.append((cluster, [length for _, _, length in rows]))
     if alike:
         yield _stacked(alike, last)
 
 
-def _stacked(alike: list[tuple[Cluster, np.ndarray]], key: tuple) -> Clusters:
+def _stacked(alike: list[tuple[Cluster, list[float]]], key: tuple) -> Clusters:
     """Return clusters, and lengths inside them, whose `key` is the number of atoms and the constrained pairs."""
     atoms, lengths = zip(*alike, strict=True)
-    return Clusters(np.array(atoms), np.array(key[1], dtype=np.int64).reshape(-1, 2), np.stack(lengths))
+    return Clusters(np.array(atoms), np.array(key[1], dtype=np.int64).reshape(-1, 2), np.array(lengths, dtype=float))
 
 
 def _rigid_molecules(pairs: np.ndarray, links: Links) -> Iterator[np.ndarray]:

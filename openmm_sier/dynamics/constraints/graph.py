@@ -31,9 +31,12 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     """Return which constraints of bodies at q (3, n) do not follow from others to first order, (c,).
 
-    The matrix of the constraints is factorized with pivots on the diagonal. Pivots of redundant constraints are close
+    In trees, such as bonds to hydrogens, none does: each outermost atom has one constraint, which alone moves it. Else
+    the matrix of the constraints is factorized with pivots on the diagonal. Pivots of redundant constraints are close
     to the shift of the diagonal, which keeps them from being 0.
     """
+    if _are_trees(table):
+        return np.ones(len(table.squares), dtype=bool)
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -42,3 +45,8 @@ def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     matrix = sparse.csc_array((elements, (table.rows, table.columns)), (c, c)) + SHIFT * sparse.eye_array(c)
     factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return (np.abs(factors.U.diagonal()) > PIVOT)[factors.perm_c]
+
+
+def _are_trees(table: ConstraintTable) -> bool:
+    """Return whether no component of the constraints has a cycle."""
+    return len(table.squares) == len(table.members) - len(np.unique(table.first))
