@@ -12,6 +12,7 @@ from openmm import unit
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import (
@@ -326,7 +327,7 @@ def _rigid_molecules(pairs: np.ndarray, links: Links) -> Iterator[np.ndarray]:
     """
     if not len(pairs):
         return
-    members, first = np.unique(pairs), joined(links.n_particles, pairs)
+    members, first = distinct(pairs), joined(links.n_particles, pairs)
     names, number, sizes = np.unique(first[members], return_inverse=True, return_counts=True)
     counts = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
     complete = counts == sizes * (sizes - 1) // 2
