@@ -16,7 +16,7 @@ from openmm_sier.dynamics.body_state import Pair as Pair
 from openmm_sier.dynamics.body_state import PlaceCache as PlaceCache
 from openmm_sier.dynamics.constraints import Constraints
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges
+from openmm_sier.dynamics.index_ranges import MAX_LISTED, as_ranges, distinct
 from openmm_sier.dynamics.indices import as_slice
 from openmm_sier.dynamics.inertia import Inertia
 from openmm_sier.dynamics.sites import Sites
@@ -123,7 +123,7 @@ class BodySet(Inertia):
         self.sites = sites
         self._fractions = fractions
         self.links = np.array(links[0], dtype=np.int64).reshape(-1, 2), np.array(links[1], dtype=float)
-        linked = np.unique(self.links[0])
+        linked = distinct(self.links[0])
         if linked.size and (extended := linked[self.moments[:, linked].any(axis=0)]).size:
             raise ValueError(
                 f"{self.describe(extended[0])} is linked to another body, but links join only single atoms"

@@ -6,8 +6,8 @@ checkpoint. With one thread nothing else of the past affects them; with several 
 two evaluations agree.
 """
 
+import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_sier.engines.snapshot import box_of
 from openmm_sier.system.forces import kind_of
@@ -15,9 +15,6 @@ from openmm_sier.system.inner_forces import all_forces
 
 #: Distance in nm, farther than atoms may move before the list is rebuilt, which is a few tenths of the cut-off.
 FAR = 1000.0
-
-#: Factor by which box and positions grow meanwhile, so that few atoms are neighbours. Larger boxes have many cells.
-GROWTH = 3.0
 
 
 def is_remembered(context: openmm.Context) -> bool:
@@ -31,18 +28,26 @@ def is_remembered(context: openmm.Context) -> bool:
 def forget(context: openmm.Context) -> None:
     """Make the next force evaluation of a Context rebuild the list; nothing else changes.
 
-    OpenMM checks the list at every request for forces, even for no force group. In a larger box, where few atoms are
-    neighbours, that costs little. Forces within other Forces have lists of their own, which OpenMM checks only
-    where it evaluates these.
+    OpenMM checks the list at every request for forces, even for no force group. Along a line, where no atoms are
+    neighbours, and in a box that is narrow beside it, that costs little. Forces within other Forces have lists of their
+    own, which OpenMM checks only where it evaluates these.
     """
-    inner = {part.group for part in all_forces(context.getSystem()) if part.containers and _has_cutoff(part.force)}
+    parts = all_forces(context.getSystem())
+    inner = {part.group for part in parts if part.containers and _has_cutoff(part.force)}
     groups = sum(1 << group for group in inner)
     state = openmm.Context.getState(context, positions=True)
-    positions = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    positions = np.empty((context.getSystem().getNumParticles(), 3))
+    state._getVectorAsNumpy(openmm.State.Positions, positions)
     box = box_of(state)
+    # The shortest edge is at least twice the cut-off.
+    apart = min(box[0].x, box[1].y, box[2].z)
+    line = np.full_like(positions, FAR)
+    line[:, 0] += apart * np.arange(len(line))
     try:
-        openmm.Context.setPeriodicBoxVectors(context, *(GROWTH * edge for edge in box))
-        openmm.Context.setPositions(context, GROWTH * positions + FAR)
+        openmm.Context.setPeriodicBoxVectors(
+            context, openmm.Vec3(apart * (len(line) + 1), 0, 0), openmm.Vec3(0, apart, 0), openmm.Vec3(0, 0, apart)
+        )
+        openmm.Context.setPositions(context, line)
         openmm.Context.getState(context, forces=True, groups=groups)
     finally:
         openmm.Context.setPeriodicBoxVectors(context, *box)

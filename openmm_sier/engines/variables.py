@@ -2,12 +2,12 @@
 
 import math
 import weakref
-from itertools import chain
 
 import numpy as np
 import openmm
 
 from openmm_sier.dynamics.tally import Tally
+from openmm_sier.system.arguments import vectors_to_array
 
 #: What the names begin with, so that no parameter of a Force has the same name.
 PREFIX = "sier_"
@@ -36,9 +36,7 @@ def report_hidden_kinetic_energy(integrator: openmm.CustomIntegrator) -> None:
 
 def per_atom_values(integrator: openmm.CustomIntegrator, name: str) -> np.ndarray:
     """Return a per-atom variable of an integrator, (N, 3)."""
-    vectors = integrator.getPerDofVariableByName(name)
-    # Ten times as fast as an array of a list of Vec3.
-    return np.fromiter(chain.from_iterable(vectors), float, 3 * len(vectors)).reshape(-1, 3)
+    return vectors_to_array(integrator.getPerDofVariableByName(name))
 
 
 class StoredTally:

@@ -17,6 +17,7 @@ from openmm_sier.observe.conservation import density
 from openmm_sier.prepare.masses import set_hydrogen_masses
 from openmm_sier.prepare.pme import balance_pme, mesh_of, meshed_forces
 from openmm_sier.system import tables
+from openmm_sier.system.arguments import checked_positions
 from openmm_sier.system.checks import refuse_sites_without_place
 from openmm_sier.system.cut_molecules import Bonds, joined_by
 from openmm_sier.system.inner_forces import all_forces
@@ -284,7 +285,7 @@ def read_box(
     """
     source = SourceFile.of(path)
     pdb = read_pdb(source, edges)
-    lengths = pdb.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    lengths = checked_positions(pdb.positions, pdb.topology.getNumAtoms())
     # Force fields need whole molecules to place virtual sites.
     lengths = joined_by(Bonds.guessed(pdb.topology), lengths, box_vectors(pdb.topology))
     try:

@@ -1,6 +1,7 @@
 """Read PDB and PDBx/mmCIF files, and refuse errors that would make a simulation meaningless."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -11,6 +12,7 @@ from openmm.unit import Quantity
 from openmm_sier.dynamics.constants import GRAM_PER_CM3
 from openmm_sier.inputs.file_kinds import MMCIF, PDB, file_kind
 from openmm_sier.inputs.source_files import FilePath, SourceFile
+from openmm_sier.system.arguments import checked_positions
 from openmm_sier.system.boxes import reduced
 from openmm_sier.system.user_warnings import warn
 
@@ -53,7 +55,7 @@ def read_pdb(path: FilePath, edges: Sequence[float] | None = None) -> app.PDBFil
             raise ForceFieldError(f"{path} has an atom twice: {first_line(twice).removeprefix(TWICE)}") from None
     warn_about_alternates(source, file.topology)
     file.topology.setPeriodicBoxVectors(box_of(path, file.topology.getPeriodicBoxVectors(), edges))
-    check_positions(path, file.topology, file.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    check_positions(path, file.topology, checked_positions(file.positions, file.topology.getNumAtoms()))
     return file
 
 
@@ -153,7 +155,8 @@ def check_positions(path: FilePath, topology: app.Topology, positions: np.ndarra
     if (vectors := box_vectors(topology)) is None:
         return
     volume = abs(float(np.linalg.det(vectors)))
-    mass = sum(atom.element.mass.value_in_unit(unit.dalton) for atom in atoms)
+    elements = Counter(atom.element for atom in atoms)
+    mass = sum(count * element.mass.value_in_unit(unit.dalton) for element, count in elements.items())
     if not mass < DENSEST * GRAM_PER_CM3 * volume:
         raise ForceFieldError(
             f"{path}: the box has a volume of {volume:.3g} nm3, too small for atoms of {mass:.4g} dalton. If "

@@ -55,14 +55,18 @@ def set_state(impl: IntegratorImpl, set_in_context: Callable[[], None], has_para
     """
     tally = impl.stored.tally
     seed, draws = tally.seed, tally.draws
-    store(impl)
+    if has_parameters:
+        # A State of another version may lack some.
+        store(impl)
     # OpenMM sets a State in parts.
     with impl.session.changing(Changes.BOX | Changes.ATOMS):
         set_in_context()
+    if not has_parameters:
+        return
     take_over(impl)
     tally.seed = seed
     tally.draws = max(draws, tally.draws)
-    if has_parameters and not impl.has_warned_of_noise:
+    if not impl.has_warned_of_noise:
         impl.has_warned_of_noise = _warn_about_noise(impl)
 
 

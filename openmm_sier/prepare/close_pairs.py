@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import openmm
 
+from openmm_sier.dynamics.index_ranges import distinct, of_ranges
 from openmm_sier.prepare.joined_bodies import NAME as BODIES
 from openmm_sier.system import tables
 from openmm_sier.system.inner_forces import all_forces
@@ -68,7 +69,7 @@ def add_close_pairs(system: openmm.System, edges: np.ndarray, owner: np.ndarray,
     opposite = _pair_force(OPPOSITE, "-", nonbonded[0].group if nonbonded else 0, periodic)
     for entry in nonbonded:
         pairs, parameters = _interactions(entry.force, close)
-        for (a, b), (q, sigma, epsilon) in zip(pairs.tolist(), parameters, strict=True):
+        for (a, b), (q, sigma, epsilon) in zip(pairs.tolist(), parameters.tolist(), strict=True):
             values = [COULOMB * q, 4 * epsilon * sigma**12, 4 * epsilon * sigma**6]
             fast.addBond(a, b, values)
             opposite.addBond(a, b, values)
@@ -128,19 +129,20 @@ def _close(edges: np.ndarray, owner: np.ndarray) -> np.ndarray:
     edges = edges[near[edges].any(axis=1)]
     if not len(edges):
         return np.empty((0, 2), dtype=np.int64)
-    # Most systems have no solute and skip this import.
-    from scipy import sparse
-
+    # Pairs are numbers, and go further by the edges of their second particles.
     particles = len(owner)
-    joined = sparse.coo_array((np.ones(len(edges), dtype=bool), tuple(edges.T)), (particles, particles)).tocsr()
-    step = joined + joined.T + sparse.eye_array(particles, dtype=bool, format="csr")
-    reached = step
+    ends = np.concatenate([edges, edges[:, ::-1]])
+    ends = ends[np.argsort(ends[:, 0], kind="stable")]
+    starts = np.searchsorted(ends[:, 0], np.arange(particles + 1))
+    reached = distinct(ends @ [particles, 1])
     for _ in range(REACH - 1):
-        reached = reached @ step
-    one, other = sparse.triu(reached, k=1).nonzero()
-    apart = owner[one] != owner[other]
-    order = np.lexsort((other[apart], one[apart]))
-    return np.column_stack([one[apart], other[apart]]).astype(np.int64)[order]
+        one, middle = np.divmod(reached, particles)
+        rows = of_ranges(starts[middle], starts[middle + 1])
+        further = particles * np.repeat(one, starts[middle + 1] - starts[middle]) + ends[rows, 1]
+        reached = distinct(np.concatenate([reached, further]))
+    one, other = np.divmod(reached, particles)
+    apart = (one < other) & (owner[one] != owner[other])
+    return np.column_stack([one[apart], other[apart]])
 
 
 def _near_others(edges: np.ndarray, owner: np.ndarray) -> np.ndarray:

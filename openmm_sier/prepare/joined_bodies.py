@@ -9,6 +9,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import RigidityError
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms
 
@@ -44,7 +45,7 @@ def join_bodies(system: openmm.System, owner: np.ndarray, moving: np.ndarray) ->
     for one, other in sorted(pairs.tolist()):
         add(force, one, other, 0.0, 0.0)
     system.addForce(force)
-    return len(np.unique(owner[pairs[:, 0]]))
+    return len(distinct(owner[pairs[:, 0]]))
 
 
 def remembered_pairs(system: openmm.System) -> np.ndarray:

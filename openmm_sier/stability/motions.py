@@ -17,6 +17,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.constants import GAS_CONSTANT
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.dynamics.species import Species
 from openmm_sier.stability import advice
 from openmm_sier.stability.advice import Remedies
@@ -128,7 +129,7 @@ class Motions:
         self._held = np.max([np.zeros(bodies.n_particles), *stiffnesses], axis=0)
         self._linked = links.link(bodies)
         # Molecules swing among others, or among frozen atoms.
-        is_alone = len(np.unique(self._linked.molecules)) < 2 and not tables.frozen_without(system, bodies.owners).size
+        is_alone = len(distinct(self._linked.molecules)) < 2 and not tables.frozen_without(system, bodies.owners).size
         self.librations = [] if is_alone else list(self._swings(with_charges, stiffnesses))
         owners = _owners(system, self._linked, rigid)
         self._find_vibrations = partial(harmonic_vibrations, forces, self._mobility, owners, links.constraints)

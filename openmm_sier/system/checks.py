@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import openmm
@@ -180,8 +180,10 @@ def refuse_scaled_atoms(system: openmm.System) -> None:
             )
 
 
-def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequence[int]], bodies: BodySet) -> None:
-    """Refuse a barostat that deforms bodies; `molecules` is the result of `Context.getMolecules()`.
+def refuse_deforming_barostats(
+    system: openmm.System, molecules: Callable[[], Sequence[Sequence[int]]], bodies: BodySet
+) -> None:
+    """Refuse a barostat that deforms bodies; `molecules` is the method `Context.getMolecules`.
 
     Raises:
         RigidityError: a barostat scales atoms one by one, or moves molecules of one body apart.
@@ -193,7 +195,7 @@ def refuse_deforming_barostats(system: openmm.System, molecules: Sequence[Sequen
     if not extended or not barostats(system):
         return
     refuse_scaled_atoms(system)
-    molecule = molecule_of_atoms(molecules, bodies.n_particles)
+    molecule = molecule_of_atoms(molecules(), bodies.n_particles)
     for species in extended:
         split = np.ptp(molecule[species.atoms], axis=1) > 0
         if split.any():

@@ -12,7 +12,7 @@ from openmm import app, unit
 
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
-from openmm_sier.dynamics.index_ranges import as_ranges
+from openmm_sier.dynamics.index_ranges import as_ranges, distinct
 from openmm_sier.system import tables
 from openmm_sier.system.boxes import wrapped
 from openmm_sier.system.links import links_of
@@ -123,7 +123,7 @@ def joined_by(bonds: Bonds, positions: np.ndarray, box: np.ndarray | None) -> np
     # Short bonds take precedence over long ones: bonds must decide before a restraint between two molecules.
     tree = minimum_spanning_tree(sparse.coo_array((bonds.longest, bonds.pairs.T), (n, n)).tocsr()).tocoo()
     # One more node, n, is joined to the first particle of each molecule.
-    first = np.unique(joined(n, bonds.pairs))
+    first = distinct(joined(n, bonds.pairs))
     ends = np.concatenate([tree.row, np.full(len(first), n)]), np.concatenate([tree.col, first])
     rooted = sparse.coo_array((np.ones(len(ends[0])), ends), (n + 1, n + 1)).tocsr()
     order, parents = breadth_first_order(rooted, n, directed=False)

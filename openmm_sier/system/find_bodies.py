@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, combinations
 
@@ -13,6 +12,7 @@ from openmm import unit
 from openmm_sier.dynamics import bodies as dynamics
 from openmm_sier.dynamics.bodies import RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import geometries, tables
 from openmm_sier.system.arguments import (
@@ -234,8 +234,12 @@ class BodyPlan:
         for number, particles in enumerate(checked_clusters([] if rigid is None else rigid)):
             if not particles:
                 raise ValueError(f"each body must have particles, but the list of body {number} is empty")
-            if outside := [i for i in particles if not 0 <= i < self._n]:
-                raise ValueError(f"bodies name particle {outside[0]}, but the System has only {self._n} particles")
+            if min(particles) < 0 or max(particles) >= self._n:
+                outside = next(i for i in particles if not 0 <= i < self._n)
+                raise ValueError(f"bodies name particle {outside}, but the System has only {self._n} particles")
+            if massless.isdisjoint(particles):
+                clusters.append(tuple(particles))
+                continue
             cluster = tuple(i for i in particles if i not in sites)
             without = [i for i in cluster if i in massless]
             if len(without) == len(cluster):
@@ -248,9 +252,9 @@ class BodyPlan:
                     "the body"
                 )
             clusters.append(cluster)
-        particle, times = next(iter(Counter(chain(*clusters)).most_common(1)), (0, 0))
-        if times > 1:
-            raise ValueError(f"bodies name particle {particle} twice")
+        times = np.bincount(np.fromiter(chain.from_iterable(clusters), np.int64), minlength=1)
+        if times.max() > 1:
+            raise ValueError(f"bodies name particle {times.argmax()} twice")
         return clusters
 
     def _clusters(self, named: list[Cluster]) -> Iterator[Clusters]:
@@ -355,7 +359,7 @@ def _named_clusters(
     """
     order = np.argsort(bodies, kind="stable")
     ends = np.searchsorted(bodies[order], np.arange(len(named) + 1))
-    alike: list[tuple[Cluster, np.ndarray]] = []
+    alike: list[tuple[Cluster, list[float]]] = []
     last: tuple = ()
     for cluster, start, end in zip(named, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         rows: list[tuple[int, int, float]] = []
@@ -369,15 +373,15 @@ def _named_clusters(
             yield _stacked(alike, last)
             alike = []
         last = key
-        alike.append((cluster, np.array([length for _, _, length in rows])))
+        alike.append((cluster, [length for _, _, length in rows]))
     if alike:
         yield _stacked(alike, last)
 
 
-def _stacked(alike: list[tuple[Cluster, np.ndarray]], key: tuple) -> Clusters:
+def _stacked(alike: list[tuple[Cluster, list[float]]], key: tuple) -> Clusters:
     """Return clusters, and lengths inside them, whose `key` is the number of atoms and the constrained pairs."""
     atoms, lengths = zip(*alike, strict=True)
-    return Clusters(np.array(atoms), np.array(key[1], dtype=np.int64).reshape(-1, 2), np.stack(lengths))
+    return Clusters(np.array(atoms), np.array(key[1], dtype=np.int64).reshape(-1, 2), np.array(lengths, dtype=float))
 
 
 def _rigid_molecules(pairs: np.ndarray, links: Links) -> Iterator[np.ndarray]:
@@ -388,7 +392,7 @@ def _rigid_molecules(pairs: np.ndarray, links: Links) -> Iterator[np.ndarray]:
     """
     if not len(pairs):
         return
-    members, first = np.unique(pairs), joined(links.n_particles, pairs)
+    members, first = distinct(pairs), joined(links.n_particles, pairs)
     names, number, sizes = np.unique(first[members], return_inverse=True, return_counts=True)
     counts = np.bincount(np.searchsorted(names, first[pairs[:, 0]]), minlength=len(names))
     complete = counts == sizes * (sizes - 1) // 2

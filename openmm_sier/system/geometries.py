@@ -257,7 +257,10 @@ def _alike(kind: Kind, arms: np.ndarray, first: int, near: np.ndarray, tolerance
         _, misfit = _placed(kind, _mean(kind, arms, group), arms[near])
         if not misfit[near == first] <= tolerance:
             return np.array([first])
-        group = near[misfit <= tolerance]
+        before, group = group, near[misfit <= tolerance]
+        if np.array_equal(group, before):
+            # Its mean would be the same.
+            break
     return group
 
 

@@ -10,6 +10,7 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.dynamics.species import Species
 from openmm_sier.system import tables
 from openmm_sier.system.bonded_terms import bonded_terms, harmonic_bonds
@@ -115,9 +116,8 @@ def _pairs(forces: Iterable[openmm.Force]) -> np.ndarray:
     terms = map(bonded_terms, forces)
     neighbours = [term[:, i : i + 2] for term in terms for i in range(term.shape[1] - 1)]
     pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *neighbours])
-    # As one number each: np.unique of rows takes ten times as long.
     base = int(pairs.max(initial=0)) + 1
-    return np.column_stack(np.divmod(np.unique(pairs @ [base, 1]), base))
+    return np.column_stack(np.divmod(distinct(pairs @ [base, 1]), base))
 
 
 def held_bodies(system: openmm.System, species: Sequence[Species]) -> list[np.ndarray]:

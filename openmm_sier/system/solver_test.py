@@ -1,4 +1,4 @@
-"""Find constraints that OpenMM's solvers cannot satisfy, by a trial on copies of the constrained atoms.
+"""Find constraints that OpenMM's solvers cannot satisfy, by a trial on copies of constrained atoms of each kind.
 
 OpenMM has two solvers. SETTLE handles isolated triangles of constraints with two equal lengths, and assumes equal
 masses of the two outer atoms. CCMA (Eastman and Pande, J. Chem. Theory Comput. 6, 434 (2010)) solves all other
@@ -15,6 +15,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.constraints.graph import joined
 from openmm_sier.system import tables
+from openmm_sier.system.bonded_terms import harmonic_angles
 from openmm_sier.system.second_context import reference_context
 
 #: Standard deviation in nm of random displacements that solvers have to undo; a step of some fs moves hydrogens this
@@ -38,15 +39,29 @@ def may_not_converge(system: openmm.System) -> bool:
     Args:
         system: openmm.System.
     """
-    n, (pairs, lengths) = system.getNumParticles(), tables.constraints(system)
-    component = joined(n, pairs)
-    sizes, of_pairs = np.bincount(component, minlength=n), component[pairs[:, 0]]
-    is_triangle = (sizes == 3) & (np.bincount(of_pairs, minlength=n) == 3)
-    if not is_triangle[of_pairs].all():
+    n, constraints = system.getNumParticles(), tables.constraints(system)
+    in_triangles = _triangles(n, constraints.pairs)
+    if in_triangles.size < len(constraints.pairs):
         return True
     # As OpenMM compares them.
-    edges = lengths[np.argsort(of_pairs, kind="stable")].astype(np.float32).reshape(-1, 3)
+    edges = constraints.lengths[in_triangles].astype(np.float32)
     return not (edges == np.roll(edges, 1, axis=1)).any(axis=1).all()
+
+
+def _triangles(n: int, pairs: np.ndarray) -> np.ndarray:
+    """Return the constraints of each triangle, (t, 3), in the order of their pairs.
+
+    A triangle is three particles of n with all three constraints, and no other ones.
+
+    Args:
+        n: number of particles.
+        pairs: of all constraints, (c, 2), the smaller particle first.
+    """
+    component = joined(n, pairs)
+    of_pairs = component[pairs[:, 0]]
+    is_triangle = (np.bincount(component, minlength=n) == 3) & (np.bincount(of_pairs, minlength=n) == 3)
+    order = np.lexsort((pairs[:, 1], pairs[:, 0], of_pairs))
+    return order[is_triangle[of_pairs[order]]].reshape(-1, 3)
 
 
 class SolverTest:
@@ -74,7 +89,7 @@ class SolverTest:
         """
         if not self._is_tried:
             places = positions()
-            if self._errors(places).max() <= NOT_THERE:
+            if _errors(self._pairs, self._lengths, places).max() <= NOT_THERE:
                 self._unsolved = self._tried(places)
                 self._is_tried = True
         return self._unsolved
@@ -92,14 +107,12 @@ class SolverTest:
                 "which any platform runs"
             )
 
-    def _errors(self, places: np.ndarray) -> np.ndarray:
-        """Return errors of the distances of places (k, 3), (c,), nm."""
-        first, second = self._pairs.T
-        return np.abs(np.linalg.norm(places[second] - places[first], axis=1) - self._lengths)
-
     def _tried(self, places: np.ndarray) -> tuple[int, ...]:
         """Return the atoms of a cluster whose displaced positions or random velocities OpenMM cannot constrain."""
-        context = self._context()
+        chosen = self._distinct()
+        atoms, ends = np.unique(self._pairs[chosen], return_inverse=True)
+        pairs, lengths, masses, places = ends.reshape(-1, 2), self._lengths[chosen], self._masses[atoms], places[atoms]
+        context = self._context(atoms, pairs, lengths)
         random = np.random.default_rng(0)
         displaced = places + DISPLACEMENT * random.standard_normal(places.shape)
         context.setPositions(displaced)
@@ -110,29 +123,63 @@ class SolverTest:
         context.applyVelocityConstraints(TOLERANCE)
         state = context.getState(velocities=True)
         velocities = state.getVelocities(asNumpy=True).value_in_unit(unit.nanometer / unit.picosecond)
-        first, second = self._pairs.T
-        component = joined(len(places), self._pairs)
+        first, second = pairs.T
+        component = joined(len(places), pairs)
         along = (places[second] - places[first]) * (velocities[second] - velocities[first])
-        speeds = np.abs(along.sum(axis=1)) / self._lengths
+        speeds = np.abs(along.sum(axis=1)) / lengths
         # SETTLE moves the centre of mass of a triangle if the outer masses differ.
         drift = np.zeros_like(places)
-        np.add.at(drift, component, self._masses[:, None] * (x - displaced))
-        shifts = np.linalg.norm(drift, axis=1) / np.bincount(component, self._masses, len(places)).clip(1e-300)
-        errors = np.maximum(np.maximum(self._errors(x), speeds), shifts[component[first]])
+        np.add.at(drift, component, masses[:, None] * (x - displaced))
+        shifts = np.linalg.norm(drift, axis=1) / np.bincount(component, masses, len(places)).clip(1e-300)
+        errors = np.maximum(np.maximum(_errors(pairs, lengths, x), speeds), shifts[component[first]])
         # This comparison is false for NaN.
         wrong = np.flatnonzero(~(errors <= SATISFIED))
         if not wrong.size:
             return ()
-        return tuple(np.flatnonzero(component == component[first[wrong[0]]]).tolist())
+        return tuple(atoms[component == component[first[wrong[0]]]].tolist())
 
-    def _context(self) -> openmm.Context:
-        """Return a Context of the constraints, with the angles from which OpenMM computes its matrix."""
+    def _distinct(self) -> np.ndarray:
+        """Return the constraints that are tried, ascending: of triangles of one kind, such as water, those of one."""
+        triangles = _triangles(len(self._masses), self._pairs)
+        masses = self._masses[self._pairs[triangles].reshape(-1, 6)]
+        _, first = np.unique(np.column_stack([masses, self._lengths[triangles]]), axis=0, return_index=True)
+        is_tried = np.ones(len(self._pairs), dtype=bool)
+        is_tried[triangles] = False
+        is_tried[triangles[first]] = True
+        return np.flatnonzero(is_tried)
+
+    def _context(self, atoms: np.ndarray, pairs: np.ndarray, lengths: np.ndarray) -> openmm.Context:
+        """Return a Context of some atoms and constraints, with the angles from which OpenMM computes its matrix.
+
+        Args:
+            atoms: particles of the System, ascending.
+            pairs, lengths: constraints between them, by their places in `atoms`.
+        """
         copy = openmm.System()
-        for mass in self._masses.tolist():
+        for mass in self._masses[atoms].tolist():
             copy.addParticle(mass)
-        for (i, j), length in zip(self._pairs.tolist(), self._lengths.tolist(), strict=True):
+        for (i, j), length in zip(pairs.tolist(), lengths.tolist(), strict=True):
             copy.addConstraint(i, j, length)
+        place = np.full(len(self._masses), -1)
+        place[atoms] = np.arange(len(atoms))
         for force in self._system.getForces():
             if isinstance(force, openmm.HarmonicAngleForce):
-                copy.addForce(openmm.XmlSerializer.clone(force))
+                copy.addForce(_angles_between(force, place))
         return reference_context(copy)
+
+
+def _errors(pairs: np.ndarray, lengths: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return errors of the distances of places (k, 3), (c,), nm."""
+    first, second = pairs.T
+    return np.abs(np.linalg.norm(places[second] - places[first], axis=1) - lengths)
+
+
+def _angles_between(force: openmm.HarmonicAngleForce, place: np.ndarray) -> openmm.HarmonicAngleForce:
+    """Return the angles of a Force between particles that have a place, (N,); those without one have -1."""
+    particles, angles, strengths = harmonic_angles(force)
+    places = place[particles]
+    inside = (places >= 0).all(axis=1)
+    between = openmm.HarmonicAngleForce()
+    for ends, angle, strength in zip(places[inside].tolist(), angles[inside], strengths[inside], strict=True):
+        between.addAngle(*ends, angle, strength)
+    return between

@@ -219,9 +219,9 @@ def first_of_each(pairs: np.ndarray) -> np.ndarray:
 
 @once
 def virtual_sites(system: openmm.System) -> np.ndarray:
-    """Return the virtual sites, ascending, (v,)."""
-    count = system.getNumParticles()
-    return np.flatnonzero(np.fromiter(rows(system, "isVirtualSite", count), bool, count))
+    """Return the virtual sites, ascending, (v,). OpenMM makes no Context of a System in which one has a mass."""
+    massless = np.flatnonzero(masses(system) == 0)
+    return massless[np.fromiter(map(system.isVirtualSite, massless.tolist()), bool, len(massless))]
 
 
 @once
@@ -239,8 +239,7 @@ def frozen_without(system: openmm.System, owner: np.ndarray) -> np.ndarray:
 @once
 def rigid_sites(system: openmm.System) -> dict[int, list[int]]:
     """Return the particles that place each virtual site; without sites that depend on the box too."""
-    massless = virtual_sites(system)[masses(system)[virtual_sites(system)] == 0]
-    sites = {i: system.getVirtualSite(i) for i in massless.tolist()}
+    sites = {i: system.getVirtualSite(i) for i in virtual_sites(system).tolist()}
     return {
         i: [site.getParticle(k) for k in range(site.getNumParticles())]
         for i, site in sites.items()

@@ -17,7 +17,7 @@ from openmm_sier.cli import main
 from openmm_sier.cli.command_line import parse
 from openmm_sier.cli.many import members
 from openmm_sier.cli.many.command import _grouped, _usual_workers
-from openmm_sier.cli.many.complete import is_complete
+from openmm_sier.cli.many.complete import is_complete, options_in
 from openmm_sier.cli.many.members import Member, command_of, run_many
 from openmm_sier.cli.many.seeds import read_seeds
 from openmm_sier.dynamics.threads import cores
@@ -264,10 +264,10 @@ def test_complete_runs_need_no_process(box, monkeypatch):
     (member,) = run_many(box, [1], out="a.dcd", **options)
     assert (member.state, member.error) == ("complete", "")
     # Longer runs, and those whose files are damaged, are left to their processes.
-    assert not is_complete(command_of(box, member, options | {"steps": 5}))
-    assert is_complete(command_of(box, member, options))
+    assert not is_complete(options_in(command_of(box, member, options | {"steps": 5})))
+    assert is_complete(options_in(command_of(box, member, options)))
     Path("a-seed1.csv").write_text("mine\n")
-    assert not is_complete(command_of(box, member, options))
+    assert not is_complete(options_in(command_of(box, member, options)))
 
 
 @pytest.mark.thorough

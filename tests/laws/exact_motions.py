@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import ive
 
 from openmm_sier import BodyType, Motion
-from tests.laws.exact_bodies import Frame, _angular_momentum, _cosines, _towards
+from tests.laws.exact_bodies import Frame, _cosines, _towards
 from tests.laws.exact_models import Assembly, Conditions, Exact, Part, add_external
+from tests.laws.mechanics import angular_momentum
 
 NONE, ALONG_X = (False, False, False), (True, False, False)
 
@@ -82,7 +83,7 @@ class Held:
             result |= {f"p{axis}^2": momenta[..., i] for i, axis in enumerate("xyz")}
             cosines = (x[..., 1, self._axis] - x[..., 0, self._axis]) / length
             result |= {"cos": cosines, "cos^2": cosines**2}
-            L = _angular_momentum(frame.masses, x, v)
+            L = angular_momentum(frame.masses, x, v)
             return result | {"rotation": (L * _angular_velocity(frame, x, L)).sum(axis=-1) / at.thermal}
 
         q2, p2, _ = at.oscillator(self.oscillation)

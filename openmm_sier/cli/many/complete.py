@@ -1,7 +1,8 @@
 """Find out whether a run is complete without a process for it, which would load OpenMM to say so."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from typing import Any
 
 from openmm_sier.cli.command_line import options_of
 from openmm_sier.cli.errors import NothingLeft
@@ -10,15 +11,21 @@ from openmm_sier.cli.files.outputs import Outputs
 from openmm_sier.cli.restart import Restart, checkpoint_to_continue
 
 
-def is_complete(line: Sequence[str]) -> bool:
+def options_in(line: Sequence[str]) -> dict[str, Any] | None:
+    """Return the options in a command line, after `openmm-sier`; None if it is wrong, as the process of a run says."""
+    with suppress(Exception):
+        return options_of(line)
+    return None
+
+
+def is_complete(options: Mapping[str, Any]) -> bool:
     """Return whether a run has reached its last step, and all its files are as it left them.
 
     Args:
-        line: its command line with `--resume`, after `openmm-sier`.
+        options: of its command line, with `resume`.
     """
     # Whatever is wrong is reported by the process of the run.
     with suppress(Exception), FileLocks() as locks:
-        options = options_of(line)
         checkpoint = checkpoint_to_continue(options, locks)
         if checkpoint is None:
             return False

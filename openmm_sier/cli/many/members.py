@@ -15,7 +15,8 @@ import tempfile
 import time
 import uuid
 from asyncio import CancelledError
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,9 @@ LOOK, REFRESH = 0.2, 0.5
 
 #: Seconds for a scheduler to answer, and for stopped members to complete their step and their files.
 PATIENCE, LAST_STEP = 30.0, 60.0
+
+#: Number of members that are looked at between two calls of `watch`, which counts all.
+WATCHED = 20
 
 #: Exit code of a stopped member.
 STOPPED = 128 + signal.SIGTERM
@@ -126,20 +130,24 @@ def run_many(
         RunsError: a seed is given twice, the scheduler does not answer or went away, or Dask failed.
         ModuleNotFoundError: Dask is not installed.
     """
-    if twice := sorted({seed for seed in seeds if list(seeds).count(seed) > 1}):
+    if twice := sorted(seed for seed, times in Counter(seeds).items() if times > 1):
         raise RunsError(f"the seed {twice[0]} is given twice: give each run a seed of its own")
     out = Path(options.pop("out", None) or f"{Path(box).stem}.dcd")
     members = [Member(seed, named(out, seed)) for seed in seeds]
     lines = {member.seed: command_of(box, member, options) for member in members}
     # It parses command lines, whose module imports this one.
-    from openmm_sier.cli.many.complete import is_complete
+    from openmm_sier.cli.many.complete import is_complete, options_in
 
     watch = watch or (lambda _: None)
-    for member in members:
-        if not stop() and is_complete(lines[member.seed]):
+    # To parse a line takes ten times as long as all else.
+    shared = options_in(lines[seeds[0]]) if members else None
+    for number, member in enumerate(members):
+        if shared is not None and not stop() and is_complete(shared | own_options(member, options)):
             member.state = "complete"
             _update_step(member)
+        if number % WATCHED == 0:
             watch(members)
+    watch(members)
     if any(member.state != "complete" for member in members):
         with _dask_errors(), _client(scheduler, workers) as client:
             _Runs(client, members, retries, watch, stop).carry_out(lines, _threads(scheduler, workers))
@@ -153,10 +161,18 @@ def named(path: Path, seed: int) -> Path:
 
 def command_of(box: str | os.PathLike[str], member: Member, options: dict[str, Any]) -> list[str]:
     """Return the command line of a member, word by word."""
-    line = ["run", argument(box), "--seed", str(member.seed), "--out", argument(member.out), "--resume"]
+    first = {"seed": member.seed, "out": member.out, "resume": True}
+    chosen = first | options | own_options(member, options)
+    words = [word for name, value in chosen.items() if value is not None for word in arguments(name, value)]
+    return ["run", argument(box), *words]
+
+
+def own_options(member: Member, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a member that differ from those of the others, for options of `run_many`."""
+    own: dict[str, Any] = {"seed": member.seed, "out": member.out}
     if tensors := options.get("pressure_tensor"):
-        options = options | {"pressure_tensor": named(Path(tensors), member.seed)}
-    return line + [word for name, value in options.items() if value is not None for word in arguments(name, value)]
+        own["pressure_tensor"] = named(Path(tensors), member.seed)
+    return own
 
 
 # --- the pool, which is Dask's ---

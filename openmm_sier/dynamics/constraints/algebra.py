@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from openmm_sier.dynamics import kernels
-from openmm_sier.dynamics.constraints.graph import independent, joined
+from openmm_sier.dynamics.constraints.graph import couplings, independent, joined
 from openmm_sier.dynamics.constraints.table import ConstraintTable
+from openmm_sier.dynamics.index_ranges import distinct
 
 #: Maximum number of atoms of a component named in a message.
 NAMED = 8
@@ -61,16 +62,17 @@ class Constraints:
         self._describe = describe or (lambda body: f"body {body}")
         self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         self.lengths = np.array(lengths, dtype=float)
-        _, first = np.unique(np.sort(self.pairs, axis=1), axis=0, return_index=True)
-        sensible = (self.pairs[:, 0] != self.pairs[:, 1]) & (self.lengths > 0) & (self.lengths < np.inf)
-        sensible &= np.isin(np.arange(len(self.pairs)), first)
+        _, first = np.unique(np.sort(self.pairs, axis=1) @ [len(self.masses), 1], return_index=True)
+        is_first = np.zeros(len(self.pairs), dtype=bool)
+        is_first[first] = True
+        sensible = (self.pairs[:, 0] != self.pairs[:, 1]) & (self.lengths > 0) & (self.lengths < np.inf) & is_first
         if not sensible.all():
             raise ConstraintError(
                 f"the constraint of {self._name(*self.pairs[sensible.argmin()])} joins a body to itself, is there "
                 f"twice, or has no positive length, got {self.lengths[sensible.argmin()]} nm: remove it, or set its "
                 "length"
             )
-        self.members = np.unique(self.pairs)
+        self.members = distinct(self.pairs)
         self.groups = np.full(len(self.masses), -1)
         self._first = joined(len(self.masses), self.pairs)[self.members]
         self.groups[self.members] = self._first
@@ -82,20 +84,12 @@ class Constraints:
     @cached_property
     def _table(self) -> ConstraintTable:
         """Constraints in the form used by kernels."""
-        from scipy import sparse
-
         pairs, masses = np.searchsorted(self.members, self.pairs), self.masses[self.members]
-        numbers = np.arange(len(pairs))
-        incidence = sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 0])), (len(pairs), len(masses)))
-        incidence -= sparse.csr_array((np.ones(len(pairs)), (numbers, pairs[:, 1])), (len(pairs), len(masses)))
-        weights = (incidence @ sparse.diags_array(1 / masses) @ incidence.T).tocoo()
+        rows, columns, weights = couplings(pairs, 1 / masses)
         ends = np.ascontiguousarray(pairs.T)
-        rows, columns = weights.row.astype(np.int64), weights.col.astype(np.int64)
         squares = self.lengths**2
         largest = int(np.bincount(self.groups[self.pairs[:, 0]]).max(initial=0))
-        return ConstraintTable(
-            self.members, self._first, ends, squares, 1 / masses, rows, columns, weights.data, largest
-        )
+        return ConstraintTable(self.members, self._first, ends, squares, 1 / masses, rows, columns, weights, largest)
 
     def restricted(self, bodies: ArrayLike) -> Constraints:
         """Return the constraints in the numbering of a subset of the bodies, which must not split a component.

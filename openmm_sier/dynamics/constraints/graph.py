@@ -4,6 +4,7 @@ import numpy as np
 
 from openmm_sier.dynamics import kernels
 from openmm_sier.dynamics.constraints.table import ConstraintTable
+from openmm_sier.dynamics.index_ranges import distinct, of_ranges
 
 #: A pivot below this is that of a redundant constraint, with a diagonal of ones to which this shift is added.
 PIVOT, SHIFT = 1e-9, 1e-12
@@ -28,12 +29,49 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
             smallest = further
 
 
+def couplings(pairs: np.ndarray, inverse_masses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the constraints that share an atom, and by what weight; see `ConstraintTable`.
+
+    The order of the columns in a row is fixed, since sums over them have other bits in another one.
+
+    Args:
+        pairs: atoms of each constraint, (c, 2).
+        inverse_masses: of the atoms, 1/dalton.
+
+    Returns:
+        `rows`, `columns` and `weights` of a `ConstraintTable`, each (k,).
+    """
+    ends = np.sort(pairs, axis=1)
+    order = np.argsort(ends, axis=None, kind="stable")
+    # For each atom its constraints, ascending, with 1 where it is the first of the pair and -1 where the second.
+    constraints = order // 2
+    signs = np.where(pairs[constraints, 0] == ends.ravel()[order], 1.0, -1.0)
+    starts = np.searchsorted(ends.ravel()[order], np.arange(len(inverse_masses) + 1))
+    numbers = np.tile(np.arange(len(pairs)), 2)
+    shared = ends.T.ravel()
+    counts = starts[shared + 1] - starts[shared]
+    entries = of_ranges(starts[shared], starts[shared + 1])
+    rows, columns = np.repeat(numbers, counts), constraints[entries]
+    atoms, is_last = np.repeat(shared, counts), np.repeat(np.arange(2 * len(pairs)) >= len(pairs), counts)
+    own_signs = np.where(pairs[rows, 0] == atoms, 1.0, -1.0)
+    weights = own_signs * signs[entries] * inverse_masses[atoms]
+    is_own = rows == columns
+    weights[is_own & is_last] += weights[is_own & ~is_last]
+    kept = ~(is_own & ~is_last)
+    rows, columns, weights, is_last = rows[kept], columns[kept], weights[kept], is_last[kept]
+    order = np.lexsort((-columns, is_last, rows))
+    return rows[order], columns[order], weights[order]
+
+
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     """Return which constraints of bodies at q (3, n) do not follow from others to first order, (c,).
 
-    The matrix of the constraints is factorized with pivots on the diagonal. Pivots of redundant constraints are close
+    In trees, such as bonds to hydrogens, none does: each outermost atom has one constraint, which alone moves it. Else
+    the matrix of the constraints is factorized with pivots on the diagonal. Pivots of redundant constraints are close
     to the shift of the diagonal, which keeps them from being 0.
     """
+    if _are_trees(table):
+        return np.ones(len(table.squares), dtype=bool)
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -42,3 +80,8 @@ def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:
     matrix = sparse.csc_array((elements, (table.rows, table.columns)), (c, c)) + SHIFT * sparse.eye_array(c)
     factors = splu(matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return (np.abs(factors.U.diagonal()) > PIVOT)[factors.perm_c]
+
+
+def _are_trees(table: ConstraintTable) -> bool:
+    """Return whether no component of the constraints has a cycle."""
+    return len(table.squares) == len(table.members) - len(distinct(table.first))

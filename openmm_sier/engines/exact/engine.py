@@ -59,7 +59,7 @@ class ExactEngine(ContextReader):
         super().__init__(context, method, tally)
         system = context.getSystem()
         self.moving = bodies_of(system, bodies)
-        checks.refuse_deforming_barostats(system, context.getMolecules(), self.moving)
+        checks.refuse_deforming_barostats(system, context.getMolecules, self.moving)
         checks.refuse_hits_on_atoms(system, self.moving)
         self.accept(method)
         self.step_check = StepCheck(system, self.moving)

@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 
 from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.index_ranges import distinct
 from openmm_sier.system.bonded_terms import with_working_terms, working_terms
 from openmm_sier.system.forces import FORCES, kind_of
 
@@ -46,7 +47,7 @@ def working_forces(forces: Iterable[openmm.Force], owner: np.ndarray, moving: np
             if len(terms):
                 copies.append(with_working_terms(force, owner))
                 particles.append(terms.ravel())
-    return WorkingForces(copies, np.unique(np.concatenate(particles)))
+    return WorkingForces(copies, distinct(np.concatenate(particles)))
 
 
 def _checked_terms(force: openmm.Force, owner: np.ndarray, moving: np.ndarray) -> np.ndarray:
