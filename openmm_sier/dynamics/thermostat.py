@@ -68,15 +68,15 @@ class OrnsteinUhlenbeck(Thermostat):
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
-        def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
+        def factors(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
-            damping, width = _decay(self.friction, h)
-            rotational_damping, rotational_width = _decay(self.rotational_friction, h)
+            damping, width = decay(self.friction, h)
+            rotational_damping, rotational_width = decay(self.rotational_friction, h)
             return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = tally.noise().standard_normal((6, bodies.n))
-            damping, widths = decay(h)
+            damping, widths = factors(h)
             p, L = np.empty(state.p.shape), np.empty(state.L.shape)
             moving = state.p, state.A, state.L
             gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
@@ -87,6 +87,6 @@ class OrnsteinUhlenbeck(Thermostat):
         return apply
 
 
-def _decay(friction: float, h: float) -> tuple[float, float]:
+def decay(friction: float, h: float) -> tuple[float, float]:
     """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
     return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

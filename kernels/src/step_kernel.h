@@ -1,0 +1,58 @@
+#ifndef OPENMM_SIER_STEP_KERNEL_H_
+#define OPENMM_SIER_STEP_KERNEL_H_
+
+#include "program.h"
+
+#include "openmm/common/CommonIntegrateCustomStepKernel.h"
+#include "openmm/common/ComputeArray.h"
+#include "openmm/common/ComputeContext.h"
+#include "openmm/common/ComputeKernel.h"
+
+#include <map>
+
+namespace OpenMMSIER {
+
+/**
+ * Executes the steps of CustomIntegrators: of those that have a Program by its commands, and of all others as OpenMM
+ * does. Variables and all else are OpenMM's.
+ */
+class StepKernel : public OpenMM::CommonIntegrateCustomStepKernel {
+public:
+    StepKernel(std::string name, const OpenMM::Platform& platform, OpenMM::ComputeContext& cc);
+    ~StepKernel();
+    void initialize(const OpenMM::System& system, const OpenMM::CustomIntegrator& integrator) override;
+    void execute(OpenMM::ContextImpl& context, OpenMM::CustomIntegrator& integrator, bool& forcesAreValid) override;
+    double computeKineticEnergy(OpenMM::ContextImpl& context, OpenMM::CustomIntegrator& integrator,
+                                bool& forcesAreValid) override;
+
+    /** Leave the program, and all that was made for it. */
+    void release();
+
+    /** Return a sum of the program, and set it to zero. */
+    double takeTotal(const std::string& name);
+
+private:
+    void makeArrays();
+    void makeKernels();
+    /** Add an argument, and return whether it is the index of the random vectors. */
+    bool addArgument(OpenMM::ComputeKernel& kernel, const std::string& name);
+    void uploadScalars();
+    void run(OpenMM::ContextImpl& context, const Command& command);
+    void launch(int number);
+
+    OpenMM::ComputeContext& cc;
+    std::shared_ptr<Program> program;
+    std::map<std::string, OpenMM::ComputeArray> arrays;
+    OpenMM::ComputeArray scalars;
+    std::vector<OpenMM::ComputeKernel> kernels;
+    /** For each kernel, the place of the index of its random vectors among its arguments; -1 without noise. */
+    std::vector<int> randomIndices;
+    int integrationGroups = -1;
+    /** Whether the forces of these groups are known where the atoms are. */
+    bool areForcesKnown = false;
+    int knownGroups = 0;
+};
+
+}  // namespace OpenMMSIER
+
+#endif
