@@ -21,6 +21,7 @@ from openmm_sier.engines.compiled.writing import Scalars, StepWriter
 from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import tables
 from openmm_sier.system.find_bodies import bodies_of
+from openmm_sier.system.forces import kind_of
 
 
 class CompiledStep(NamedTuple):
@@ -75,9 +76,10 @@ def compiled_step(
     # A program serves all steps, of which one of zero length makes none.
     shown = method if method.step else replace(method, step=1.0)
     inner_step = StepCheck(system, moving).inner_step(shown, groups) if is_member.any() else 0.0
-    plan = plan_step(method.scheme, inner_step / shown.step or None, updates=method.updates_context, projects=False)
+    updates = method.updates_context and _acts_between_steps(system)
+    plan = plan_step(method.scheme, inner_step / shown.step or None, updates=updates, projects=False)
     counts_heat = bool(method.counts_heat) or BATH not in method.scheme.operators
-    writer = StepWriter(counts_heat)
+    writer = StepWriter(counts_heat and updates)
     try:
         writer.write(plan.operations)
     except ValueError as error:
@@ -86,6 +88,13 @@ def compiled_step(
     program = ProgramWriter(tables_of(moving, is_member), fast, counts_heat, has_sites, system.getNumParticles())
     return CompiledStep(
         program.write(writer.epochs), writer.scalars, moving, plan.longest_inner_step, counts_heat, fast
+    )
+
+
+def _acts_between_steps(system: openmm.System) -> bool:
+    """Return whether a Force of a System changes velocities, positions or the box before steps."""
+    return any(
+        isinstance(force, openmm.CMMotionRemover) or not kind_of(force).is_passive for force in system.getForces()
     )
 
 

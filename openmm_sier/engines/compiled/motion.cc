@@ -160,6 +160,14 @@ DEVICE Body readBody(int4 record, int4 reference, POSITIONS, GLOBAL const mixed4
     return body;
 }
 
+// Write the positions of the atoms of a body.
+DEVICE void placeBody(Body* body, int4 record, POSITIONS, BODY_TABLES) {
+    for (int k = LANE; k < record.y; k += LANES) {
+        const mixed3 arm = combine(trim(sites[record.z + k]), body->e);
+        putPosition(THE_POSITIONS, bodyAtoms[record.x + k], body->q + arm);
+    }
+}
+
 // Write positions and velocities of the atoms of a body.
 DEVICE void writeBody(Body* body, int4 record, POSITIONS, GLOBAL mixed4* RESTRICT velm, BODY_TABLES) {
     const mixed4 inverse = kinds[6*record.w];

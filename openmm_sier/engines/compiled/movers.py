@@ -130,7 +130,7 @@ class Bodies(Mover):
         return lines
 
     def end(self, calls: Sequence[Call]) -> list[str]:
-        if calls[-1].kind == COUNT_BEFORE and len(calls) == 1:
+        if calls[-1].kind == DISPLACE or all(call.kind in (COUNT_BEFORE, COUNT_AFTER) for call in calls):
             return []
         return ["writeBody(&body, record, THE_POSITIONS, velm, THE_BODY_TABLES);"]
 
@@ -144,9 +144,12 @@ class Bodies(Mover):
             random = f"random + randomIndex + {noise} + 2*n"
             return [f"bathBody(&body, record, scalars + {call.scalars[0]}, {random}, THE_BODY_TABLES);"]
         if call.kind == DISPLACE:
+            # Velocities are those about the axes before.
             return [
+                "writeBody(&body, record, THE_POSITIONS, velm, THE_BODY_TABLES);",
                 "keepPositions(record, THE_POSITIONS, kept, bodyAtoms);",
                 f"displaceBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);",
+                "placeBody(&body, record, THE_POSITIONS, THE_BODY_TABLES);",
             ]
         if call.kind == KICK_FROM_THERE:
             return [f"kickBodyFrom(&body, record, {scalar}, kept, force, bodyAtoms THE_TEAM);"]
