@@ -4,21 +4,31 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import openmm
 
-from openmm_sier.dynamics.bodies import BodySet
+from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.compiled.installation import InstalledStep
 from openmm_sier.engines.compiled.plugin import address_of
 from openmm_sier.engines.compiled.refusals import refusal, refuse_method
+from openmm_sier.engines.exact.actions import BodyActions
+from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.native.constrained_start import OFF
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.program import Program
 from openmm_sier.engines.records import Changes
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.stability.step_check import StepCheck
 from openmm_sier.system import checks
 
 #: The sum of the heat of baths, and of what OpenMM's own updates do to kinetic energies.
 HEAT = "heat"
+
+#: Atoms of bodies that are further off their places, nm, or have velocities that differ by more from those of their
+#: bodies, nm/ps, were set by a user: see `OFF`. Positions in single precision are no better.
+SINGLE_OFF = 1e-6
 
 
 class KernelsEngine(NativeEngine):
@@ -65,7 +75,20 @@ class KernelsEngine(NativeEngine):
         super().__init__(context, method, tally, bodies, described)
         if not self._library.is_executed(self._address):
             platform = context.getPlatform().getName()
-            raise refusal(f"is not on the {platform} platform, which OpenMM took: name the platform of the Context")
+            raise refusal(f"is not on the {platform} platform, which OpenMM took")
+        system = context.getSystem()
+        self.moving = step.bodies
+        self.step_check = StepCheck(system, self.moving, None, step.inner_fraction)
+
+        self._body_forces = BodyForces(context, self.moving)
+        self._actions = BodyActions(self._context, self, self._body_forces)
+
+    @property
+    def actions(self) -> BodyActions:  # type: ignore[override]
+        """Return the actions of the exact engine, at the present positions of the Context."""
+        self._body_forces.select(self._groups, self.method.fast_groups)
+        self._body_forces.take_positions(Snapshot.of(self._context))
+        return self._actions
 
     def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
         if system.getNumConstraints():
@@ -91,6 +114,41 @@ class KernelsEngine(NativeEngine):
         method = self.method
         self._library.set_scalars(self._address, method.step, self._step.scalars.values(method))
         self._step_of_clock = method.step
+
+    def _check_start(self) -> None:
+        super()._check_start()
+        now = Snapshot.of(self._context)
+        q, A, misfit = self.moving.fit_with_misfit(now.positions)
+        if misfit.max(initial=0.0) > (SINGLE_OFF if self.precision == "single" else OFF):
+            openmm.Context.setPositions(self._context, self.moving.place(q, A, now.positions))
+            if self._has_sites:
+                self._context.computeVirtualSites()
+        p, L = self.moving.momenta(now.velocities, A)
+        rigid = self.moving.move(BodyState(q, p, A, L), now.velocities.copy())
+        if np.abs(rigid - now.velocities).max(initial=0.0) > SINGLE_OFF:
+            openmm.Context.setVelocities(self._context, rigid)
+        self._atoms.forget()
+
+    # --- moves of ensembles ---
+
+    def _constrain_velocities(self) -> None:
+        """Keep the rigid part of the motion of bodies."""
+        positions, velocities = self._atoms.both
+        _, A = self.moving.fit(positions)
+        p, L = self.moving.momenta(velocities, A)
+        self._atoms.write_velocities(self.moving.move(BodyState(p, p, A, L), velocities.copy()))
+
+    def scale(self, factor: float) -> None:
+        atoms, owners = self._atoms, self.moving.owners
+        atoms.write_box([factor * edge for edge in atoms.box])
+        positions = atoms.positions.copy()
+        massive = owners >= 0
+        shifts = (factor - 1) * self.molecule_centres(self.moving.fit(positions)[0])
+        positions[massive] += shifts[:, owners[massive]].T
+        atoms.write_positions(positions)
+        self._check_start()
+
+    # --- heat ---
 
     def _take_heat(self) -> float:
         """Return the heat that the library has counted since the last time, kJ/mol."""

@@ -110,7 +110,7 @@ class ProgramWriter:
         key = team, body
         if key not in self._kernels:
             texts = self._teams.setdefault(team, [])
-            name = f"step{len(texts)}"
+            name = f"sierStep{len(texts)}"
             texts.append(_function(name, team, body))
             threads = team * sum(each.mover.number for each in work)
             moves = any(call.moves for each in work for call in each.calls)
