@@ -37,6 +37,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "forget": (None, [ctypes.c_void_p]),
     "is_executed": (ctypes.c_int, [ctypes.c_void_p]),
     "set_scalars": (None, [ctypes.c_void_p, ctypes.c_double, _NUMBERS, ctypes.c_int]),
+    "read_vectors": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
     "take_total": (ctypes.c_double, [ctypes.c_void_p, ctypes.c_char_p]),
 }
 
@@ -143,6 +144,18 @@ class Library:
         """Set the step, ps, and the scalars of a program, always of the same number, for the steps that follow."""
         array, pointer = _numbers(values)
         self._call("set_scalars", integrator, step, pointer, array.size)
+
+    def read_vectors(self, integrator: int, name: str, number: int) -> np.ndarray:
+        """Return a table of vectors of atoms, (N, 3); zeros before the first step.
+
+        Args:
+            integrator: its address.
+            name: of the table.
+            number: of atoms, N.
+        """
+        array, pointer = _numbers(np.zeros((number, 3)))
+        self._call("read_vectors", integrator, name.encode(), pointer)
+        return array
 
     def take_total(self, integrator: int, name: str) -> float:
         """Return a sum of a program, and set it to zero."""

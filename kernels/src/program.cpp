@@ -111,6 +111,13 @@ void sier_set_scalars(const void* integrator, double step, const double* values,
     program->areScalarsNew = true;
 }
 
+/** Read a table of vectors of four, one for each atom, as (N, 3) numbers; leave them where no Context has it. */
+void sier_read_vectors(const void* integrator, const char* name, double* values) {
+    shared_ptr<Program> program = findProgram(integrator);
+    if (program != nullptr && program->kernel != nullptr)
+        program->kernel->readVectors(name, values);
+}
+
 /** Return a sum, and set it to zero. */
 double sier_take_total(const void* integrator, const char* name) {
     shared_ptr<Program> program = findProgram(integrator);

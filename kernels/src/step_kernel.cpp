@@ -157,6 +157,8 @@ void StepKernel::execute(ContextImpl& context, CustomIntegrator& integrator, boo
     // Not in `initialize`: OpenMM has not made all its arrays by then.
     if (kernels.empty())
         makeKernels();
+    if (order.empty() || cc.getAtomsWereReordered())
+        order = cc.getAtomIndex();
     uploadScalars();
     integrationGroups = integrator.getIntegrationForceGroups();
     areForcesKnown = forcesAreValid;
@@ -214,6 +216,25 @@ double StepKernel::computeKineticEnergy(ContextImpl& context, CustomIntegrator& 
         return CommonIntegrateCustomStepKernel::computeKineticEnergy(context, integrator, forcesAreValid);
     ContextSelector selector(cc);
     return cc.getIntegrationUtilities().computeKineticEnergy(0);
+}
+
+void StepKernel::readVectors(const string& name, double* values) {
+    auto found = arrays.find(name);
+    if (found == arrays.end() || order.empty())
+        return;
+    ContextSelector selector(cc);
+    vector<double> vectors;
+    if (found->second.getElementSize() == sizeof(double)) {
+        found->second.download(vectors);
+    }
+    else {
+        vector<float> rounded;
+        found->second.download(rounded);
+        vectors.assign(rounded.begin(), rounded.end());
+    }
+    for (int i = 0; i < cc.getNumAtoms(); i++)
+        for (int x = 0; x < 3; x++)
+            values[3 * order[i] + x] = vectors[4 * i + x];
 }
 
 double StepKernel::takeTotal(const string& name) {

@@ -28,6 +28,9 @@ public:
     /** Leave the program, and all that was made for it. */
     void release();
 
+    /** Read vectors of atoms, in the order that atoms had in the last step. */
+    void readVectors(const std::string& name, double* values);
+
     /** Return a sum of the program, and set it to zero. */
     double takeTotal(const std::string& name);
 
@@ -47,6 +50,8 @@ private:
     std::vector<OpenMM::ComputeKernel> kernels;
     /** For each kernel, the place of the index of its random vectors among its arguments; -1 without noise. */
     std::vector<int> randomIndices;
+    /** Numbers of the atoms in the order that they had in the last step. */
+    std::vector<int> order;
     int integrationGroups = -1;
     /** Whether the forces of these groups are known where the atoms are. */
     bool areForcesKnown = false;

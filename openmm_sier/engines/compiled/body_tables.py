@@ -10,13 +10,17 @@ import numpy as np
 from openmm_sier.dynamics.bodies import BodySet
 from openmm_sier.dynamics.rotation.axes import axes_of
 from openmm_sier.dynamics.species import Species
-from openmm_sier.engines.compiled.movers import Bodies, LargeBodies, Mover, Points
+from openmm_sier.engines.compiled.movers import MOST_IN_CLUSTER, Bodies, Clusters, LargeBodies, Mover, Points
 
 #: Atoms no further from a line than this part of its length are on it.
 LINE = 1e-6
 
 #: Number of atoms above which a team of threads moves a body.
 MOST_FOR_A_THREAD = 24
+
+
+class ClusterError(ValueError):
+    """Constraints are not those of atoms to one other atom each."""
 
 
 class BodyTables(NamedTuple):
@@ -45,9 +49,11 @@ def tables_of(bodies: BodySet, is_member: np.ndarray) -> BodyTables:
     """
     kinds = [(s, is_member[columns]) for s, columns in zip(bodies.species, bodies.columns, strict=True)]
     extended = [(kind, members) for kind, members in kinds if len(kind.masses) > 1]
-    # Points move within members' inner steps whether fast forces act on them or not.
+    # Points and clusters move within members' inner steps whether fast forces act on them or not.
     single = [kind.atoms[:, 0] for kind, _ in kinds if len(kind.masses) == 1]
-    points = np.concatenate(single) if single else np.empty(0, dtype=np.int64)
+    clusters, lengths = clusters_of(bodies)
+    free = np.concatenate(single) if single else np.empty(0, dtype=np.int64)
+    points = free[~np.isin(free, clusters[:, 1:])]
     records, sets = _records(extended)
     movers: dict[bool, list[Mover]] = {False: [], True: []}
     part = 0
@@ -57,20 +63,55 @@ def tables_of(bodies: BodySet, is_member: np.ndarray) -> BodyTables:
             part += number
     if len(points):
         movers[True].append(Points(0, len(points), part))
+        part += len(points)
+    if len(clusters):
+        movers[True].append(Clusters(0, len(clusters), part))
     integers = {
         "bodies": records,
         "bodyAtoms": np.concatenate([*(kind.atoms.ravel() for kind, _ in extended), [0]]),
         "references": np.array([(*spanning_atoms(in_order(kind)[0]), 0) for kind, _ in extended] or [(0, 0, 0, 0)]),
         "points": points if len(points) else np.zeros(1),
+        "clusters": clusters if len(clusters) else np.zeros(1),
     }
     numbers = {
         "sites": np.concatenate([*(_sites(kind) for kind, _ in extended), np.zeros((1, 4))]),
         "kinds": np.concatenate([*(kind_table(kind) for kind, _ in extended), np.zeros((1, 4))]),
+        "clusterLengths": lengths if len(lengths) else np.zeros(1),
     }
     together = tuple(kind.atoms for kind, _ in extended)
     if not is_member.any():
         return BodyTables(integers, numbers, (), (*movers[False], *movers[True]), together)
     return BodyTables(integers, numbers, tuple(movers[False]), tuple(movers[True]), together)
+
+
+def clusters_of(bodies: BodySet) -> tuple[np.ndarray, np.ndarray]:
+    """Return the clusters of constrained points, (m, 1 + k), and lengths, (m, k), k being `MOST_IN_CLUSTER`.
+
+    A row has the number of atoms, the centre and the others; without an atom it has -1. The first length is not used.
+
+    Raises:
+        ClusterError: constraints have another form.
+    """
+    pairs, lengths = bodies.links
+    neighbours: dict[int, list[tuple[int, float]]] = {}
+    for (first, second), length in zip(pairs.tolist(), lengths.tolist(), strict=True):
+        neighbours.setdefault(first, []).append((second, length))
+        neighbours.setdefault(second, []).append((first, length))
+    rows, distances = [], []
+    for body, joined in neighbours.items():
+        others = [other for other, _ in joined]
+        # Of a pair the first atom is the centre.
+        is_centre = len(joined) > 1 or (len(neighbours[others[0]]) == 1 and body < others[0])
+        if not is_centre:
+            continue
+        atoms = [int(bodies.atoms_of(each)[0]) for each in (body, *others)]
+        if len(atoms) > MOST_IN_CLUSTER or any(len(neighbours[other]) > 1 for other in others):
+            raise ClusterError(f"atom {atoms[0]}")
+        padding = MOST_IN_CLUSTER - len(atoms)
+        rows.append([len(atoms), *atoms, *[-1] * padding])
+        distances.append([0.0, *(length for _, length in joined), *[0.0] * padding])
+    shape = -1, MOST_IN_CLUSTER
+    return np.array(rows, dtype=np.int64).reshape(-1, MOST_IN_CLUSTER + 1), np.array(distances).reshape(shape)
 
 
 def _records(

@@ -11,6 +11,7 @@ from openmm_sier.dynamics.bodies import BodySet, BodyState
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.compiled.installation import InstalledStep
+from openmm_sier.engines.compiled.kernel_text import BATHED
 from openmm_sier.engines.compiled.plugin import address_of
 from openmm_sier.engines.compiled.refusals import refusal, refuse_method
 from openmm_sier.engines.exact.actions import BodyActions
@@ -147,6 +148,13 @@ class KernelsEngine(NativeEngine):
         positions[massive] += shifts[:, owners[massive]].T
         atoms.write_positions(positions)
         self._check_start()
+
+    def _velocities_after_bath(self) -> np.ndarray | None:
+        has_followed = self._follows_bath and Changes.ATOMS not in self.changes
+        if has_followed and self.method.scheme.bath_divides_drift and self._step.fast_groups:
+            bathed = self._library.read_vectors(self._address, BATHED, self.moving.n_particles)
+            return np.asarray(bathed)
+        return None
 
     # --- heat ---
 

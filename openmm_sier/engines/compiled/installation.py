@@ -10,12 +10,12 @@ import openmm
 
 from openmm_sier.dynamics.bodies import BodySet, RigidityError
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.plan import plan_step
+from openmm_sier.dynamics.plan import Resolution, plan_step
 from openmm_sier.dynamics.stages import BATH
-from openmm_sier.engines.compiled.body_tables import tables_of
+from openmm_sier.engines.compiled.body_tables import ClusterError, tables_of
 from openmm_sier.engines.compiled.kernel_text import ProgramWriter
 from openmm_sier.engines.compiled.plugin import address_of, library_of
-from openmm_sier.engines.compiled.refusals import moved_by_fast_forces, refusal, refuse_bodies, refuse_method
+from openmm_sier.engines.compiled.refusals import moved_by_fast_forces, refusal, refuse_method
 from openmm_sier.engines.compiled.step_program import StepProgram
 from openmm_sier.engines.compiled.writing import Scalars, StepWriter
 from openmm_sier.stability.step_check import StepCheck
@@ -70,14 +70,16 @@ def compiled_step(
         moving = bodies_of(system, bodies)
     except RigidityError as error:
         raise refusal(f"needs to know all bodies ({error})") from error
-    refuse_bodies(moving)
     fast = groups & method.fast_groups
     is_member = moved_by_fast_forces(system, moving, fast)
     # A program serves all steps, of which one of zero length makes none.
     shown = method if method.step else replace(method, step=1.0)
     inner_step = StepCheck(system, moving).inner_step(shown, groups) if is_member.any() else 0.0
     updates = method.updates_context and _acts_between_steps(system)
-    plan = plan_step(method.scheme, inner_step / shown.step or None, updates=updates, projects=False)
+    has_constraints = len(moving.links[1]) > 0
+    longest = inner_step / shown.step or None
+    resolution = Resolution(around_bath=1 if method.scheme.bath_divides_drift else 0)
+    plan = plan_step(method.scheme, longest, resolution, updates, projects=has_constraints)
     counts_heat = bool(method.counts_heat) or BATH not in method.scheme.operators
     writer = StepWriter(counts_heat and updates)
     try:
@@ -85,7 +87,13 @@ def compiled_step(
     except ValueError as error:
         raise refusal(f"does not know this scheme, since {error}") from error
     has_sites = tables.virtual_sites(system).size > 0
-    program = ProgramWriter(tables_of(moving, is_member), fast, counts_heat, has_sites, system.getNumParticles())
+    try:
+        body_tables = tables_of(moving, is_member)
+    except ClusterError as error:
+        raise refusal(
+            f"solves only constraints of up to four atoms to one other atom, and {error} has others"
+        ) from error
+    program = ProgramWriter(body_tables, fast, counts_heat, has_sites, system.getNumParticles())
     return CompiledStep(
         program.write(writer.epochs), writer.scalars, moving, plan.longest_inner_step, counts_heat, fast
     )

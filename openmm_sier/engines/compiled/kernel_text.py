@@ -10,12 +10,15 @@ import numpy as np
 
 from openmm_sier.engines.compiled import rotation
 from openmm_sier.engines.compiled.body_tables import BodyTables
-from openmm_sier.engines.compiled.movers import PROJECT, Call, Mover
+from openmm_sier.engines.compiled.movers import MOST_IN_CLUSTER, PROJECT, Call, Clusters, Mover
 from openmm_sier.engines.compiled.step_program import FORCES, LAUNCH, SITES, UPDATE, Command, Kernel, StepProgram
 from openmm_sier.engines.compiled.writing import UPDATES, Epoch
 
 #: Threads in a block of kernels in which each thread has a mover of its own.
 BLOCK = 64
+
+#: Velocities just after a bath.
+BATHED = "bathed"
 
 #: Arguments of all kernels, with their declarations in C.
 ARGUMENTS = {
@@ -32,7 +35,10 @@ ARGUMENTS = {
     "kinds": "GLOBAL const mixed4* RESTRICT kinds",
     "references": "GLOBAL const int4* RESTRICT references",
     "points": "GLOBAL const int* RESTRICT points",
+    "clusters": "GLOBAL const int* RESTRICT clusters",
+    "clusterLengths": "GLOBAL const mixed* RESTRICT clusterLengths",
     "kept": "GLOBAL mixed4* RESTRICT kept",
+    "bathed": "GLOBAL mixed4* RESTRICT bathed",
     "heat": "GLOBAL mm_long* RESTRICT heat",
 }
 
@@ -75,7 +81,7 @@ class ProgramWriter:
         return StepProgram(
             sources=tuple(_source(team, texts) for team, texts in self._teams.items()),
             integers=tables.integers,
-            numbers={**tables.numbers, "kept": np.zeros(4 * self._n_particles)},
+            numbers={**tables.numbers, "kept": np.zeros(4 * self._n_particles), BATHED: np.zeros(4 * self._n_particles)},
             totals={"heat": heat_parts},
             kernels=tuple(self._kernels.values()),
             commands=tuple(self._commands),
@@ -100,7 +106,7 @@ class ProgramWriter:
     def _launch(self, work: Sequence[Work]) -> None:
         """Launch a kernel for all movers that have a thread each, and one for those that have a team each."""
         for team in sorted({each.mover.team for each in work}):
-            chosen = [each for each in work if each.mover.team == team and _does_something(each.calls)]
+            chosen = [each for each in work if each.mover.team == team and _does_something(each)]
             if chosen:
                 self._commands.append(Command(LAUNCH, self._kernel(team, chosen)))
 
@@ -120,8 +126,8 @@ class ProgramWriter:
         return list(self._kernels).index(key)
 
 
-def _does_something(calls: Sequence[Call]) -> bool:
-    return any(call.kind != PROJECT for call in calls)
+def _does_something(each: Work) -> bool:
+    return any(call.kind != PROJECT or isinstance(each.mover, Clusters) for call in each.calls)
 
 
 def _signed(mask: int) -> int:
@@ -168,5 +174,5 @@ def _source(team: int, texts: Iterable[str]) -> str:
     """Return kernels with what they have in common."""
     common = resources.files("openmm_sier.engines.compiled").joinpath("motion.cc").read_text()
     head, marker, rest = common.partition("// --- formulas ---\n")
-    constants = f"#define LANES {team}\n#define LONGEST_PHASE NUMBER({rotation.LONGEST_PHASE!r})\n"
+    constants = f"#define LANES {team}\n#define MOST_IN_CLUSTER {MOST_IN_CLUSTER}\n#define LONGEST_PHASE NUMBER({rotation.LONGEST_PHASE!r})\n"
     return "\n".join([constants + head, rotation.functions(), marker + rest, *texts])

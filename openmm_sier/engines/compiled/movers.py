@@ -12,19 +12,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 #: What calls do. A gradient kick is two of them, with forces at the displaced positions between.
-KICK, DRIFT, BATHE, PROJECT, COUNT_BEFORE, COUNT_AFTER, DISPLACE, KICK_FROM_THERE = (
-    *("kick", "drift", "bathe", "project", "count before", "count after"),
-    *("displace", "kick from there"),
-)
+KICK, DISPLACE, KICK_FROM_THERE = "kick", "displace", "kick from there"
+DRIFT, TO_BATH, BATHE, FROM_BATH = "drift", "drift to bath", "bathe", "drift from bath"
+PROJECT, COUNT_BEFORE, COUNT_AFTER = "project", "count before", "count after"
 
 #: The calls that change positions.
-MOVES = DRIFT, DISPLACE, KICK_FROM_THERE
+DRIFTS = DRIFT, TO_BATH, FROM_BATH
+MOVES = *DRIFTS, DISPLACE, KICK_FROM_THERE
 
-#: Number of scalars of a bath: factor of momenta and width of their noise, and those of angular momenta.
-BATH_SCALARS = 4
-
-#: Threads in a block of kernels with a thread for each mover.
-BLOCK = 64
+#: Atoms in a cluster of constraints to one of them.
+MOST_IN_CLUSTER = 5
 
 
 class Call(NamedTuple):
@@ -33,7 +30,7 @@ class Call(NamedTuple):
     Attributes:
         kind: one of the above.
         scalars: numbers of its scalars: of a drift its time, followed by those of its steps of RATTLE; of a bath the
-            first of `BATH_SCALARS`.
+            first of four.
     """
 
     kind: str
@@ -96,20 +93,31 @@ class Mover(ABC):
         """
         lines = self.begin(calls)
         used = 0
+        divides_drift = any(call.kind == TO_BATH for call in calls)
         for call in calls:
             if call.kind in (COUNT_BEFORE, COUNT_AFTER):
-                lines += self._counted("-" if call.kind == COUNT_BEFORE else "+")
-            elif call.kind == BATHE:
-                counted = counts_heat
-                lines += self._counted("-") if counted else []
-                lines += self.call(call, noise + used)
-                lines += self._counted("+") if counted else []
-                used += self.noise * self.number
+                lines += self.count("-" if call.kind == COUNT_BEFORE else "+")
+            elif counts_heat:
+                lines += self.counted(call, noise + used, divides_drift)
             else:
-                lines += self.call(call, noise)
+                lines += self.call(call, noise + used)
+            if call.kind == BATHE:
+                used += self.noise * self.number
         return lines + self.end(calls), used
 
-    def _counted(self, sign: str) -> list[str]:
+    def counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
+        """Return the lines of a call, with those that count the heat of a bath.
+
+        Args:
+            call: the call.
+            noise: the first random vector for these movers.
+            divides_drift: whether the bath is in the middle of a drift.
+        """
+        lines = self.call(call, noise)
+        return [*self.count("-"), *lines, *self.count("+")] if call.kind == BATHE else lines
+
+    def count(self, sign: str) -> list[str]:
+        """Return lines that add the kinetic energy to the heat, or take it from there."""
         is_first = "" if self.team == 1 else "if (LANE == 0) "
         return [f"{is_first}heat[{self.part} + n] {sign}= fixedPoint({self.energy});"]
 
@@ -138,7 +146,7 @@ class Bodies(Mover):
         scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
         if call.kind == KICK:
             return [f"kickBody(&body, record, {scalar}, force, THE_BODY_TABLES THE_TEAM);"]
-        if call.kind == DRIFT:
+        if call.kind in DRIFTS:
             return [f"driftBody(&body, record, {scalar}, THE_BODY_TABLES);"]
         if call.kind == BATHE:
             random = f"random + randomIndex + {noise} + 2*n"
@@ -189,11 +197,11 @@ class Points(Mover):
         scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
         if call.kind in (KICK, KICK_FROM_THERE):
             return [f"v += ({scalar}*PER_UNIT*w)*forceOn(force, i);"]
-        if call.kind == DRIFT:
+        if call.kind in DRIFTS:
             return [f"x += {scalar}*v;"]
         if call.kind == BATHE:
             bath = f"scalars + {call.scalars[0]}"
-            return [f"v = bathVelocity(v, w, {bath}, random[randomIndex + {noise} + n]);"]
+            return [f"v = bathVelocity(v, w, {bath}, random[randomIndex + {noise} + n]);", _keep_bathed("i", "v")]
         if call.kind == DISPLACE:
             return [
                 "kept[i] = make_mixed4(x.x, x.y, x.z, 0);",
@@ -204,3 +212,66 @@ class Points(Mover):
     @property
     def energy(self) -> str:
         return "NUMBER(0.5)/w*dot(v, v)"
+
+
+class Clusters(Mover):
+    """Atoms with constraints to one other atom, of tables `clusters` and `clusterLengths`."""
+
+    noise = MOST_IN_CLUSTER
+
+    def begin(self, calls: Sequence[Call]) -> list[str]:
+        place = f"({self.first} + n)"
+        tables = f"clusters + {MOST_IN_CLUSTER + 1}*{place}, clusterLengths + {MOST_IN_CLUSTER}*{place}"
+        return ["Cluster c;", f"readCluster(&c, {tables}, THE_POSITIONS, velm);"]
+
+    def end(self, calls: Sequence[Call]) -> list[str]:
+        lines = ["writeVelocities(&c, velm);"]
+        if any(call.moves for call in calls):
+            lines.append("placeCluster(&c, THE_POSITIONS);")
+        return lines
+
+    def call(self, call: Call, noise: int) -> list[str]:
+        scalar = f"scalars[{call.scalars[0]}]" if call.scalars else ""
+        if call.kind == KICK:
+            return [f"kickCluster(&c, {scalar}, force);"]
+        if call.kind == DRIFT:
+            steps = call.scalars[1:] or call.scalars
+            return [f"driftCluster(&c, scalars[{step}]);" for step in steps]
+        if call.kind == TO_BATH:
+            return [f"driftClusterToBath(&c, {scalar});"]
+        if call.kind == FROM_BATH:
+            return [f"driftClusterFromBath(&c, {scalar});"]
+        if call.kind == BATHE:
+            random = f"random[randomIndex + {noise} + {self.noise}*n + k]"
+            return [
+                "for (int k = 0; k < c.size; k++) {",
+                f"    c.v[k] = bathVelocity(c.v[k], c.w[k], scalars + {call.scalars[0]}, {random});",
+                f"    {_keep_bathed('c.atoms[k]', 'c.v[k]')}",
+                "}",
+            ]
+        if call.kind == PROJECT:
+            return ["projectVectors(&c, c.x, c.v);"]
+        if call.kind == DISPLACE:
+            return [f"displaceCluster(&c, {scalar}, force, kept);"]
+        return [f"kickClusterFrom(&c, {scalar}, kept, force);"]
+
+    def counted(self, call: Call, noise: int, divides_drift: bool) -> list[str]:
+        """See `Mover.counted`; energies are those of velocities without parts along the constraints."""
+        lines, project = self.call(call, noise), self.call(Call(PROJECT), noise)
+        if divides_drift and call.kind == TO_BATH:
+            # It projects first, and velocities do not change after that.
+            return [*lines, *self.count("-")]
+        if divides_drift and call.kind == FROM_BATH:
+            return [*lines, *project, *self.count("+")]
+        if call.kind == BATHE and not divides_drift:
+            return [*project, *self.count("-"), *lines, *project, *self.count("+")]
+        return lines
+
+    @property
+    def energy(self) -> str:
+        return "kineticEnergyOfCluster(&c)"
+
+
+def _keep_bathed(atom: str, velocity: str) -> str:
+    """Return a line that keeps the velocity just after a bath."""
+    return f"bathed[{atom}] = make_mixed4({velocity}.x, {velocity}.y, {velocity}.z, 0);"

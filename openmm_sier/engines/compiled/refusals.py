@@ -37,18 +37,6 @@ def refuse_method(method: IntegrationMethod) -> None:
         raise refusal("makes no trials of hybrid Monte Carlo")
 
 
-def refuse_bodies(bodies: BodySet) -> None:
-    """Refuse constraints between points.
-
-    Raises:
-        openmm.OpenMMException: there are some.
-    """
-    pairs = bodies.links[0]
-    if len(pairs):
-        atoms = [bodies.atoms_of(int(body))[0] for body in pairs[0]]
-        raise refusal(f"has no solver for constraints that form no rigid body, as of atoms {atoms[0]} and {atoms[1]}")
-
-
 def moved_by_fast_forces(system: openmm.System, bodies: BodySet, groups: int) -> np.ndarray:
     """Return whether fast forces act on each body, (n,).
 

@@ -25,6 +25,7 @@ from openmm_sier.dynamics.plan import (
     UpdateContext,
     expanded,
 )
+from openmm_sier.dynamics.stages import DRIFT_FROM_BATH, DRIFT_TO_BATH
 from openmm_sier.dynamics.thermostat import Thermostat, decay
 from openmm_sier.engines.compiled.movers import (
     BATHE,
@@ -32,9 +33,11 @@ from openmm_sier.engines.compiled.movers import (
     COUNT_BEFORE,
     DISPLACE,
     DRIFT,
+    FROM_BATH,
     KICK,
     KICK_FROM_THERE,
     PROJECT,
+    TO_BATH,
     Call,
 )
 
@@ -196,10 +199,11 @@ class StepWriter:
         self._add(KICK_FROM_THERE, (time,), members_only)
 
     def _drift(self, operation: Drift, unit: float, members_only: bool) -> None:
+        kind = {DRIFT_TO_BATH: TO_BATH, DRIFT_FROM_BATH: FROM_BATH}.get(operation.side, DRIFT)
         fraction = operation.fraction * unit
         steps = operation.weights if len(operation.weights) > 1 else ()
         times = [fraction, *(fraction * weight for weight in steps)]
-        self._add(DRIFT, tuple(self.scalars.place(Time(time)) for time in times), members_only)
+        self._add(kind, tuple(self.scalars.place(Time(time)) for time in times), members_only)
 
     def _inner(self, operation: Inner, unit: float, members_only: bool) -> None:
         self.epochs[-1].others.append(Call(DRIFT, (self.scalars.place(Time(operation.fraction)),)))
