@@ -10,11 +10,12 @@
 #include "factory.h"
 
 #include "openmm/opencl/OpenCLContext.h"
+#include "openmm/opencl/OpenCLKernelFactory.h"
 #include "openmm/opencl/OpenCLPlatform.h"
 
 extern "C" OPENMM_EXPORT void registerPlatforms() {
 }
 
 extern "C" OPENMM_EXPORT void registerKernelFactories() {
-    OpenMMSIER::registerFactory<OpenMM::OpenCLPlatform::PlatformData>("OpenCL");
+    OpenMMSIER::registerFactory<OpenMM::OpenCLKernelFactory, OpenMM::OpenCLPlatform::PlatformData>("OpenCL");
 }

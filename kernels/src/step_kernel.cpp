@@ -41,8 +41,28 @@ private:
 
 }  // namespace
 
-StepKernel::StepKernel(string name, const Platform& platform, ComputeContext& cc)
-    : CommonIntegrateCustomStepKernel(name, platform, cc), cc(cc) {
+StepKernel::StepKernel(string name, const Platform& platform, ComputeContext& cc, Kernel own)
+    : IntegrateCustomStepKernel(name, platform), cc(cc), ownKernel(own) {
+}
+
+IntegrateCustomStepKernel& StepKernel::own() const {
+    return ownKernel.getAs<IntegrateCustomStepKernel>();
+}
+
+void StepKernel::getGlobalVariables(ContextImpl& context, vector<double>& values) const {
+    own().getGlobalVariables(context, values);
+}
+
+void StepKernel::setGlobalVariables(ContextImpl& context, const vector<double>& values) {
+    own().setGlobalVariables(context, values);
+}
+
+void StepKernel::getPerDofVariable(ContextImpl& context, int variable, vector<Vec3>& values) const {
+    own().getPerDofVariable(context, variable, values);
+}
+
+void StepKernel::setPerDofVariable(ContextImpl& context, int variable, const vector<Vec3>& values) {
+    own().setPerDofVariable(context, variable, values);
 }
 
 StepKernel::~StepKernel() {
@@ -62,7 +82,7 @@ void StepKernel::release() {
 }
 
 void StepKernel::initialize(const System& system, const CustomIntegrator& integrator) {
-    CommonIntegrateCustomStepKernel::initialize(system, integrator);
+    own().initialize(system, integrator);
     program = findProgram(&integrator);
     if (program == nullptr)
         return;
@@ -150,7 +170,7 @@ void StepKernel::uploadScalars() {
 
 void StepKernel::execute(ContextImpl& context, CustomIntegrator& integrator, bool& forcesAreValid) {
     if (program == nullptr) {
-        CommonIntegrateCustomStepKernel::execute(context, integrator, forcesAreValid);
+        own().execute(context, integrator, forcesAreValid);
         return;
     }
     ContextSelector selector(cc);
@@ -213,7 +233,7 @@ void StepKernel::launch(int number) {
 
 double StepKernel::computeKineticEnergy(ContextImpl& context, CustomIntegrator& integrator, bool& forcesAreValid) {
     if (program == nullptr)
-        return CommonIntegrateCustomStepKernel::computeKineticEnergy(context, integrator, forcesAreValid);
+        return own().computeKineticEnergy(context, integrator, forcesAreValid);
     ContextSelector selector(cc);
     return cc.getIntegrationUtilities().computeKineticEnergy(0);
 }

@@ -3,27 +3,33 @@
 
 #include "program.h"
 
-#include "openmm/common/CommonIntegrateCustomStepKernel.h"
 #include "openmm/common/ComputeArray.h"
 #include "openmm/common/ComputeContext.h"
+#include "openmm/Kernel.h"
 #include "openmm/common/ComputeKernel.h"
+#include "openmm/kernels.h"
 
 #include <map>
 
 namespace OpenMMSIER {
 
 /**
- * Executes the steps of CustomIntegrators: of those that have a Program by its commands, and of all others as OpenMM
- * does. Variables and all else are OpenMM's.
+ * Executes the steps of CustomIntegrators: of those that have a Program by its commands, and of all others by OpenMM's
+ * kernel, which also has the variables.
  */
-class StepKernel : public OpenMM::CommonIntegrateCustomStepKernel {
+class StepKernel : public OpenMM::IntegrateCustomStepKernel {
 public:
-    StepKernel(std::string name, const OpenMM::Platform& platform, OpenMM::ComputeContext& cc);
+    /** `own` is OpenMM's kernel for the same Context. */
+    StepKernel(std::string name, const OpenMM::Platform& platform, OpenMM::ComputeContext& cc, OpenMM::Kernel own);
     ~StepKernel();
     void initialize(const OpenMM::System& system, const OpenMM::CustomIntegrator& integrator) override;
     void execute(OpenMM::ContextImpl& context, OpenMM::CustomIntegrator& integrator, bool& forcesAreValid) override;
     double computeKineticEnergy(OpenMM::ContextImpl& context, OpenMM::CustomIntegrator& integrator,
                                 bool& forcesAreValid) override;
+    void getGlobalVariables(OpenMM::ContextImpl& context, std::vector<double>& values) const override;
+    void setGlobalVariables(OpenMM::ContextImpl& context, const std::vector<double>& values) override;
+    void getPerDofVariable(OpenMM::ContextImpl& context, int variable, std::vector<OpenMM::Vec3>& values) const override;
+    void setPerDofVariable(OpenMM::ContextImpl& context, int variable, const std::vector<OpenMM::Vec3>& values) override;
 
     /** Leave the program, and all that was made for it. */
     void release();
@@ -35,6 +41,8 @@ public:
     double takeTotal(const std::string& name);
 
 private:
+    /** Return OpenMM's kernel. */
+    OpenMM::IntegrateCustomStepKernel& own() const;
     void makeArrays();
     void makeKernels();
     /** Add an argument, and return whether it is the index of the random vectors. */
@@ -44,6 +52,7 @@ private:
     void launch(int number);
 
     OpenMM::ComputeContext& cc;
+    mutable OpenMM::Kernel ownKernel;
     std::shared_ptr<Program> program;
     std::map<std::string, OpenMM::ComputeArray> arrays;
     OpenMM::ComputeArray scalars;
