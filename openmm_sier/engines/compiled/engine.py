@@ -85,7 +85,7 @@ class KernelsEngine(NativeEngine):
         self._actions = BodyActions(self._context, self, self._body_forces)
 
     @property
-    def actions(self) -> BodyActions:  # type: ignore[override]
+    def actions(self) -> BodyActions:
         """Return the actions of the exact engine, at the present positions of the Context."""
         self._body_forces.select(self._groups, self.method.fast_groups)
         self._body_forces.take_positions(Snapshot.of(self._context))

@@ -12,6 +12,7 @@ from openmm_sier.engines.compiled import rotation
 from openmm_sier.engines.compiled.body_tables import BodyTables
 from openmm_sier.engines.compiled.movers import MOST_IN_CLUSTER, PROJECT, Call, Clusters, Mover
 from openmm_sier.engines.compiled.step_program import FORCES, LAUNCH, SITES, UPDATE, Command, Kernel, StepProgram
+from openmm_sier.engines.compiled.symbols import literal
 from openmm_sier.engines.compiled.writing import UPDATES, Epoch
 
 #: Threads in a block of kernels in which each thread has a mover of its own.
@@ -81,7 +82,11 @@ class ProgramWriter:
         return StepProgram(
             sources=tuple(_source(team, texts) for team, texts in self._teams.items()),
             integers=tables.integers,
-            numbers={**tables.numbers, "kept": np.zeros(4 * self._n_particles), BATHED: np.zeros(4 * self._n_particles)},
+            numbers={
+                **tables.numbers,
+                "kept": np.zeros(4 * self._n_particles),
+                BATHED: np.zeros(4 * self._n_particles),
+            },
             totals={"heat": heat_parts},
             kernels=tuple(self._kernels.values()),
             commands=tuple(self._commands),
@@ -174,5 +179,6 @@ def _source(team: int, texts: Iterable[str]) -> str:
     """Return kernels with what they have in common."""
     common = resources.files("openmm_sier.engines.compiled").joinpath("motion.cc").read_text()
     head, marker, rest = common.partition("// --- formulas ---\n")
-    constants = f"#define LANES {team}\n#define MOST_IN_CLUSTER {MOST_IN_CLUSTER}\n#define LONGEST_PHASE NUMBER({rotation.LONGEST_PHASE!r})\n"
-    return "\n".join([constants + head, rotation.functions(), marker + rest, *texts])
+    constants = {"LANES": team, "MOST_IN_CLUSTER": MOST_IN_CLUSTER, "LONGEST_PHASE": literal(rotation.LONGEST_PHASE)}
+    defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+    return "\n".join([defined + head, rotation.functions(), marker + rest, *texts])

@@ -10,8 +10,7 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.system import tables
-from openmm_sier.system.bonded_terms import do_work
-from openmm_sier.system.bonded_terms import bonded_terms
+from openmm_sier.system.bonded_terms import bonded_terms, do_work
 from openmm_sier.system.forces import kind_of
 
 #: What ends the text of a refusal.
@@ -59,7 +58,9 @@ def moved_by_fast_forces(system: openmm.System, bodies: BodySet, groups: int) ->
             continue
         name = f"{force.getName()} ({type(force).__name__})"
         if kind.terms is None:
-            raise refusal(f"takes only bonded forces as fast ones, and {name} is in force group {force.getForceGroup()}")
+            raise refusal(
+                f"takes only bonded forces as fast ones, and {name} is in force group {force.getForceGroup()}"
+            )
         terms = bonded_terms(force)
         working = terms[do_work(terms, owners)]
         if is_site[working].any():

@@ -1,6 +1,7 @@
 """The exact free rotation of `dynamics.kernels.short_steps` as functions in C."""
 
 import math
+from collections.abc import Sequence
 from functools import cache
 
 from openmm_sier.dynamics.kernels import elliptic, formulas, long_steps, short_steps
@@ -38,10 +39,11 @@ def functions() -> str:
     )
 
 
-def _array(name: str, values: object) -> dict[str, object]:
-    return {f"{name}[{i}]": value for i, value in enumerate(values)}  # type: ignore[arg-type, call-overload]
+def _array(name: str, values: Sequence[Symbol]) -> dict[str, Symbol]:
+    return {f"{name}[{i}]": value for i, value in enumerate(values)}
 
 
-def _function(head: str, results: dict[str, object], end: str = "") -> str:
+def _function(head: str, results: dict[str, Symbol], end: str = "") -> str:
+    """Return a function in C that sets results, and then has the statement at its end."""
     body = assignments(results.items())
     return f"{head} {{\n{body}" + (f"    {end}\n" if end else "") + "}\n"
