@@ -1,4 +1,4 @@
-"""The kernels engine: compiled kernels move rigid bodies and points on a platform for GPUs, in one launch for each force."""
+"""The kernels engine: compiled kernels move bodies and points on platforms for GPUs, in one launch for each force."""
 
 from __future__ import annotations
 
