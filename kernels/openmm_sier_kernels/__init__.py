@@ -34,7 +34,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "add_command": (None, [ctypes.c_void_p, ctypes.c_int, ctypes.c_int]),
     "add_bodies": (None, [ctypes.c_void_p, ctypes.c_int, _INTEGERS, ctypes.c_int, ctypes.c_int]),
     "assign": (None, [ctypes.c_void_p, ctypes.c_void_p]),
-    "forget": (None, [ctypes.c_void_p]),
+    "forget": (None, [ctypes.c_void_p, ctypes.c_void_p]),
     "is_executed": (ctypes.c_int, [ctypes.c_void_p]),
     "set_scalars": (None, [ctypes.c_void_p, ctypes.c_double, _NUMBERS, ctypes.c_int]),
     "read_vectors": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
@@ -64,8 +64,9 @@ def library(platform: str) -> "Library":
     version = openmm.__version__
     if version != VERSION:
         raise openmm.OpenMMException(
-            f"openmm-sier-kernels was built for OpenMM {VERSION}, and this is OpenMM {version}: build it again, by "
-            "pip install --force-reinstall --no-deps ./kernels"
+            f"openmm-sier-kernels was built for OpenMM {VERSION}, and this is OpenMM {version}: build it again in this "
+            "environment, by pip install scikit-build-core cmake ninja, and then "
+            "pip install --no-build-isolation --no-deps --force-reinstall ./kernels"
         )
     path = _path_of(platform)
     if path is None:
@@ -103,8 +104,8 @@ class Library:
     def _call(self, name: str, *arguments: Any) -> Any:
         return self._functions[name](*arguments)
 
-    def assign(self, integrator: int, program: Any) -> None:
-        """Give an integrator without a Context a program.
+    def assign(self, integrator: int, program: Any) -> int:
+        """Give an integrator without a Context a program, and return its number for `forget`.
 
         Args:
             integrator: its address.
@@ -131,10 +132,11 @@ class Library:
             array, pointer = _integers(atoms)
             self._call("add_bodies", made, kind, pointer, *array.shape)
         self._call("assign", integrator, made)
+        return int(made)
 
-    def forget(self, integrator: int) -> None:
-        """Take the program from an integrator: OpenMM executes its steps from then on."""
-        self._call("forget", integrator)
+    def forget(self, integrator: int, program: int) -> None:
+        """Take a program from an integrator, unless it has another one by now: OpenMM executes its steps then."""
+        self._call("forget", integrator, program)
 
     def is_executed(self, integrator: int) -> bool:
         """Return whether a Context executes the program of an integrator."""

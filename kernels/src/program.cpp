@@ -86,10 +86,15 @@ void sier_assign(const void* integrator, Program* program) {
     programs()[integrator] = owned;
 }
 
-/** Take the program from an integrator: OpenMM executes its steps from then on. */
-void sier_forget(const void* integrator) {
+/**
+ * Take a program from an integrator, unless it has another one by now, as an integrator that was made at the same
+ * address. OpenMM executes its steps from then on.
+ */
+void sier_forget(const void* integrator, const Program* which) {
     shared_ptr<Program> program = findProgram(integrator);
-    if (program != nullptr && program->kernel != nullptr)
+    if (program == nullptr || program.get() != which)
+        return;
+    if (program->kernel != nullptr)
         program->kernel->release();
     lock_guard<mutex> guard(access);
     programs().erase(integrator);

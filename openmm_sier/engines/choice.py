@@ -11,7 +11,6 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.compiled.engine import KernelsEngine
 from openmm_sier.engines.compiled.installation import InstalledStep
-from openmm_sier.engines.compiled.plugin import address_of
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
@@ -72,7 +71,7 @@ def make_engine(
         try:
             return KernelsEngine(context, method, tally, bodies, program, installed)
         except (openmm.OpenMMException, RigidityError):
-            installed.library.forget(address_of(context.getIntegrator()))
+            installed.take_back()
             if name == KernelsEngine.name:
                 raise
     if name in ("auto", NativeEngine.name):

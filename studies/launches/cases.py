@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from typing import NamedTuple
 
 import openmm
@@ -55,7 +56,18 @@ CASES = {
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
     "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
     "hmc": Case(_native_trials(), calls=4, steps=4),
+    "sier2-kernels": Case(in_bath(engine="kernels").at(9, **HEAVY, detail=", kernels")),
+    "sier4g-kernels": Case(of_scheme(SIER4G, engine="kernels").at(4, **HEAVY, detail=", kernels")),
 }
+
+#: Those that need the package openmm-sier-kernels.
+WITH_KERNELS = ("sier2-kernels", "sier4g-kernels")
+
+
+def usual() -> tuple[str, ...]:
+    """Return the names of the cases that can be counted here."""
+    has_kernels = importlib.util.find_spec("openmm_sier_kernels") is not None
+    return tuple(name for name in CASES if has_kernels or name not in WITH_KERNELS)
 
 
 def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.Context:

@@ -44,6 +44,7 @@ KINDS = {
     "constraints, velocities": r"apply\w+ToVelocities",
     "virtual sites": r"computeVirtualSites",
     "atoms": r"computePerDof|integrate|timeShift",
+    "parts of steps": r"sierStep",
     "noise": r"generateRandomNumbers",
     "centre of mass": r"calcCenterOfMass|removeCenterOfMass",
     "energies": r"computeKineticEnergy|compute(Float|Double)Sum|reduceEnergy|copy(Float|Double)Buffer",

@@ -61,7 +61,8 @@ class KernelsEngine(NativeEngine):
         Raises:
             openmm.OpenMMException: the Context does not execute the step: it is on another platform.
         """
-        self._step, self._library = installed
+        self._step = installed.step
+        self._library = installed.library
         self._address = address_of(context.getIntegrator())
         step = self._step
         # What the native engine has to know of its program.
@@ -129,6 +130,10 @@ class KernelsEngine(NativeEngine):
         if np.abs(rigid - now.velocities).max(initial=0.0) > SINGLE_OFF:
             openmm.Context.setVelocities(self._context, rigid)
         self._atoms.forget()
+
+    def select_groups(self) -> None:
+        """Let the next step compute forces: the program names only the fast groups."""
+        self.changes |= Changes.FORCES
 
     # --- moves of ensembles ---
 

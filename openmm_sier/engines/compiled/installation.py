@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -45,10 +46,17 @@ class CompiledStep(NamedTuple):
 
 
 class InstalledStep(NamedTuple):
-    """A step that an integrator has, and the library that executes it."""
+    """A step that an integrator has.
+
+    Attributes:
+        step: the step.
+        library: executes it.
+        take_back: a function that takes it from the integrator.
+    """
 
     step: CompiledStep
     library: Any
+    take_back: Callable[[], Any]
 
 
 def compiled_step(
@@ -116,12 +124,11 @@ def install(
     """
     library = library_of(platform)
     address = address_of(integrator)
-    library.forget(address)
-    library.assign(address, step.program)
+    number = library.assign(address, step.program)
     library.set_scalars(address, method.step, step.scalars.values(method))
-    # Another integrator may get this address.
-    weakref.finalize(integrator, library.forget, address)
-    return InstalledStep(step, library)
+    # It is taken back at the end of the process too: kernels must go before OpenMM's platform does.
+    take_back = weakref.finalize(integrator, library.forget, address, number)
+    return InstalledStep(step, library, take_back)
 
 
 def installed(

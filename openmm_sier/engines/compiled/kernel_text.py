@@ -177,7 +177,8 @@ def _function(name: str, team: int, body: str) -> str:
 
 def _source(team: int, texts: Iterable[str]) -> str:
     """Return kernels with what they have in common."""
-    common = resources.files("openmm_sier.engines.compiled").joinpath("motion.cc").read_text()
+    folder = resources.files("openmm_sier.engines.compiled")
+    common = "\n".join(folder.joinpath(name).read_text() for name in ("motion.cc", "clusters.cc"))
     head, marker, rest = common.partition("// --- formulas ---\n")
     constants = {"LANES": team, "MOST_IN_CLUSTER": MOST_IN_CLUSTER, "LONGEST_PHASE": literal(rotation.LONGEST_PHASE)}
     defined = "".join(f"#define {name} {value}\n" for name, value in constants.items())
