@@ -16,7 +16,7 @@ import openmm
 from openmm_sier_kernels.built_for import VERSION
 
 #: Kinds of command, as in `program.h`.
-KINDS = {"update": 0, "forces": 1, "launch": 2, "sites": 3}
+KINDS = {"update": 0, "forces": 1, "launch": 2, "sites": 3, "forces and energy": 4, "reorder": 5}
 
 FOLDER = Path(__file__).parent
 
@@ -31,12 +31,15 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "add_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS, ctypes.c_int]),
     "add_totals": (None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int]),
     "add_kernel": (None, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, *[ctypes.c_int] * 4]),
-    "add_command": (None, [ctypes.c_void_p, ctypes.c_int, ctypes.c_int]),
+    "add_command": (None, [ctypes.c_void_p, *[ctypes.c_int] * 3]),
     "add_bodies": (None, [ctypes.c_void_p, ctypes.c_int, _INTEGERS, ctypes.c_int, ctypes.c_int]),
     "assign": (None, [ctypes.c_void_p, ctypes.c_void_p]),
     "forget": (None, [ctypes.c_void_p, ctypes.c_void_p]),
     "is_executed": (ctypes.c_int, [ctypes.c_void_p]),
     "set_scalars": (None, [ctypes.c_void_p, ctypes.c_double, _NUMBERS, ctypes.c_int]),
+    "run": (ctypes.c_char_p, [ctypes.c_void_p, *[ctypes.c_int] * 3, _NUMBERS]),
+    "write_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
+    "read_numbers": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
     "read_vectors": (None, [ctypes.c_void_p, ctypes.c_char_p, _NUMBERS]),
     "take_total": (ctypes.c_double, [ctypes.c_void_p, ctypes.c_char_p]),
 }
@@ -126,8 +129,9 @@ class Library:
             arguments = " ".join(kernel.arguments).encode()
             numbers = kernel.threads, kernel.block, kernel.noise, kernel.moves_atoms
             self._call("add_kernel", made, kernel.name.encode(), kernel.source, arguments, *numbers)
-        for kind, number in program.commands:
-            self._call("add_command", made, KINDS[kind], number)
+        for block, commands in enumerate(program.blocks):
+            for kind, number in commands:
+                self._call("add_command", made, block, KINDS[kind], number)
         for kind, atoms in enumerate(program.bodies):
             array, pointer = _integers(atoms)
             self._call("add_bodies", made, kind, pointer, *array.shape)
@@ -146,6 +150,35 @@ class Library:
         """Set the step, ps, and the scalars of a program, always of the same number, for the steps that follow."""
         array, pointer = _numbers(values)
         self._call("set_scalars", integrator, step, pointer, array.size)
+
+    def run(self, integrator: int, block: int, times: int, are_forces_known: bool) -> float:
+        """Execute a block of commands several times, and return the sum of the energies that it asks for, kJ/mol.
+
+        Args:
+            integrator: its address.
+            block: its number.
+            times: how often.
+            are_forces_known: whether nobody has changed the Context since the last block or step.
+
+        Raises:
+            openmm.OpenMMException: it failed.
+        """
+        energy = ctypes.c_double()
+        message = self._call("run", integrator, block, times, are_forces_known, ctypes.byref(energy))
+        if message is not None:
+            raise openmm.OpenMMException(message.decode())
+        return energy.value
+
+    def write_numbers(self, integrator: int, name: str, values: Any) -> None:
+        """Write a table of numbers, all of them."""
+        _, pointer = _numbers(values)
+        self._call("write_numbers", integrator, name.encode(), pointer)
+
+    def read_numbers(self, integrator: int, name: str, size: int) -> np.ndarray:
+        """Return a table of so many numbers."""
+        array, pointer = _numbers(np.zeros(size))
+        self._call("read_numbers", integrator, name.encode(), pointer)
+        return array
 
     def read_vectors(self, integrator: int, name: str, number: int) -> np.ndarray:
         """Return a table of vectors of atoms, (N, 3); zeros before the first step.

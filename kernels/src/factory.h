@@ -19,7 +19,7 @@ public:
         PlatformData* data = reinterpret_cast<PlatformData*>(context.getPlatformData());
         // Not a base class: how large its members are depends on how OpenMM was compiled.
         OpenMM::Kernel own(PlatformFactory().createKernelImpl(name, platform, context));
-        return new StepKernel(name, platform, *data->contexts[0], own);
+        return new StepKernel(name, platform, context, *data->contexts[0], own);
     }
 };
 

@@ -4,6 +4,7 @@
 
 #include "step_kernel.h"
 
+#include <algorithm>
 #include <map>
 #include <sstream>
 
@@ -69,8 +70,8 @@ void sier_add_kernel(Program* program, const char* name, int source, const char*
     program->kernels.push_back({name, source, words(arguments), threads, blockSize, noise, movesAtoms != 0});
 }
 
-void sier_add_command(Program* program, int kind, int first) {
-    program->commands.push_back({kind, first});
+void sier_add_command(Program* program, int block, int kind, int first) {
+    program->commands.push_back({block, kind, first});
 }
 
 /** Add bodies of one kind, each of `size` atoms. */
@@ -114,6 +115,40 @@ void sier_set_scalars(const void* integrator, double step, const double* values,
     program->step = step;
     program->scalars.assign(values, values + size);
     program->areScalarsNew = true;
+}
+
+/**
+ * Execute a block of commands several times. Return a message where that fails, else null; the message is valid until
+ * the next call.
+ */
+const char* sier_run(const void* integrator, int block, int times, int areForcesKnown, double* energy) {
+    static thread_local string message;
+    shared_ptr<Program> program = findProgram(integrator);
+    if (program == nullptr || program->kernel == nullptr)
+        return "No Context executes this program";
+    try {
+        *energy = program->kernel->runBlock(block, times, areForcesKnown != 0);
+        return nullptr;
+    }
+    catch (exception& error) {
+        message = error.what();
+        return message.c_str();
+    }
+}
+
+/** Write or read a table of numbers of a Context. */
+void sier_write_numbers(const void* integrator, const char* name, const double* values) {
+    shared_ptr<Program> program = findProgram(integrator);
+    if (program != nullptr && program->kernel != nullptr)
+        program->kernel->writeNumbers(name, values);
+}
+
+void sier_read_numbers(const void* integrator, const char* name, double* values) {
+    shared_ptr<Program> program = findProgram(integrator);
+    if (program == nullptr || program->kernel == nullptr)
+        return;
+    vector<double> numbers = program->kernel->readNumbers(name);
+    copy(numbers.begin(), numbers.end(), values);
 }
 
 /** Read a table of vectors of four, one for each atom, as (N, 3) numbers; leave them where no Context has it. */

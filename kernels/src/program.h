@@ -49,10 +49,16 @@ enum CommandKind {
     /** The kernel with the number `first` is launched. */
     LAUNCH = 2,
     /** Virtual sites follow their atoms. */
-    SITES = 3
+    SITES = 3,
+    /** The forces and the energy of these groups become known. The energy is added to that of the run. */
+    FORCES_AND_ENERGY = 4,
+    /** OpenMM may put atoms that are near each other in space beside each other in memory, as it does after steps. */
+    REORDER = 5
 };
 
 struct Command {
+    /** The block that it belongs to. Block 0 is a step. */
+    int block;
     int kind;
     int first;
 };
@@ -63,7 +69,7 @@ struct Body {
     std::vector<int> atoms;
 };
 
-/** A step of an integrator, as commands that OpenMM's kernel executes. */
+/** A step of an integrator, and other blocks of commands, which are executed one by one. */
 struct Program {
     std::vector<std::string> sources;
     std::vector<Table<int>> integers;

@@ -41,8 +41,8 @@ private:
 
 }  // namespace
 
-StepKernel::StepKernel(string name, const Platform& platform, ComputeContext& cc, Kernel own)
-    : IntegrateCustomStepKernel(name, platform), cc(cc), ownKernel(own) {
+StepKernel::StepKernel(string name, const Platform& platform, ContextImpl& context, ComputeContext& cc, Kernel own)
+    : IntegrateCustomStepKernel(name, platform), context(context), cc(cc), ownKernel(own) {
 }
 
 IntegrateCustomStepKernel& StepKernel::own() const {
@@ -168,55 +168,94 @@ void StepKernel::uploadScalars() {
     program->areScalarsNew = false;
 }
 
+void StepKernel::prepare() {
+    // Not in `initialize`: OpenMM has not made all its arrays by then.
+    if (kernels.empty())
+        makeKernels();
+    if (order.empty())
+        order = cc.getAtomIndex();
+    uploadScalars();
+    integrationGroups = context.getIntegrator().getIntegrationForceGroups();
+    knownGroups = context.getLastForceGroups();
+}
+
 void StepKernel::execute(ContextImpl& context, CustomIntegrator& integrator, bool& forcesAreValid) {
     if (program == nullptr) {
         own().execute(context, integrator, forcesAreValid);
         return;
     }
     ContextSelector selector(cc);
-    // Not in `initialize`: OpenMM has not made all its arrays by then.
-    if (kernels.empty())
-        makeKernels();
-    if (order.empty() || cc.getAtomsWereReordered())
-        order = cc.getAtomIndex();
-    uploadScalars();
-    integrationGroups = integrator.getIntegrationForceGroups();
-    areForcesKnown = forcesAreValid;
-    knownGroups = context.getLastForceGroups();
+    prepare();
+    areForcesKnown = forcesAreValid && !hasMoved;
     for (auto& command : program->commands)
-        run(context, command);
+        if (command.block == 0)
+            run(command);
+    hasMoved = false;
     cc.setTime(cc.getTime() + program->step);
     cc.setStepCount(cc.getStepCount() + 1);
-    cc.reorderAtoms();
-    forcesAreValid = areForcesKnown && !cc.getAtomsWereReordered();
+    reorder();
+    forcesAreValid = areForcesKnown;
     if (cc.getStepCount() % STEPS_IN_QUEUE == 0)
         cc.flushQueue();
 }
 
-void StepKernel::run(ContextImpl& context, const Command& command) {
+double StepKernel::runBlock(int block, int times, bool areForcesKnown) {
+    ContextSelector selector(cc);
+    prepare();
+    this->areForcesKnown = this->areForcesKnown && areForcesKnown;
+    energy = 0;
+    for (int i = 0; i < times; i++)
+        for (auto& command : program->commands)
+            if (command.block == block)
+                run(command);
+    return energy;
+}
+
+void StepKernel::run(const Command& command) {
     switch (command.kind) {
         case UPDATE:
             if (context.updateContextState())
                 areForcesKnown = false;
             break;
-        case FORCES: {
-            const int groups = integrationGroups & command.first;
-            if (areForcesKnown && knownGroups == groups)
-                break;
-            context.calcForcesAndEnergy(true, false, groups);
-            areForcesKnown = true;
-            knownGroups = groups;
+        case FORCES:
+            calculate(integrationGroups & command.first, false);
             break;
-        }
+        case FORCES_AND_ENERGY:
+            calculate(integrationGroups & command.first, true);
+            break;
         case LAUNCH:
             launch(command.first);
             break;
         case SITES:
             cc.getIntegrationUtilities().computeVirtualSites();
             break;
+        case REORDER:
+            // OpenMM counts steps, after some of which it does so.
+            cc.setStepsSinceReorder(cc.getStepsSinceReorder() + forcesSinceReorder);
+            reorder();
+            break;
         default:
             throw OpenMMException("A SIER program has an unknown command");
     }
+}
+
+void StepKernel::reorder() {
+    cc.reorderAtoms();
+    forcesSinceReorder = 0;
+    if (!cc.getAtomsWereReordered())
+        return;
+    areForcesKnown = false;
+    order = cc.getAtomIndex();
+}
+
+void StepKernel::calculate(int groups, bool wantsEnergy) {
+    if (!wantsEnergy && areForcesKnown && knownGroups == groups)
+        return;
+    const double found = context.calcForcesAndEnergy(true, wantsEnergy, groups);
+    energy += wantsEnergy ? found : 0;
+    areForcesKnown = true;
+    knownGroups = groups;
+    forcesSinceReorder++;
 }
 
 void StepKernel::launch(int number) {
@@ -227,8 +266,10 @@ void StepKernel::launch(int number) {
         kernel->setArg(randomIndices[number], index);
     }
     kernel->execute(entry.threads, entry.blockSize);
-    if (entry.movesAtoms)
+    if (entry.movesAtoms) {
         areForcesKnown = false;
+        hasMoved = true;
+    }
 }
 
 double StepKernel::computeKineticEnergy(ContextImpl& context, CustomIntegrator& integrator, bool& forcesAreValid) {
@@ -238,20 +279,23 @@ double StepKernel::computeKineticEnergy(ContextImpl& context, CustomIntegrator& 
     return cc.getIntegrationUtilities().computeKineticEnergy(0);
 }
 
-void StepKernel::readVectors(const string& name, double* values) {
-    auto found = arrays.find(name);
-    if (found == arrays.end() || order.empty())
-        return;
+void StepKernel::writeNumbers(const string& name, const double* values) {
     ContextSelector selector(cc);
-    vector<double> vectors;
-    if (found->second.getElementSize() == sizeof(double)) {
-        found->second.download(vectors);
-    }
-    else {
-        vector<float> rounded;
-        found->second.download(rounded);
-        vectors.assign(rounded.begin(), rounded.end());
-    }
+    ArrayInterface& array = arrays.at(name);
+    array.upload(vector<double>(values, values + array.getSize()), true);
+}
+
+vector<double> StepKernel::readNumbers(const string& name) {
+    ContextSelector selector(cc);
+    vector<double> numbers;
+    arrays.at(name).download(numbers, true);
+    return numbers;
+}
+
+void StepKernel::readVectors(const string& name, double* values) {
+    if (order.empty())
+        return;
+    const vector<double> vectors = readNumbers(name);
     for (int i = 0; i < cc.getNumAtoms(); i++)
         for (int x = 0; x < 3; x++)
             values[3 * order[i] + x] = vectors[4 * i + x];

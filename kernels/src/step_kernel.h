@@ -20,7 +20,8 @@ namespace OpenMMSIER {
 class StepKernel : public OpenMM::IntegrateCustomStepKernel {
 public:
     /** `own` is OpenMM's kernel for the same Context. */
-    StepKernel(std::string name, const OpenMM::Platform& platform, OpenMM::ComputeContext& cc, OpenMM::Kernel own);
+    StepKernel(std::string name, const OpenMM::Platform& platform, OpenMM::ContextImpl& context,
+               OpenMM::ComputeContext& cc, OpenMM::Kernel own);
     ~StepKernel();
     void initialize(const OpenMM::System& system, const OpenMM::CustomIntegrator& integrator) override;
     void execute(OpenMM::ContextImpl& context, OpenMM::CustomIntegrator& integrator, bool& forcesAreValid) override;
@@ -33,6 +34,17 @@ public:
 
     /** Leave the program, and all that was made for it. */
     void release();
+
+    /**
+     * Execute a block of commands several times, and return the sum of the energies that it asks for.
+     *
+     * `areForcesKnown` tells whether nobody has changed the Context since the last block or step.
+     */
+    double runBlock(int block, int times, bool areForcesKnown);
+
+    /** Write or read a table of numbers. */
+    void writeNumbers(const std::string& name, const double* values);
+    std::vector<double> readNumbers(const std::string& name);
 
     /** Read vectors of atoms, in the order that atoms had in the last step. */
     void readVectors(const std::string& name, double* values);
@@ -48,9 +60,14 @@ private:
     /** Add an argument, and return whether it is the index of the random vectors. */
     bool addArgument(OpenMM::ComputeKernel& kernel, const std::string& name);
     void uploadScalars();
-    void run(OpenMM::ContextImpl& context, const Command& command);
+    /** Make what the first block or step needs. */
+    void prepare();
+    void run(const Command& command);
+    void reorder();
+    void calculate(int groups, bool wantsEnergy);
     void launch(int number);
 
+    OpenMM::ContextImpl& context;
     OpenMM::ComputeContext& cc;
     mutable OpenMM::Kernel ownKernel;
     std::shared_ptr<Program> program;
@@ -65,6 +82,12 @@ private:
     /** Whether the forces of these groups are known where the atoms are. */
     bool areForcesKnown = false;
     int knownGroups = 0;
+    /** Whether a block has moved atoms since the last step. */
+    bool hasMoved = false;
+    /** Number of forces since atoms could be reordered. */
+    int forcesSinceReorder = 0;
+    /** Sum of the energies of a run. */
+    double energy = 0.0;
 };
 
 }  // namespace OpenMMSIER

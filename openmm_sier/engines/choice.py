@@ -11,6 +11,7 @@ from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.compiled.engine import KernelsEngine
 from openmm_sier.engines.compiled.installation import InstalledStep
+from openmm_sier.engines.compiled.trial_engine import KernelTrialEngine
 from openmm_sier.engines.exact.engine import ExactEngine
 from openmm_sier.engines.native.engine import NativeEngine
 from openmm_sier.engines.native.installation import vectors_of
@@ -69,7 +70,8 @@ def make_engine(
             return ExactEngine(context, method, tally, bodies)
     if installed is not None:
         try:
-            return KernelsEngine(context, method, tally, bodies, program, installed)
+            compiled = KernelTrialEngine if method.trial_steps else KernelsEngine
+            return compiled(context, method, tally, bodies, program, installed)
         except (openmm.OpenMMException, RigidityError):
             installed.take_back()
             if name == KernelsEngine.name:

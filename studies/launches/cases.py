@@ -40,10 +40,10 @@ class Case(NamedTuple):
     steps: int = 10
 
 
-def _native_trials() -> Contestant:
+def _trials(engine: str, detail: str = "") -> Contestant:
     """Return hybrid Monte Carlo with the usual step and friction, whose trials all have as many steps."""
-    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
-    return method.at(9, **HEAVY, detail=" x 8", steps=8)
+    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine=engine, extraChances=0)
+    return method.at(9, **HEAVY, detail=f" x 8{detail}", steps=8)
 
 
 #: By the names that the command takes.
@@ -55,13 +55,14 @@ CASES = {
     "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
     "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
-    "hmc": Case(_native_trials(), calls=4, steps=4),
+    "hmc": Case(_trials("native"), calls=4, steps=4),
     "sier2-kernels": Case(in_bath(engine="kernels").at(9, **HEAVY, detail=", kernels")),
+    "hmc-kernels": Case(_trials("kernels", ", kernels"), calls=4, steps=4),
     "sier4g-kernels": Case(of_scheme(SIER4G, engine="kernels").at(4, **HEAVY, detail=", kernels")),
 }
 
 #: Those that need the package openmm-sier-kernels.
-WITH_KERNELS = ("sier2-kernels", "sier4g-kernels")
+WITH_KERNELS = ("sier2-kernels", "sier4g-kernels", "hmc-kernels")
 
 
 def usual() -> tuple[str, ...]:

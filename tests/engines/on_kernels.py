@@ -10,9 +10,12 @@ import openmm
 import openmm_sier_kernels
 import pytest
 
-from openmm_sier import SIER2, SIER4G, SIERIntegrator, SIERLangevinIntegrator
+from openmm_sier import SIER2, SIER2V2, SIER4G, RigidBodies, SIERHMCIntegrator, SIERIntegrator, SIERLangevinIntegrator
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from tests.support import kernels
+from openmm_sier.engines import trials
+from openmm_sier.engines.compiled import trial_engine
+from openmm_sier.ensembles import metropolis
+from tests.support import anharmonic, kernels
 from tests.support.ethane import ethane
 from tests.support.restarts import full_state
 from tests.support.seeded import seeded
@@ -122,8 +125,6 @@ HALF, SPRING = 0.1, 500.0
 @pytest.fixture(scope="module")
 def in_field():
     """Independent linear molecules, rigid by name, in a uniform field and in wells."""
-    from openmm_sier import RigidBodies
-
     field = openmm.CustomExternalForce("-q*x + k*(x*x + y*y + z*z)")
     field.addPerParticleParameter("q")
     field.addGlobalParameter("k", SPRING / 4)
@@ -205,6 +206,77 @@ def test_changes_by_users(in_field):
     time = context.getTime()._value
     integrator.step(1)
     assert context.getTime()._value == pytest.approx(time + 0.002)
+
+
+# --- trials ---
+
+
+def test_trials_sample_exactly():
+    """Half of the first ends are rejected; see `anharmonic`."""
+    x = anharmonic.positions()
+    scheme = SIERHMCIntegrator(anharmonic.TEMPERATURE, 0.022, SIER2V2, 2, 2.0, extraChances=0, engine="kernels")
+    integrator = seeded(scheme, 5)
+    context = context_on(anharmonic.system(), integrator, (x, 0 * x))
+    integrator.step(20)
+    assert (integrator.engine, integrator.impl.engine.makes_trials) == ("kernels", True)
+    integrator.resetStatistics()
+    rows = []
+    for _ in range(2000):
+        integrator.step(1)
+        rows.append(anharmonic.observed(*phase_point(context)))
+    assert 0.4 < integrator.acceptanceRate < 0.6
+    # Standard errors of 25 blocks, as in `test_whole_trials.py`.
+    assert (np.abs(anharmonic.distances(rows)) < 4.5).all()
+
+
+def test_a_trial_that_goes_on_comes_back(monkeypatch):
+    """The second end is taken; from there, with reversed momenta, the second end is the start."""
+    x = anharmonic.positions()
+    integrator = seeded(SIERHMCIntegrator(300, 0.02, SIER2V2, 2, 2.0, extraChances=1, engine="kernels"), 5)
+    context = context_on(anharmonic.system(), integrator, (x, 0 * x), "double")
+    integrator.step(10)
+    errors = []
+
+    def take_second(trajectory, operation):
+        trajectory._is_accepted = len(trajectory._errors) == 2
+        trajectory._goes_on = not trajectory._is_accepted
+        errors.append(trajectory._errors[-1])
+
+    monkeypatch.setitem(trial_engine.BY_BLOCKS, trials.Decide, take_second)
+    engine, start = integrator.impl.engine, phase_point(context)
+    trial = trials.Trial(2, 1, 1.0, anharmonic.KT, 0.0, 0.0, np.zeros(3))
+    engine._make(trial, False)
+    end = phase_point(context)
+    openmm.Context.setVelocities(context, -end[1])
+    engine._make(trial, False)
+    back = phase_point(context)
+    assert np.abs(end[0] - start[0]).max() > 1e-3
+    # Rounding, which a step of a well multiplies by less than three.
+    assert np.abs(back[0] - start[0]).max() < 1e-12
+    assert np.abs(back[1] + start[1]).max() < 1e-11
+    assert errors[3] == pytest.approx(-errors[1], abs=1e-8)
+    assert errors[2] == pytest.approx(errors[0] - errors[1], abs=1e-8)
+
+
+def test_energies_of_trials_and_virtual_sites(monkeypatch):
+    """Energies of the Context, whose sites are placed, change by the errors of the ends that are accepted."""
+    system, point = settled("cluster-3-tip4pew", *cluster_system(3, "tip4pew"))[1:]
+    system.addForce(openmm.CMMotionRemover())
+    integrator = seeded(SIERHMCIntegrator(300, 0.009, stepsPerTrial=4, extraChances=0, engine="kernels"), 5)
+    context = context_on(system, integrator, point)
+    integrator.step(2)
+    for is_accepted in (True, False, True):
+        monkeypatch.setattr(metropolis, "largest_error", lambda *_, yes=is_accepted: 1e300 if yes else -1e300)
+        start, accepted = phase_point(context)[0], integrator.accepted
+        before = sum(energies(context)) - integrator.getHeat()._value
+        integrator.step(1)
+        assert integrator.accepted - accepted == is_accepted
+        change = integrator.lastEnergyError * GAS_CONSTANT * 300 if is_accepted else 0.0
+        # Forces and energies of mixed precision are good to 1e-6 of some 100 kJ/mol. Sites that stay behind change the
+        # energy by several kJ/mol.
+        assert sum(energies(context)) - integrator.getHeat()._value - before == pytest.approx(change, abs=1e-3)
+        assert np.abs(integrator.impl.engine.centre_velocity()).max() < 1e-6
+        assert np.abs(phase_point(context)[0] - start).max() > 1e-4 if is_accepted else True
 
 
 # --- what is refused ---

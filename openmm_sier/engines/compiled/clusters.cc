@@ -89,6 +89,9 @@ DEVICE void constrainCluster(Cluster* c, mixed time) {
         }
         if (isDone)
             break;
+        // No motion goes on from constraints that are broken.
+        if (pass == MOST_PASSES - 1)
+            z[0] = make_mixed3(sqrt((mixed) -1), 0, 0);
     }
     for (int k = 0; k < c->size; k++) {
         c->v[k] += (1/time)*(z[k] - c->y[k]);

@@ -35,6 +35,7 @@ class CompiledStep(NamedTuple):
         inner_fraction: the longest inner step as a fraction of the step; 1 where there are none.
         counts_heat: whether heat is counted.
         fast_groups: bit mask.
+        has_last_energy: whether the block of a last step gives the energy of its end.
     """
 
     program: StepProgram
@@ -43,6 +44,7 @@ class CompiledStep(NamedTuple):
     inner_fraction: float
     counts_heat: bool
     fast_groups: int
+    has_last_energy: bool
 
 
 class InstalledStep(NamedTuple):
@@ -102,8 +104,20 @@ def compiled_step(
             f"solves only constraints of up to four atoms to one other atom, and {error} has others"
         ) from error
     program = ProgramWriter(body_tables, fast, counts_heat, has_sites, system.getNumParticles())
+    program.write_block(writer.epochs)
+    if method.trial_steps:
+        ending = StepWriter(counts_heat=False, scalars=writer.scalars)
+        ending.write(plan.with_energy().operations)
+        program.write_block(ending.epochs)
+        program.write_trials()
     return CompiledStep(
-        program.write(writer.epochs), writer.scalars, moving, plan.longest_inner_step, counts_heat, fast
+        program.program(),
+        writer.scalars,
+        moving,
+        plan.longest_inner_step,
+        counts_heat,
+        fast,
+        plan.with_energy() is not plan,
     )
 
 

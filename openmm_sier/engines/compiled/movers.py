@@ -14,7 +14,8 @@ from typing import NamedTuple
 #: What calls do. A gradient kick is two of them, with forces at the displaced positions between.
 KICK, DISPLACE, KICK_FROM_THERE = "kick", "displace", "kick from there"
 DRIFT, TO_BATH, BATHE, FROM_BATH = "drift", "drift to bath", "bathe", "drift from bath"
-PROJECT, COUNT_BEFORE, COUNT_AFTER = "project", "count before", "count after"
+PROJECT, MAKE_RIGID = "project", "make rigid"
+COUNT_BEFORE, COUNT_AFTER = "count before", "count after"
 
 #: The calls that change positions.
 DRIFTS = DRIFT, TO_BATH, FROM_BATH
@@ -249,7 +250,7 @@ class Clusters(Mover):
                 f"    {_keep_bathed('c.atoms[k]', 'c.v[k]')}",
                 "}",
             ]
-        if call.kind == PROJECT:
+        if call.kind in (PROJECT, MAKE_RIGID):
             return ["projectVectors(&c, c.x, c.v);"]
         if call.kind == DISPLACE:
             return [f"displaceCluster(&c, {scalar}, force, kept);"]

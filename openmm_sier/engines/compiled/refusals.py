@@ -32,8 +32,6 @@ def refuse_method(method: IntegrationMethod) -> None:
         raise refusal("has only the exact free-rotation map")
     if method.bath is not None and type(method.bath) is not OrnsteinUhlenbeck:
         raise refusal(f"does not know the heat bath {type(method.bath).__name__}")
-    if method.trial_steps:
-        raise refusal("makes no trials of hybrid Monte Carlo")
 
 
 def moved_by_fast_forces(system: openmm.System, bodies: BodySet, groups: int) -> np.ndarray:

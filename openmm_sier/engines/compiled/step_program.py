@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Kinds of command: OpenMM's own updates, forces of some groups, the launch of a kernel, and virtual sites.
-UPDATE, FORCES, LAUNCH, SITES = "update", "forces", "launch", "sites"
+#: Kinds of command: OpenMM's own updates, forces of some groups, these and their energy, the launch of a kernel,
+#: virtual sites, and another order of the atoms in memory.
+UPDATE, FORCES, FORCES_AND_ENERGY = "update", "forces", "forces and energy"
+LAUNCH, SITES, REORDER = "launch", "sites", "reorder"
 
 
 class Kernel(NamedTuple):
@@ -51,7 +53,7 @@ class StepProgram(NamedTuple):
         integers, numbers: tables that kernels read, by their names.
         totals: sums that kernels add to, by their names, with the number of their parts.
         kernels: all kernels.
-        commands: in order.
+        blocks: commands of a step, and those of other blocks that are executed one by one.
         bodies: atoms that must stay together, (m, k) for each kind.
     """
 
@@ -60,5 +62,5 @@ class StepProgram(NamedTuple):
     numbers: dict[str, np.ndarray]
     totals: dict[str, int]
     kernels: tuple[Kernel, ...]
-    commands: tuple[Command, ...]
+    blocks: tuple[tuple[Command, ...], ...]
     bodies: tuple[np.ndarray, ...]

@@ -18,6 +18,7 @@ from openmm_sier.dynamics.plan import (
     FAST,
     Bath,
     Drift,
+    Energy,
     Inner,
     Kick,
     Operation,
@@ -41,8 +42,8 @@ from openmm_sier.engines.compiled.movers import (
     Call,
 )
 
-#: What an epoch begins with: nothing, OpenMM's own updates, or the slow forces.
-NOTHING, UPDATES, FORCES = "nothing", "updates", "forces"
+#: What an epoch begins with: nothing, OpenMM's own updates, the slow forces, or these and all energies.
+NOTHING, UPDATES, FORCES, ENERGY = "nothing", "updates", "forces", "energy"
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ class StepWriter:
     def _have_slow_forces(self) -> bool:
         """Return whether the slow forces of the present positions are at hand."""
         epoch = self.epochs[-1]
-        return epoch.begins_with == FORCES and not epoch.moves and len(epoch.parts) == 1
+        return epoch.begins_with in (FORCES, ENERGY) and not epoch.moves and len(epoch.parts) == 1
 
     def _have_fast_forces(self) -> bool:
         """Return whether the fast forces of the present positions are at hand."""
@@ -186,6 +187,9 @@ class StepWriter:
                 self.epochs[-1].parts.append([])
         elif not self._have_slow_forces():
             self._begin(FORCES)
+
+    def _energy(self, operation: Energy, unit: float, members_only: bool) -> None:
+        self._begin(ENERGY)
 
     def _kick(self, operation: Kick, unit: float, members_only: bool) -> None:
         self._need_forces(operation)
@@ -224,4 +228,5 @@ CALLS: dict[type[Operation], Callable[[StepWriter, Any, float, bool], None]] = {
     Inner: StepWriter._inner,
     Bath: StepWriter._bathe,
     Project: StepWriter._project,
+    Energy: StepWriter._energy,
 }
