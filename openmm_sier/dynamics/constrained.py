@@ -42,7 +42,7 @@ from openmm_sier.dynamics.operators import Forces, Operator, Rotation, Table, al
 from openmm_sier.dynamics.plan import Drift, Inner, Kick, Operation, Project
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.tally import Tally
-from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 #: Makes the operator of a drift in a step, ps.
 Drifts = Callable[[Drift, float], Operator]
@@ -107,7 +107,7 @@ def constrained_bath(bath: Operator, constraints: Constraints, tally: Tally) -> 
     return apply
 
 
-def bath_operator(bath: Thermostat, bodies: BodySet, tally: Tally) -> Operator:
+def bath_operator(bath: OrnsteinUhlenbeck, bodies: BodySet, tally: Tally) -> Operator:
     """Return a bath as an operator on bodies, with or without constraints between them.
 
     Args:

@@ -6,7 +6,7 @@ from openmm_sier.dynamics.operators import Rotation
 from openmm_sier.dynamics.plan import inner_steps, steps_with_bath
 from openmm_sier.dynamics.rotation import exact
 from openmm_sier.dynamics.schemes import Scheme
-from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 
 #: Fewest inner steps of a drift with a bath in its middle. They follow bonds up to usual steps, so that a program that
 #: was written for a shorter step serves.
@@ -35,7 +35,7 @@ class IntegrationMethod:
     rotation: Rotation = exact
     substeps: int | None = None
     fast_groups: int = 0
-    bath: Thermostat | None = None
+    bath: OrnsteinUhlenbeck | None = None
     constant_energy: bool = False
     updates_context: bool = True
     counts_heat: bool | None = None

@@ -1,7 +1,6 @@
-"""Heat baths within steps, and the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
+"""The heat bath within steps: the exact Ornstein-Uhlenbeck process on momenta and body-frame angular momenta."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,8 +16,14 @@ from openmm_sier.dynamics.tally import Tally
 
 
 @dataclass(frozen=True)
-class Thermostat(ABC):
-    """Heat bath within the steps of a scheme: an operator that changes only momenta.
+class OrnsteinUhlenbeck:
+    """Langevin thermostat for rigid bodies, an operator that changes only momenta.
+
+    Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
+    or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
+    for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
+    Attitudes do not change in it, so that it is also exact for momenta along the principal axes, each with a friction
+    of its own.
 
     Attributes:
         temperature: temperature, K.
@@ -31,11 +36,17 @@ class Thermostat(ABC):
     rotational_friction: Friction
 
     @property
+    def shared_frictions(self) -> tuple[float, float] | None:
+        """Return the frictions of translation and rotation of all bodies, 1/ps; None if types have their own."""
+        if isinstance(self.friction, Mapping) or isinstance(self.rotational_friction, Mapping):
+            return None
+        return self.friction, self.rotational_friction
+
+    @property
     def common_friction(self) -> float | None:
         """Return the friction of all motion of all bodies, 1/ps; None if there is none."""
-        if isinstance(self.friction, Mapping) or self.friction != self.rotational_friction:
-            return None
-        return self.friction
+        shared = self.shared_frictions
+        return shared[0] if shared is not None and shared[0] == shared[1] else None
 
     def frictions(self, bodies: BodySet) -> np.ndarray:
         """Return frictions of translation along the axes of each body, and of rotation about them, (6, n), 1/ps.
@@ -48,15 +59,6 @@ class Thermostat(ABC):
         refuse_uneven_friction("frictionCoeff", along, bodies)
         return np.concatenate([along, about])
 
-    @abstractmethod
-    def operator(self, bodies: BodySet, tally: Tally) -> Operator:
-        """Return the thermostat as an operator of a splitting scheme.
-
-        Args:
-            bodies: bodies on which it acts.
-            tally: source of random numbers, which counts heat and draws.
-        """
-
     def velocity(self, time: str, friction: str, thermal: str) -> str:
         """Return the new value of a velocity v of a mass m, as an expression of OpenMM's CustomIntegrator.
 
@@ -64,30 +66,18 @@ class Thermostat(ABC):
 
         Args:
             time, friction, thermal: expressions of its duration, of its friction, and of kT.
-
-        Raises:
-            ValueError: there is no such expression, so that only the exact engine supports this bath.
         """
-        raise ValueError(f"OpenMM cannot execute the heat bath {type(self).__name__} in a CustomIntegrator")
-
-
-class OrnsteinUhlenbeck(Thermostat):
-    """Langevin thermostat for rigid bodies.
-
-    Momenta and body-frame angular momenta follow dx = -friction x dt + sqrt(2 friction k_B T M) dW with M the mass
-    or the principal moment, which is solved exactly for any time (Bussi and Parrinello, Phys. Rev. E 75, 056707 (2007)
-    for point particles; Davidchack, Ouldridge and Tretyakov, J. Chem. Phys. 142, 144114 (2015) for rigid bodies).
-    Attitudes do not change in it, so that it is also exact for momenta along the principal axes, each with a friction
-    of its own.
-    """
-
-    def velocity(self, time: str, friction: str, thermal: str) -> str:
         return f"exp(-{friction}*{time})*v + sqrt((1 - exp(-2*{friction}*{time}))*{thermal}/m)*gaussian"
 
     def operator(self, bodies: BodySet, tally: Tally) -> Operator:
-        if isinstance(self.friction, Mapping) or isinstance(self.rotational_friction, Mapping):
-            return self._by_axes(bodies, tally)
-        return self._alike(self.friction, self.rotational_friction, bodies, tally)
+        """Return the thermostat as an operator of a splitting scheme.
+
+        Args:
+            bodies: bodies on which it acts.
+            tally: source of random numbers, which counts heat and draws.
+        """
+        shared = self.shared_frictions
+        return self._by_axes(bodies, tally) if shared is None else self._alike(*shared, bodies, tally)
 
     def _alike(self, friction: float, rotational_friction: float, bodies: BodySet, tally: Tally) -> Operator:
         """Return the operator for frictions that all bodies share."""
@@ -96,15 +86,15 @@ class OrnsteinUhlenbeck(Thermostat):
         inverses = bodies.inverse_masses, bodies.inverse_moments
 
         @lru_cache(maxsize=4)
-        def decay(h: float) -> tuple[tuple[float, float], np.ndarray]:
+        def factors(h: float) -> tuple[tuple[float, float], np.ndarray]:
             """Return the factors of momenta and angular momenta in a time h, and the standard deviations of noise."""
-            damping, width = _decay(friction, h)
-            rotational_damping, rotational_width = _decay(rotational_friction, h)
+            damping, width = decay(friction, h)
+            rotational_damping, rotational_width = decay(rotational_friction, h)
             return (damping, rotational_damping), np.concatenate([width * spreads[0], rotational_width * spreads[1]])
 
         def apply(state: BodyState, h: float) -> BodyState:
             noise = tally.noise().standard_normal((6, bodies.n))
-            damping, widths = decay(h)
+            damping, widths = factors(h)
             p, L = np.empty(state.p.shape), np.empty(state.L.shape)
             moving = state.p, state.A, state.L
             gain = kernels.bodies.bathe(bodies.n, *moving, *damping, widths, noise, *inverses, p, L)
@@ -135,6 +125,6 @@ class OrnsteinUhlenbeck(Thermostat):
         return apply
 
 
-def _decay(friction: float, h: float) -> tuple[float, float]:
+def decay(friction: float, h: float) -> tuple[float, float]:
     """Return the factor of a momentum in a time h, and the standard deviation of noise over the thermal one."""
     return math.exp(-friction * abs(h)), math.sqrt(-math.expm1(-2 * friction * abs(h)))

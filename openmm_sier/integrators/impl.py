@@ -10,6 +10,8 @@ import openmm
 from openmm_sier.dynamics.integration_method import IntegrationMethod
 from openmm_sier.dynamics.tally import Tally
 from openmm_sier.engines.choice import make_engine, usual_platform
+from openmm_sier.engines.compiled.engine import KernelsEngine
+from openmm_sier.engines.compiled.installation import InstalledStep, installed
 from openmm_sier.engines.native import installation
 from openmm_sier.engines.native.engine import TOLERANCE
 from openmm_sier.engines.native.writing import general_program, needs_finite_positions, program_for
@@ -54,6 +56,8 @@ class IntegratorImpl:
         self.session = Session(self._rules(integrator_settings))
         self.program = self.general_program()
         self._computations = integrator.getNumComputations()
+        #: The step of the kernels engine for the next Context; None without one.
+        self._installed: InstalledStep | None = None
         self.stored = StoredTally(integrator, Tally(counts=integrator_settings.ensemble.counts))
         self.has_warned_of_noise = False
 
@@ -229,6 +233,11 @@ class IntegratorImpl:
         self._computations = integrator.getNumComputations()
         if self.has_hidden_kinetic_energy:
             report_hidden_kinetic_energy(integrator)
+        self._installed = None
+        if requested == KernelsEngine.name or (requested == "auto" and on_gpu):
+            is_asked_for = requested != "auto"
+            bodies = self.settings.bodies
+            self._installed = installed(is_asked_for, self._whole_method(), system, bodies, integrator, platform)
         self.change()
 
     def bind(self, context: openmm.Context, keeps_tally: bool = True) -> None:
@@ -249,7 +258,7 @@ class IntegratorImpl:
         system = context.getSystem()
         self.session.bind(context)
         bodies, requested = self.settings.bodies, self.settings.engine
-        engine = make_engine(requested, context, self.method(), tally, bodies, self.program)
+        engine = make_engine(requested, context, self.method(), tally, bodies, self.program, self._installed)
         self.ensemble.check(system, engine)
         self.session.take(engine, system)
         # A Context that was reinitialized with its state keeps its seed.

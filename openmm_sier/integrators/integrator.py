@@ -64,8 +64,9 @@ class SIERIntegrator(openmm.CustomIntegrator):
             bodies: the rigid bodies, as `RigidBodies`, with those that constraints do not form. None finds them in the
                 System's constraints.
             rotation: the free-rotation map; others serve comparisons.
-            engine: "auto" takes the exact engine on the CPU and Reference platforms and the native one on GPUs; "exact"
-                and "native" ask for one of them (docs/guide/engines.md).
+            engine: "auto" takes the exact engine on the CPU and Reference platforms and on GPUs the kernels engine,
+                where it is installed and can move the System, or else the native one; "exact", "native" and "kernels"
+                ask for one of them (docs/guide/engines.md).
             substeps: number of inner steps into which each drift is divided, at least 1; None chooses it
                 (docs/guide/engines.md).
             fastForceGroups: force groups of fast bonded forces, as a set or a bit mask, or an empty set for none. None

@@ -16,11 +16,11 @@ def store(impl: IntegratorImpl) -> None:
         openmm.OpenMMException: a thread is making a step.
     """
     impl.session.refuse_between_steps()
-    impl.stored.write()
-    impl.set_program_variables()
     engine = impl.session.engine_or_none
     if engine is not None:
         engine.store()
+    impl.stored.write()
+    impl.set_program_variables()
 
 
 def take_over(impl: IntegratorImpl) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from typing import NamedTuple
 
 import openmm
@@ -39,10 +40,10 @@ class Case(NamedTuple):
     steps: int = 10
 
 
-def _native_trials() -> Contestant:
+def _trials(engine: str, detail: str = "") -> Contestant:
     """Return hybrid Monte Carlo with the usual step and friction, whose trials all have as many steps."""
-    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine="native", extraChances=0)
-    return method.at(9, **HEAVY, detail=" x 8", steps=8)
+    method = trials(SIER2V2, 8, frictionCoeff=TRIAL_FRICTION, engine=engine, extraChances=0)
+    return method.at(9, **HEAVY, detail=f" x 8{detail}", steps=8)
 
 
 #: By the names that the command takes.
@@ -54,8 +55,20 @@ CASES = {
     "sier2-heat": Case(in_bath(engine="native", countsHeat=True).at(9, **HEAVY, detail=", heat counted")),
     "sier2p3": Case(of_scheme(SIER2P3, engine="native").at(9, **HEAVY)),
     "sier4g": Case(of_scheme(SIER4G, engine="native").at(4, **HEAVY)),
-    "hmc": Case(_native_trials(), calls=4, steps=4),
+    "hmc": Case(_trials("native"), calls=4, steps=4),
+    "sier2-kernels": Case(in_bath(engine="kernels").at(9, **HEAVY, detail=", kernels")),
+    "hmc-kernels": Case(_trials("kernels", ", kernels"), calls=4, steps=4),
+    "sier4g-kernels": Case(of_scheme(SIER4G, engine="kernels").at(4, **HEAVY, detail=", kernels")),
 }
+
+#: Those that need the package openmm-sier-kernels.
+WITH_KERNELS = ("sier2-kernels", "sier4g-kernels", "hmc-kernels")
+
+
+def usual() -> tuple[str, ...]:
+    """Return the names of the cases that can be counted here."""
+    has_kernels = importlib.util.find_spec("openmm_sier_kernels") is not None
+    return tuple(name for name in CASES if has_kernels or name not in WITH_KERNELS)
 
 
 def context(box: str, method: Contestant, precision: str, seed: int) -> openmm.Context:

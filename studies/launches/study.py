@@ -41,7 +41,7 @@ class LaunchesSettings(RunsSettings):
 
     Attributes:
         boxes: by name.
-        methods: by name; all of them where none is named.
+        methods: by name; where none is named all of them, those of the kernels engine only where it is installed.
         precisions: of OpenMM's OpenCL platform.
         out: for the compiled library and the cases that were counted too.
     """
@@ -60,7 +60,7 @@ def tasks(settings: LaunchesSettings) -> Iterator[Task]:
     Raises:
         ValueError: a box or a method is unknown.
     """
-    names = settings.methods or tuple(cases.CASES)
+    names = settings.methods or cases.usual()
     chosen(names, cases.CASES, "method")
     chosen(settings.boxes, dict.fromkeys(cases.BOXES), "box")
     for precision, box, name in product(settings.precisions, settings.boxes, names):

@@ -41,6 +41,7 @@ def has_a_place(path):
             ".ci",
             "docs",
             "examples",
+            "kernels",
             "openmm_sier",
             "paper",
             "recipe",

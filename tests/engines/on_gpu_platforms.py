@@ -62,7 +62,7 @@ def in_precision(gpu, cluster):
 
     @functools.cache
     def make(precision):
-        integrator = SIERIntegrator(0.004, SIER4G)
+        integrator = SIERIntegrator(0.004, SIER4G, engine="native")
         return gpu_context(gpu, precision, cluster[0], integrator, cluster[1]), integrator
 
     return make
@@ -113,7 +113,9 @@ def test_constant_pressure_and_both_ways_between_the_engines(gpu):
     first = context_at(system, on_cpu, point, "CPU", steps=3)
     context = gpu_context(gpu, "mixed", system, on_gpu, point)
     context.setState(full_state(first))
-    assert (on_cpu.engine, on_gpu.engine) == ("exact", "native")
+    assert on_cpu.engine == "exact"
+    # Where the package openmm-sier-kernels is installed, it moves the bodies.
+    assert on_gpu.engine in ("native", "kernels")
     # Mixed precision keeps positions as two numbers of single precision, 2^-48 of 2 nm, and velocities in double.
     assert np.abs(phase_point(context)[0] - phase_point(first)[0]).max() < 1e-13
     assert (phase_point(context)[1] == phase_point(first)[1]).all()

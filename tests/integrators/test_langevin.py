@@ -1,7 +1,6 @@
 """The heat bath: its distribution, its noise, its bookkeeping, and the integrator that has it."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -14,11 +13,9 @@ from openmm_sier import (
     SIER4G,
     SIERIntegrator,
     SIERLangevinIntegrator,
-    SIERThermostatIntegrator,
     prepare_system,
 )
 from openmm_sier.dynamics.constants import GAS_CONSTANT
-from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck, Thermostat
 from openmm_sier.ensembles import Langevin
 from tests.support.flexible import chains
 from tests.support.flexible_systems import FAST, system_of
@@ -68,24 +65,6 @@ def test_an_integrator_that_is_given_the_ensemble_has_a_bath(cluster):
         context = context_at(system, integrator, point, steps=5)
         ends.append(phase_point(context))
     assert np.array_equal(ends[0], ends[1])
-
-
-class OnlyForBodies(OrnsteinUhlenbeck):
-    velocity = Thermostat.velocity
-
-
-class WithoutExpression(Langevin):
-    def method(self, method):
-        return replace(super().method(method), bath=OnlyForBodies(self.temperature, self.friction, self.turning))
-
-
-def test_a_bath_without_an_expression_of_velocities_is_for_the_exact_engine(cluster):
-    _, system, point = cluster
-    with pytest.raises(openmm.OpenMMException, match=r"cannot execute the heat bath OnlyForBodies.*'exact'"):
-        context_at(system, SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002, engine="native"), point)
-    integrator = SIERThermostatIntegrator(WithoutExpression(300, 1), 0.002)
-    _context = context_at(system, integrator, point, steps=1)
-    assert integrator.getHeat() != 0 * unit.kilojoule_per_mole
 
 
 @pytest.mark.thorough

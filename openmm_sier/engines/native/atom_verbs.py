@@ -95,11 +95,15 @@ class AtomVerbs(Engine):
         """See `Verbs.draw_momenta`; constraints leave the new velocities canonical."""
         before = self.kinetic_energy()
         self._atoms.refresh_velocities(kept, kT, self.tally.noise())
-        if len(self._constraints.pairs):
-            self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
+        self._constrain_velocities()
         self._velocities_changed()
         self.tally.heat += self.kinetic_energy() - before
         self.tally.draws += 1
+
+    def _constrain_velocities(self) -> None:
+        """Take away what drawn velocities have along the constraints."""
+        if len(self._constraints.pairs):
+            self._atoms.constrain_velocities(self._integrator.getConstraintTolerance())
 
     def scale(self, factor: float) -> None:
         atoms, owners = self._atoms, self.moving.owners

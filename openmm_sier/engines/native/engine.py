@@ -69,7 +69,7 @@ class NativeEngine(AtomVerbs):
         super().__init__(context, method, tally)
         system, integrator = context.getSystem(), context.getIntegrator()
         self._program = program
-        refusals.refuse_system(system, bodies)
+        self._refuse_system(system, bodies)
         self.accept(method, self._groups)
         self._constraints = tables.constraints(system)
         self._has_sites = tables.virtual_sites(system).size > 0
@@ -86,6 +86,10 @@ class NativeEngine(AtomVerbs):
         self._checks_positions = needs_finite_positions(system, context.getPlatform())
         if self.precision == "single":
             integrator.setConstraintTolerance(max(SINGLE_TOLERANCE, integrator.getConstraintTolerance()))
+
+    def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
+        """Refuse a System that the engine cannot move, see `refusals.refuse_system`."""
+        refusals.refuse_system(system, bodies)
 
     @property
     def clock(self) -> Clock:

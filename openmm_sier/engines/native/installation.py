@@ -10,7 +10,7 @@ from openmm import unit
 
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.integration_method import IntegrationMethod
-from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.native import trial_program, trial_variables
 from openmm_sier.engines.native.program import NEVER
 from openmm_sier.engines.native.statements import FRICTION, THERMAL
@@ -172,7 +172,7 @@ def refuse_additions(integrator: openmm.CustomIntegrator, own: int) -> None:
         )
 
 
-def set_variables(integrator: openmm.CustomIntegrator, native_steps: int, bath: Thermostat | None) -> None:
+def set_variables(integrator: openmm.CustomIntegrator, native_steps: int, bath: OrnsteinUhlenbeck | None) -> None:
     """Set the variables of a program to the values that they must have, whatever was loaded.
 
     Args:
@@ -200,7 +200,7 @@ def take_heat(integrator: openmm.CustomIntegrator) -> float:
     return float(work.sum())
 
 
-def set_bath(integrator: openmm.CustomIntegrator, bath: Thermostat | None) -> None:
+def set_bath(integrator: openmm.CustomIntegrator, bath: OrnsteinUhlenbeck | None) -> None:
     """Set the variables of the bath of a program, which begins with its first part.
 
     Args:

@@ -24,7 +24,7 @@ from openmm_sier.dynamics.integration_method import FEWEST_WITH_BATH
 from openmm_sier.dynamics.plan import Resolution, plan_step
 from openmm_sier.dynamics.schemes import Scheme
 from openmm_sier.dynamics.stages import BATH
-from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.native.statements import Force, Statements
 from openmm_sier.engines.program import ALL_GROUPS, ForceTerm, Line, Program
 
@@ -62,7 +62,7 @@ def write(
     fast_groups: Collection[int] = (),
     inner_step: float | None = None,
     updates_context: bool = True,
-    bath: Thermostat | None = None,
+    bath: OrnsteinUhlenbeck | None = None,
     slow_group: int | None = None,
     divides_step: bool = True,
     counts_heat: bool = True,

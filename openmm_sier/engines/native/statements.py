@@ -8,7 +8,7 @@ from typing import Any
 
 from openmm_sier.dynamics.plan import Bath, Drift, Inner, Kick, Operation, Project, Repeat, UpdateContext, expanded
 from openmm_sier.dynamics.stages import DRIFT, DRIFT_TO_BATH
-from openmm_sier.dynamics.thermostat import Thermostat
+from openmm_sier.dynamics.thermostat import OrnsteinUhlenbeck
 from openmm_sier.engines.program import CONSTRAIN_V, CONSTRAIN_X, KEPT, UPDATE, V0, WORK, ForceTerm, Line, Statement
 from openmm_sier.engines.variables import PREFIX
 
@@ -38,7 +38,7 @@ class Statements:
 
     slow: Force
     fast: Force
-    bath: Thermostat | None
+    bath: OrnsteinUhlenbeck | None
     bath_divides_drift: bool
     counts_heat: bool
 

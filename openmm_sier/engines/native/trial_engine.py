@@ -97,13 +97,13 @@ class TrialEngine(NativeEngine):
 
     def _executed(self, trial: Trial) -> Numbers:
         """Let OpenMM make a trial; an error leaves its start, with reversed momenta if it is a TrajectoryError."""
-        scheme = self.method.scheme
-        self.evaluations += int(scheme.reuses_force and not self._has_force)
+        scheme, has_force = self.method.scheme, self._has_force
+        self.evaluations += int(scheme.reuses_force and not has_force)
         self._potential = None
         self._atoms.forget()
         self._velocities_changed()
         try:
-            numbers = trial_variables.execute(self._integrator, trial)
+            numbers = self._make(trial, has_force)
         except BaseException as error:
             has_nan = says_nan(error)
             self._restore_start(reverse=has_nan)
@@ -115,6 +115,15 @@ class TrialEngine(NativeEngine):
         if self._has_sites and not numbers.is_accepted:
             self._context.computeVirtualSites()
         return numbers
+
+    def _make(self, trial: Trial, has_force: bool) -> Numbers:
+        """Let the device make a trial.
+
+        Args:
+            trial: the trial.
+            has_force: whether the device still has the forces of the last step.
+        """
+        return trial_variables.execute(self._integrator, trial)
 
     def _restore_start(self, reverse: bool) -> None:
         positions, velocities = trial_variables.start_of(self._integrator)

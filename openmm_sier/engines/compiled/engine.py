@@ -1,0 +1,180 @@
+"""The kernels engine: compiled kernels move bodies and points on platforms for GPUs, in one launch for each force."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import openmm
+
+from openmm_sier.dynamics.bodies import BodySet, BodyState
+from openmm_sier.dynamics.integration_method import IntegrationMethod
+from openmm_sier.dynamics.tally import Tally
+from openmm_sier.engines.compiled.installation import InstalledStep
+from openmm_sier.engines.compiled.kernel_text import BATHED
+from openmm_sier.engines.compiled.plugin import address_of
+from openmm_sier.engines.compiled.refusals import refusal, refuse_method
+from openmm_sier.engines.exact.actions import BodyActions
+from openmm_sier.engines.exact.forces import BodyForces
+from openmm_sier.engines.native.constrained_start import OFF
+from openmm_sier.engines.native.engine import NativeEngine
+from openmm_sier.engines.program import Program
+from openmm_sier.engines.records import Changes
+from openmm_sier.engines.snapshot import Snapshot
+from openmm_sier.stability.step_check import StepCheck
+from openmm_sier.system import checks
+
+#: The sum of the heat of baths, and of what OpenMM's own updates do to kinetic energies.
+HEAT = "heat"
+
+#: Atoms of bodies that are further off their places, nm, or have velocities that differ by more from those of their
+#: bodies, nm/ps, were set by a user: see `OFF`. Positions in single precision are no better.
+SINGLE_OFF = 1e-6
+
+
+class KernelsEngine(NativeEngine):
+    """An engine whose steps a compiled library executes. Its phase point is that of the atoms of the Context.
+
+    In all but its steps it does what the native engine does.
+    """
+
+    name = "kernels"
+
+    def __init__(
+        self,
+        context: openmm.Context,
+        method: IntegrationMethod,
+        tally: Tally,
+        bodies: BodySet | None,
+        program: Program,
+        installed: InstalledStep,
+    ) -> None:
+        """
+        Args:
+            context: openmm.Context, which has the integrator.
+            method: the scheme that will be executed.
+            tally: of the integrator.
+            bodies: the rigid bodies; None: those that the constraints form.
+            program: of the native engine.
+            installed: what the library executes.
+
+        Raises:
+            openmm.OpenMMException: the Context does not execute the step: it is on another platform.
+        """
+        self._step = installed.step
+        self._library = installed.library
+        self._address = address_of(context.getIntegrator())
+        step = self._step
+        # What the native engine has to know of its program.
+        described = program._replace(
+            parts=((),),
+            refusal="",
+            inner_fraction=step.inner_fraction,
+            counts_heat=step.counts_heat,
+            ends_constrained=True,
+            trials=None,
+        )
+        super().__init__(context, method, tally, bodies, described)
+        if not self._library.is_executed(self._address):
+            platform = context.getPlatform().getName()
+            raise refusal(f"is not on the {platform} platform, which OpenMM took")
+        system = context.getSystem()
+        self.moving = step.bodies
+        self.step_check = StepCheck(system, self.moving, None, step.inner_fraction)
+
+        self._forces_on_bodies = BodyForces(context, self.moving)
+        self._actions = BodyActions(self._context, self, self._forces_on_bodies)
+
+    @property
+    def actions(self) -> BodyActions:
+        """Return the actions of the exact engine, at the present positions of the Context."""
+        self._forces_on_bodies.select(self._groups, self.method.fast_groups)
+        self._forces_on_bodies.take_positions(Snapshot.of(self._context))
+        return self._actions
+
+    def _refuse_system(self, system: openmm.System, bodies: BodySet | None) -> None:
+        if system.getNumConstraints():
+            checks.refuse_scaled_atoms(system)
+        checks.refuse_hits_on_atoms(system, self._step.bodies)
+        checks.refuse_deforming_barostats(system, self._context.getMolecules(), self._step.bodies)
+
+    def accept(self, method: IntegrationMethod, groups: int | None = None) -> None:
+        refuse_method(method)
+        if method.fast_groups & self._groups != self._step.fast_groups or (
+            groups is not None and method.fast_groups & groups != self._step.fast_groups
+        ):
+            raise refusal("was made for other fast force groups, and cannot change them in a Context")
+
+    def synchronize(self) -> None:
+        if Changes.VARIABLES in self.changes:
+            # They bring the heat of another run.
+            self._take_heat()
+        super().synchronize()
+
+    def _set_bath(self) -> None:
+        super()._set_bath()
+        method = self.method
+        self._library.set_scalars(self._address, method.step, self._step.scalars.values(method))
+        self._step_of_clock = method.step
+
+    def _check_start(self) -> None:
+        super()._check_start()
+        now = Snapshot.of(self._context)
+        q, A, misfit = self.moving.fit_with_misfit(now.positions)
+        if misfit.max(initial=0.0) > (SINGLE_OFF if self.precision == "single" else OFF):
+            openmm.Context.setPositions(self._context, self.moving.place(q, A, now.positions))
+            if self._has_sites:
+                self._context.computeVirtualSites()
+        p, L = self.moving.momenta(now.velocities, A)
+        rigid = self.moving.move(BodyState(q, p, A, L), now.velocities.copy())
+        if np.abs(rigid - now.velocities).max(initial=0.0) > SINGLE_OFF:
+            openmm.Context.setVelocities(self._context, rigid)
+        self._atoms.forget()
+
+    def select_groups(self) -> None:
+        """Let the next step compute forces: the program names only the fast groups."""
+        self.changes |= Changes.FORCES
+
+    # --- moves of ensembles ---
+
+    def _constrain_velocities(self) -> None:
+        """Keep the rigid part of the motion of bodies."""
+        positions, velocities = self._atoms.both
+        _, A = self.moving.fit(positions)
+        p, L = self.moving.momenta(velocities, A)
+        self._atoms.write_velocities(self.moving.move(BodyState(p, p, A, L), velocities.copy()))
+
+    def scale(self, factor: float) -> None:
+        atoms, owners = self._atoms, self.moving.owners
+        atoms.write_box([factor * edge for edge in atoms.box])
+        positions = atoms.positions.copy()
+        massive = owners >= 0
+        shifts = (factor - 1) * self.molecule_centres(self.moving.fit(positions)[0])
+        positions[massive] += shifts[:, owners[massive]].T
+        atoms.write_positions(positions)
+        self._check_start()
+
+    def _velocities_after_bath(self) -> np.ndarray | None:
+        has_followed = self._follows_bath and Changes.ATOMS not in self.changes
+        if has_followed and self.method.scheme.bath_divides_drift and self._step.fast_groups:
+            bathed = self._library.read_vectors(self._address, BATHED, self.moving.n_particles)
+            return np.asarray(bathed)
+        return None
+
+    # --- heat ---
+
+    def _take_heat(self) -> float:
+        """Return the heat that the library has counted since the last time, kJ/mol."""
+        return float(self._library.take_total(self._address, HEAT))
+
+    def heat(self) -> float:
+        if not self._step.counts_heat:
+            return math.nan
+        if Changes.VARIABLES not in self.changes:
+            self.tally.heat += self._take_heat()
+        return self.tally.heat
+
+    def store(self) -> None:
+        """Write the heat, the only thing that the Context does not have."""
+        if self._step.counts_heat:
+            self.heat()
