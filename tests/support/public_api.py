@@ -13,12 +13,12 @@ from openmm_sier.analysis import logs, observables, statistics, transport, valid
 from openmm_sier.cli.command_line import app
 from openmm_sier.cli.files import checkpoints
 from openmm_sier.integrators import settings
-from openmm_sier.observe import reporters
+from openmm_sier.observe import gsd_reporter, reporters
 
 RECORD = Path(__file__).parents[1] / "data" / "public_api.txt"
 
 #: Modules that pages name: those that list their public names, and others, whose own names are public.
-MODULES = (openmm_sier, ensembles, reporters, logs, observables, statistics, transport, validation)
+MODULES = (openmm_sier, ensembles, reporters, gsd_reporter, logs, observables, statistics, transport, validation)
 
 
 def lines() -> Iterator[str]:
