@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
-from studies import equipartition, records, step_study, style, whole_run
+from studies import equipartition, records, scale, step_study, style, whole_run
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
 from studies.paper import water
@@ -94,6 +94,7 @@ FIGURES = {
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition.figure, "equipartition.json"),
     "paper-water": Drawn(water.figure, "paper-water.json"),
+    "scale": Drawn(scale.figure, "scale.json"),
     "step-study": Drawn(step_study.figure, "step-study.json"),
     "walk": Drawn(whole_run.figure, "whole-run.json"),
 }
