@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from openmm_sier.dynamics.schemes import SIER2
-from studies import records, style, water_steps, whole_run
+from studies import records, scale, style, water_steps, whole_run
 from studies.command import Settings, chosen, command
 from studies.domains import drawing
 from studies.paper import water
@@ -113,6 +113,7 @@ FIGURES = {
     "energy": Drawn(whole_run.energies, "whole-run.json"),
     "equipartition": Drawn(equipartition, "equipartition.json"),
     "paper-water": Drawn(water.figure, "paper-water.json"),
+    "scale": Drawn(scale.figure, "scale.json"),
     "step-study": Drawn(water_steps.figure, "step-study.json"),
     "walk": Drawn(whole_run.figure, "whole-run.json"),
 }

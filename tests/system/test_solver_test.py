@@ -5,6 +5,8 @@ import openmm
 import pytest
 from openmm import app
 
+from openmm_sier.system import solver_test
+from openmm_sier.system.second_context import reference_context as made
 from openmm_sier.system.solver_test import SolverTest
 from tests.support.constrained_molecules import ConstrainedMolecule, benzene, complete, formate, methane, triangle
 from tests.support.molecules import TETRAHEDRON
@@ -95,6 +97,16 @@ def test_one_molecule_among_many():
     constraints = [row for i, molecule in enumerate(molecules) for row in molecule.constraints(3 * i)]
     places = np.concatenate([molecule.places for molecule in molecules])
     assert SolverTest(assembled(masses, constraints=constraints)).unsolved(lambda: places) == (15, 16, 17)
+
+
+def test_one_triangle_of_each_kind_is_tried(monkeypatch):
+    molecules = [triangle([16, 1, 1])] * 5 + [triangle([18, 1, 1])] * 5
+    masses = [mass for molecule in molecules for mass in molecule.masses]
+    constraints = [row for i, molecule in enumerate(molecules) for row in molecule.constraints(3 * i)]
+    places, tried = np.concatenate([molecule.places for molecule in molecules]), []
+    monkeypatch.setattr(solver_test, "reference_context", lambda system: tried.append(system) or made(system))
+    assert not SolverTest(assembled(masses, constraints=constraints)).unsolved(lambda: places)
+    assert [system.getNumParticles() for system in tried] == [6]
 
 
 def test_frozen_atoms_have_no_constraints():

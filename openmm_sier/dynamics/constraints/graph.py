@@ -32,7 +32,8 @@ def joined(n: int, pairs: np.ndarray) -> np.ndarray:
 def couplings(pairs: np.ndarray, inverse_masses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the constraints that share an atom, and by what weight; see `ConstraintTable`.
 
-    The order of the columns in a row is fixed, since sums over them have other bits in another one.
+    The order of the columns in a row is fixed, since sums over them have other bits in another one: those that share
+    the smaller atom come first, and each group is descending.
 
     Args:
         pairs: atoms of each constraint, (c, 2).
@@ -41,26 +42,22 @@ def couplings(pairs: np.ndarray, inverse_masses: np.ndarray) -> tuple[np.ndarray
     Returns:
         `rows`, `columns` and `weights` of a `ConstraintTable`, each (k,).
     """
-    ends = np.sort(pairs, axis=1)
-    order = np.argsort(ends, axis=None, kind="stable")
-    # For each atom its constraints, ascending, with 1 where it is the first of the pair and -1 where the second.
-    constraints = order // 2
-    signs = np.where(pairs[constraints, 0] == ends.ravel()[order], 1.0, -1.0)
-    starts = np.searchsorted(ends.ravel()[order], np.arange(len(inverse_masses) + 1))
+    # Both ends of all constraints, first the smaller atoms, and for each atom the constraints that end there.
+    ends = np.sort(pairs, axis=1).T.ravel()
     numbers = np.tile(np.arange(len(pairs)), 2)
-    shared = ends.T.ravel()
-    counts = starts[shared + 1] - starts[shared]
-    entries = of_ranges(starts[shared], starts[shared + 1])
-    rows, columns = np.repeat(numbers, counts), constraints[entries]
-    atoms, is_last = np.repeat(shared, counts), np.repeat(np.arange(2 * len(pairs)) >= len(pairs), counts)
-    own_signs = np.where(pairs[rows, 0] == atoms, 1.0, -1.0)
-    weights = own_signs * signs[entries] * inverse_masses[atoms]
+    signs = np.where(pairs[numbers, 0] == ends, 1.0, -1.0)
+    order = np.lexsort((numbers, ends))
+    starts = np.searchsorted(ends[order], np.arange(len(inverse_masses) + 1))
+    counts = starts[ends + 1] - starts[ends]
+    one, other = np.repeat(np.arange(len(ends)), counts), order[of_ranges(starts[ends], starts[ends + 1])]
+    rows, columns, is_larger = numbers[one], numbers[other], one >= len(pairs)
+    weights = signs[one] * signs[other] * inverse_masses[ends[one]]
+    # A constraint shares both atoms with itself, which is one entry.
     is_own = rows == columns
-    weights[is_own & is_last] += weights[is_own & ~is_last]
-    kept = ~(is_own & ~is_last)
-    rows, columns, weights, is_last = rows[kept], columns[kept], weights[kept], is_last[kept]
-    order = np.lexsort((-columns, is_last, rows))
-    return rows[order], columns[order], weights[order]
+    weights[is_own & is_larger] += weights[is_own & ~is_larger]
+    kept = np.flatnonzero(is_larger | ~is_own)
+    kept = kept[np.lexsort((-columns[kept], is_larger[kept], rows[kept]))]
+    return rows[kept], columns[kept], weights[kept]
 
 
 def independent(table: ConstraintTable, q: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from openmm_sier.dynamics.constants import GAS_CONSTANT
 from openmm_sier.dynamics.constraints import ConstraintError, Constraints
 from openmm_sier.dynamics.constraints.geodesic import SUZUKI, TRIPLE_JUMP
-from openmm_sier.dynamics.constraints.graph import joined
+from openmm_sier.dynamics.constraints.graph import couplings, joined
 from tests.support.flexible import KAHAN_LI, cage, many, mixture, repeated, residual, ring, rotor
 
 
@@ -329,3 +329,30 @@ def test_components_are_those_of_scipy(rng, edges):
 def test_a_long_chain_in_any_order_is_one_component(rng):
     chain = rng.permutation(20_000)
     assert not joined(len(chain), np.column_stack([chain[:-1], chain[1:]])).any()
+
+
+def test_constraints_are_coupled_by_the_atoms_that_they_share(mixed):
+    """Against the product of dense matrices, and in the order on which the bits of sums depend."""
+    system, _, _ = mixed
+    pairs, inverse_masses = np.array(system.pairs), 1 / system.masses
+    incidence = np.zeros((len(pairs), len(inverse_masses)))
+    incidence[np.arange(len(pairs)), pairs[:, 0]] = 1
+    incidence[np.arange(len(pairs)), pairs[:, 1]] = -1
+    rows, columns, weights = couplings(pairs, inverse_masses)
+    coupled = np.zeros((len(pairs), len(pairs)))
+    coupled[rows, columns] = weights
+    # Sums of two numbers.
+    assert np.abs(coupled - incidence * inverse_masses @ incidence.T).max() < 1e-15
+    assert len(set(zip(rows.tolist(), columns.tolist(), strict=True))) == len(rows) == np.count_nonzero(coupled)
+    assert (np.diff(rows) >= 0).all()
+    chain = couplings(np.array([[1, 0], [1, 2], [3, 2]]), np.ones(4))
+    assert chain[0].tolist() == [0, 0, 1, 1, 1, 2, 2]
+    assert chain[1].tolist() == [1, 0, 0, 2, 1, 1, 2]
+    assert chain[2].tolist() == [1, 2, 1, 1, 2, 1, 2]
+
+
+def test_trees_are_independent_without_a_factorization(mixed, monkeypatch):
+    star = Constraints([[0, 1], [0, 2], [0, 3], [4, 5]], np.full(4, 0.1), np.ones(6))
+    assert star.rank() == 4
+    monkeypatch.setattr("openmm_sier.dynamics.constraints.graph._are_trees", lambda table: False)
+    assert star.rank() == 4
