@@ -213,9 +213,12 @@ class ApplyVelocityConstraints(Action):
 
 @dataclass(frozen=True)
 class Minimize(Action):
+    """Minimize the energy from positions that satisfy the constraints: others may have less than those at the end."""
+
     iterations: int
 
     def act(self, run):
+        run.context.applyConstraints(1e-9)
         run.energy_before = run.potential_energy()
         openmm.LocalEnergyMinimizer.minimize(run.context, 1.0, self.iterations)
 

@@ -73,7 +73,7 @@ def cases(platform: str) -> st.SearchStrategy[Reversal]:
     return drawn.map(lambda pair: Reversal(replace(pair[0], remover=0), pair[1], platform))
 
 
-LAW = Law("reversal", cases, few=15)
+LAW = Law("reversal", cases, few=30)
 
 
 @LAW.numbers()
